@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.timing import DESIGNS
-from lensdesign.optimization.asked.specification import load_specification
 from lensdesign.optimization.result import OptimizationResult
 from lensdesign.optimization.search import optimize
+from lensdesign.optimization.specification.specification import load_specification
 
 TRIALS = 2000
 GOALS = ("smallest spread", "thinnest lens", "yield")
 
 
 @dataclass(frozen=True)
-class Asked:
+class FigureRequest:
     """A specification by what differs from `designs/as_built_spec.toml`, and the wavefront that is good."""
 
     limit_waves: float
@@ -33,10 +33,10 @@ MARECHAL = 0.0714
 """A fourteenth of a wave."""
 
 SPECIFICATIONS = {
-    "3 mm, NA 0.5, N-BK7": Asked(0.12, {}),
-    "3 mm, NA 0.4, N-BK7": Asked(MARECHAL, {"numerical_aperture = 0.5": "numerical_aperture = 0.4"}),
-    "2 mm, NA 0.5, N-BK7": Asked(MARECHAL, {"field_diameter_mm = 3.0": "field_diameter_mm = 2.0"}),
-    "3 mm, NA 0.3, N-BK7, pixels of 4.5 um, thickness to 20 mm": Asked(
+    "3 mm, NA 0.5, N-BK7": FigureRequest(0.12, {}),
+    "3 mm, NA 0.4, N-BK7": FigureRequest(MARECHAL, {"numerical_aperture = 0.5": "numerical_aperture = 0.4"}),
+    "2 mm, NA 0.5, N-BK7": FigureRequest(MARECHAL, {"field_diameter_mm = 3.0": "field_diameter_mm = 2.0"}),
+    "3 mm, NA 0.3, N-BK7, pixels of 4.5 um, thickness to 20 mm": FigureRequest(
         MARECHAL,
         {
             "pixel_pitch_um = 3.2": "pixel_pitch_um = 4.5",
@@ -45,7 +45,7 @@ SPECIFICATIONS = {
             "bounds = [2.0, 9.7]": "bounds = [2.0, 20.0]",
         },
     ),
-    "1.8 mm, NA 0.5, PMMA, 532 and 632.8 nm": Asked(
+    "1.8 mm, NA 0.5, PMMA, 532 and 632.8 nm": FigureRequest(
         MARECHAL,
         {
             "wavelengths_um = [0.532]": "wavelengths_um = [0.532, 0.6328]",
@@ -75,7 +75,7 @@ def main() -> None:
         print(f"| {name} | {asked.limit_waves:g} | {' | '.join(cells)} | {spent:.0f} |", flush=True)
 
 
-def optimized(folder: Path, number: int, goal: str, asked: Asked) -> OptimizationResult:
+def optimized(folder: Path, number: int, goal: str, asked: FigureRequest) -> OptimizationResult:
     """The best lens by one goal."""
     text = (DESIGNS / "as_built_spec.toml").read_text(encoding="utf-8")
     for old, new in {'goal = "yield"': f'goal = "{goal}"', **asked.changes}.items():
@@ -98,7 +98,7 @@ def optimized(folder: Path, number: int, goal: str, asked: Asked) -> Optimizatio
 def _tried(folder: Path, number: int, found: OptimizationResult) -> str:
     """Share of good lenses with its interval; what is missed is told."""
     from lensdesign.optimization.as_built import read_as_built
-    from lensdesign.optimization.asked.sections import Tolerances
+    from lensdesign.optimization.specification.sections import Tolerances
 
     if not found.feasible:
         return "not met"

@@ -129,10 +129,10 @@ def mutated_data(folder: Path, rng: np.random.Generator, count: int) -> Tally:
 
     from lensdesign import load_design
     from wavesim.calibration.calibrated import read_calibration
-    from wavesim.camera.frames import read_frame
     from wavesim.fields.field import Field, Grid
     from wavesim.fields.files import read_field, write_field
-    from wavesim.objects.targets import read_grey
+    from wavesim.sensor.frames import read_frame
+    from wavesim.targets.patterns import read_grey
 
     grey = (rng.random((32, 40)) * 65535).astype(np.uint16)
     Image.fromarray(grey).save(folder / "whole.tif")

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.timing import Row, print_table
 from lensdesign import load_design
 from wavesim import calibrate_frames, read_frames, reconstruct_frames
-from wavesim.objects.patch import lit_patch, read_object
 from wavesim.scene.settings import ReconstructionSettings
+from wavesim.targets.patch import lit_patch, read_object
 
 GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "golden" / "bench" / "everything"
 

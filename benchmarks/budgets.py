@@ -18,11 +18,11 @@ from scipy.optimize import minimize
 from benchmarks.timing import Row, print_table
 from lensdesign.common.arrays import Array
 from tolerancing import load_study
-from tolerancing.analysis.scorer import ROWS_AT_ONCE
 from tolerancing.budgets.score_model import StudyScoreModel
 from tolerancing.budgets.study_budget import SCALES, budget_of_study, scaled_perturbations
 from tolerancing.cost import cost_of, load_costs
 from tolerancing.merits.base import all_passed
+from tolerancing.statistics.scorer import ROWS_AT_ONCE
 from tolerancing.study.evaluate import context_of, score_trials
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from benchmarks.timing import Row, interleaved, print_table
-from wavesim.engines.whole_field.carried import Carried, ways_between
+from wavesim.engines.whole_field.carried import CarriedStep, interpolation_weights
 from wavesim.fields.resampling import coarse_axis, kernel_for
 
 SIDE, STEP, SMOOTH, ERROR = 6144, 4.0, 300, 1e-3
@@ -78,17 +78,17 @@ def main() -> None:
     print_table(f"{SIDE}^2 samples from {len(coarse)}^2, {taps} taps, one thread", rows(took, taps))
 
 
-def step(rng: np.random.Generator) -> tuple[Carried, np.ndarray]:
+def step(rng: np.random.Generator) -> tuple[CarriedStep, np.ndarray]:
     """From a coarse field to the plane, both full of light; a carrier of 300 turns and more."""
     fine, smooth = np.linspace(-1.0, 1.0, SIDE), np.linspace(-1.01, 1.01, SMOOTH)
     kernel = kernel_for(ERROR)
     coarse = coarse_axis(fine, STEP * float(fine[1] - fine[0]), kernel)
-    ways = ways_between((coarse, coarse), (smooth, smooth), (fine, fine), kernel)
+    ways = interpolation_weights((coarse, coarse), (smooth, smooth), (fine, fine), kernel)
     turns = 300.0 * (smooth[:, None] ** 2 + smooth**2) + 40.0 * smooth[:, None] ** 3
     edge = np.ones(turns.shape, np.float32)
     parts = rng.standard_normal((2, len(coarse), len(coarse)), np.float32)
     whole = slice(0, SIDE)
-    return Carried(ways, turns, edge, (whole, whole)), (parts[0] + 1j * parts[1]).astype(np.complex64)
+    return CarriedStep(ways, turns, edge, (whole, whole)), (parts[0] + 1j * parts[1]).astype(np.complex64)
 
 
 def rows(took: dict[str, float], taps: int) -> list[Row]:

@@ -14,9 +14,9 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import Prediction, choose, engine_for
-from wavesim.evaluation.comparison import random_field, reference_for
 from wavesim.fields.field import Field, relative_error
 from wavesim.fields.guards import SamplingWarning
+from wavesim.metrics.comparison import random_field, reference_for
 from wavesim.scene.engine import Engine
 from wavesim.scene.light import Light
 from wavesim.scene.patches import patch_scene
@@ -31,7 +31,7 @@ OBJECTS = ("even", "chart", "phase", "spots")
 
 
 @dataclass(frozen=True)
-class Tried:
+class GlassChoiceResult:
     """A prediction for the light of an object, and what came of it."""
 
     thing: str
@@ -54,7 +54,7 @@ class Tried:
 def main() -> None:
     """Measure and print."""
     warnings.simplefilter("ignore", SamplingWarning)
-    tried: list[Tried] = []
+    tried: list[GlassChoiceResult] = []
     kept = []
     for number, scene in enumerate(scenes()):
         allowed = ERRORS[number % len(ERRORS)]
@@ -122,7 +122,7 @@ def object_field(thing: str, scene: Scene, number: int) -> Field:
     return Field(grid, values, scene.wavelength_um)
 
 
-def try_all(scene: Scene, allowed: float, number: int) -> list[Tried]:
+def try_all(scene: Scene, allowed: float, number: int) -> list[GlassChoiceResult]:
     """Run all that was weighed for a scene's objects, and say what was chosen."""
     truth = reference_for(scene)
     built: dict[str, tuple[Engine, float]] = {}
@@ -138,7 +138,7 @@ def try_all(scene: Scene, allowed: float, number: int) -> list[Tried]:
                 built[prediction.label] = timed(scene, prediction, field)
             engine, seconds = built[prediction.label]
             error = relative_error(engine.forward(field).values, exact)
-            found.append(Tried(thing, prediction, prediction is choice.chosen, error, seconds))
+            found.append(GlassChoiceResult(thing, prediction, prediction is choice.chosen, error, seconds))
     return found
 
 
@@ -161,13 +161,13 @@ def within(ratios: list[float], factor: float) -> float:
     return float(np.mean([1.0 / factor <= ratio <= factor for ratio in ratios]))
 
 
-def seconds_row(name: str, tried: list[Tried]) -> Row:
+def seconds_row(name: str, tried: list[GlassChoiceResult]) -> Row:
     """How often time is told."""
     ratios = [t.seconds_ratio for t in tried]
     return Row(f"{name}: seconds within a factor 3", within(ratios, 3.0), at_least=0.9)
 
 
-def summary(name: str, tried: list[Tried]) -> list[Row]:
+def summary(name: str, tried: list[GlassChoiceResult]) -> list[Row]:
     """Shares of predictions of some kind that hold."""
     ratios = [t.error_ratio for t in tried]
     return [

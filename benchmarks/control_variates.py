@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from tolerancing import load_study, open_store, run_study
-from tolerancing.analysis.control_variates import (
+from tolerancing.statistics.control_variates import (
     ControlVariateEstimate,
     Seconds,
     best_narrowing,

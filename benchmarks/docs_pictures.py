@@ -72,9 +72,9 @@ def whole_field(frames: Path, found: Path, picture: Path, at_mm: tuple[float, fl
     from matplotlib.figure import Figure
 
     from lensdesign import load_design
-    from wavesim.objects.patch import object_patch, usaf_charts_of
-    from wavesim.objects.usaf import chart_outline
-    from wavesim.pictures.panels import AS_SAMPLED, scale_bar
+    from wavesim.plots.panels import AS_SAMPLED, scale_bar
+    from wavesim.targets.patch import object_patch, usaf_charts_of
+    from wavesim.targets.usaf import chart_outline
 
     with np.load(found / "reconstruction.npz") as one, np.load(frames / "object.npz") as other:
         result, true, pitch_um = np.abs(one["values"]), np.abs(other["values"]), float(one["pitch_um"])

@@ -16,7 +16,7 @@ import numpy as np
 
 from tolerancing import load_study, start_study
 from tolerancing.merits.line_pairs import line_pairs_in_focus
-from tolerancing.study.evaluate import context_of, realise
+from tolerancing.study.evaluate import context_of, sample_perturbations
 from wavesim import line_pair_contrast, strehl
 
 DESIGNS = Path(__file__).parents[1] / "designs"
@@ -31,7 +31,7 @@ def rows(name: str) -> Iterator[tuple[float, float, float, float, float]]:
         path = Path(folder) / "study.toml"
         start_study(DESIGNS / f"{name}.toml", path, "precision")
         loaded = load_study(path)
-    context, batch = context_of(loaded.lens, loaded.study), realise(loaded.study, range(TRIALS))
+    context, batch = context_of(loaded.lens, loaded.study), sample_perturbations(loaded.study, range(TRIALS))
     for point in POINTS:
         begun = process_time()
         pupils = context.pupils(batch, point, None, True)

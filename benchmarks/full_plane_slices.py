@@ -22,10 +22,10 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from wavesim import Field, Scene, engine_for, patch_scene
 from wavesim.engines.slices.engine import AnnularSlices
-from wavesim.evaluation.resolving import bars_field
 from wavesim.fields.field import Grid, correlation, relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, wave_factor
+from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, phasor_of
+from wavesim.metrics.resolving import bars_field
 from wavesim.scene.engine import Engine
 
 PATCH_MM, PLANE_MM, LINE_UM, LENGTH_MM = 0.05, 2.0, 0.775, 0.004
@@ -35,7 +35,7 @@ REFOCUS_MM = np.arange(-0.03, 0.0301, 0.0005)
 
 
 @dataclass(frozen=True)
-class Carried:
+class CarriedStep:
     """What slices make of bars, beside the eikonal engine, and what it took."""
 
     error: float
@@ -88,7 +88,7 @@ def rows(scale: float, count: int, kind: str, precision: str) -> list[Row]:
     ]
 
 
-def carried(scale: float, line: bool, count: int, kind: str, precision: str) -> Carried:
+def carried(scale: float, line: bool, count: int, kind: str, precision: str) -> CarriedStep:
     """One engine on the plane or on a line."""
     scene = scene_of(scale, line)
     truth = engine_for(scene, "eikonal", error=0.01)
@@ -103,7 +103,7 @@ def carried(scale: float, line: bool, count: int, kind: str, precision: str) -> 
         done = time.perf_counter()
     exact = truth.forward(bars)
     contrast, refocus = brought_back(truth, found, exact)
-    return Carried(
+    return CarriedStep(
         relative_error(found.values, exact.values),
         correlation(found.values, exact.values),
         contrast,
@@ -141,10 +141,10 @@ def brought_back(truth: Engine, found: Field, exact: Field) -> tuple[float, floa
     grid = truth.scene.object_grid
     target, seen = (scipy.fft.fftn(np.asarray(truth.adjoint(f).values, complex)) for f in (exact, found))
     kz, _ = axial_wavenumbers(fft_frequencies(grid.shape, grid.pitch_mm), found.wavelength_um, 1.0)
-    moved = [scipy.fft.ifftn(seen * target.conj() * wave_factor(kz * z)) for z in REFOCUS_MM]
+    moved = [scipy.fft.ifftn(seen * target.conj() * phasor_of(kz * z)) for z in REFOCUS_MM]
     best = int(np.argmax([np.abs(one).max() for one in moved]))
     shift = np.unravel_index(int(np.argmax(np.abs(moved[best]))), grid.shape)
-    sharp = scipy.fft.ifftn(seen * wave_factor(kz * REFOCUS_MM[best]))
+    sharp = scipy.fft.ifftn(seen * phasor_of(kz * REFOCUS_MM[best]))
     sharp = np.roll(sharp, [-s for s in shift], range(len(grid.shape)))
     profile = np.abs(sharp if grid.is_line else sharp[:, grid.shape[1] // 2]) ** 2
     middles = 2e-3 * LINE_UM * np.arange(-2, 3)

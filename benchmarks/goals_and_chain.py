@@ -27,17 +27,17 @@ from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.asked.sections import LOSS_GOAL
-from lensdesign.optimization.asked.specification import load_specification
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.search import optimize
+from lensdesign.optimization.specification.sections import LOSS_GOAL
+from lensdesign.optimization.specification.specification import load_specification
 from tolerancing import load_study
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.merits.registry import merit_from_table
-from tolerancing.study.evaluate import realise
-from tolerancing.wavefronts.losses import DRAWS, drawn_losses, loss_chains, loss_paths
+from tolerancing.prediction.losses import DRAWS, drawn_losses, loss_chains, loss_paths
+from tolerancing.study.evaluate import sample_perturbations
 from wavesim.scene.placement import Placement
 
 Array = np.ndarray[Any, Any]
@@ -126,7 +126,7 @@ def perturbed(goal: str) -> tuple[Chain, list[Placement]]:
     twin = scaled(lens_of(goal), 1.0 / SCALE)
     study = load_study(DESIGNS / "as_built_tolerances.toml").study
     drawn = study.model_copy(update={"trials": max(TRIALS.values()), "seed": SEED, "draws": "random"})
-    values = realise(drawn, range(drawn.trials)).values * FACTOR
+    values = sample_perturbations(drawn, range(drawn.trials)).values * FACTOR
     for column, perturbation in enumerate(study.perturbations):
         if perturbation.parameter.split("_")[-1] in RELATIVE:
             values[:, column] *= SCALE

@@ -25,7 +25,7 @@ from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from wavesim import Scene, engine_for
 from wavesim.engines.slices.compensation import centre_rays, compensation
-from wavesim.engines.slices.samples import Reached, SlicedSurface, sliced
+from wavesim.engines.slices.samples import IlluminatedArea, SlicedSurface, sliced
 from wavesim.engines.slices.steps import through_surface
 from wavesim.engines.slices.windows import Waves
 from wavesim.engines.surfaces.grids import LightWithin, light_within
@@ -179,7 +179,7 @@ def _surface(
     planes = np.linspace(low, high, SLICES + 1)[: MANY + 1]
     reach = _radius_mm(scene, float(planes[-1]), light.reach_mm[0])
     given = compensation(scene, centre_rays(scene, scene.object_grid.centre_mm)[0], oblique=False)
-    many = sliced(Reached(scene, 0, grid, reach), given, planes, False, np.complex64)
+    many = sliced(IlluminatedArea(scene, 0, grid, reach), given, planes, False, np.complex64)
     cut = slice(FEW)
     few = replace(
         many,

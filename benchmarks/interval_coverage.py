@@ -18,16 +18,16 @@ from scipy.special import ndtri
 
 from benchmarks.timing import DESIGNS
 from tolerancing import load_study
-from tolerancing.analysis import fit_response, yield_of
-from tolerancing.analysis.rare_failures import (
+from tolerancing.perturbations import DRAWS, probabilities, replicates
+from tolerancing.statistics import fit_response, yield_of
+from tolerancing.statistics.rare_failures import (
     failure_chances,
     modelled_trials,
     proposed,
     weighted_failures,
 )
-from tolerancing.analysis.yields import wilson
-from tolerancing.perturbations import DRAWS, probabilities, replicates
-from tolerancing.study.evaluate import context_of, realise, score_trials
+from tolerancing.statistics.yields import wilson
+from tolerancing.study.evaluate import context_of, sample_perturbations, score_trials
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study
 
@@ -131,7 +131,7 @@ def modelled_study(study: Study, model: Callable[[Array], Array], k: int, limit:
     def passed(method: str, seed: int) -> NDArray[np.bool_]:
         count = TRUTH if (method, seed) == ("random", 1) else TRIALS
         own = study.model_copy(update={"draws": method, "seed": seed, "trials": count})
-        return np.asarray(model(realise(own, range(count)).values)[:, k] <= limit**2)
+        return np.asarray(model(sample_perturbations(own, range(count)).values)[:, k] <= limit**2)
 
     return passed
 
@@ -163,7 +163,7 @@ def of_the_lens(loaded: LoadedStudy) -> None:
 def rare(loaded: LoadedStudy, model: Callable[[Array], Array]) -> None:
     """Yields from chosen trials, where a model of few trials and of another kind says which may fail."""
     study = loaded.study
-    values = realise(study.model_copy(update={"seed": 11}), range(RARE_FITTED)).values
+    values = sample_perturbations(study.model_copy(update={"seed": 11}), range(RARE_FITTED)).values
     scores = np.sqrt(np.maximum(model(values)[:, :1], 0.0))
     fitted = fit_response(values, scores)
     for limit in RARE_LIMITS_WAVES:

@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from wavesim import SamplingWarning, image, reconstruct_frames
-from wavesim.camera.exposures import SaturationWarning
-from wavesim.camera.frame_sets import recorded_planes
-from wavesim.camera.recorded import noise_misfit
+from wavesim.sensor.exposures import SaturationWarning
+from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.measurement import noise_misfit
 
 SCALE, PATCH_MM = 1.0 / 16.0, 0.16
 IMAGED_BY = {"engine": "eikonal", "error": 0.01, "full_well_electrons": 10_000.0, "seed": 1}

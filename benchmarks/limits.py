@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.optimization.asked.choices import bases_of
-from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.kinds import FIELD
 from lensdesign.optimization.limits.search import Limit, find_limits
 from lensdesign.optimization.local_search import Budget, search_from, starts_of
+from lensdesign.optimization.operands.operand import KEPT
 from lensdesign.optimization.problem import DesignProblem
-from lensdesign.optimization.rows.row import KEPT
+from lensdesign.optimization.specification.choices import bases_of
+from lensdesign.optimization.specification.specification import Specification
 
 SEEDS, DENSE_STARTS, AGREEMENT = 5, 60, 3e-3
 

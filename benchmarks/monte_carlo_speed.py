@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.others import Tracer, largest_difference, other_tracers
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from lensdesign import RayTrace, SurfacePerturbation, load_design, trace
-from lensdesign.tracing.bundles import launch
+from lensdesign.raytrace.bundles import launch
 
 Array = NDArray[np.float64]
 

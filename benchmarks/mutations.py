@@ -113,10 +113,10 @@ MUTATIONS = (
     ),
     Mutation(
         "path in front of a surface at the index behind it",
-        "lensdesign/tracing/conic_kernel.py",
+        "lensdesign/raytrace/conic_kernel.py",
         "after[OPL + i] = ray[OPL + i] + n1 * t",
         "after[OPL + i] = ray[OPL + i] + n1 / ratio * t",
-        "tests/lensdesign/tracing/test_rays.py",
+        "tests/lensdesign/raytrace/test_rays.py",
     ),
     # Glass, poses, figures
     Mutation(
@@ -151,47 +151,47 @@ MUTATIONS = (
     ),
     Mutation(
         "3MF in inches",
-        "lensdesign/fabrication/mesh/writing.py",
+        "lensdesign/manufacture/mesh/writing.py",
         '\'<model unit="millimeter"',
         '\'<model unit="inch"',
-        "tests/lensdesign/fabrication/mesh/test_writing.py",
+        "tests/lensdesign/manufacture/mesh/test_writing.py",
     ),
     Mutation(
         "fringes of ISO 10110-5 at 632.8 nm",
-        "lensdesign/fabrication/drawing/tolerances.py",
+        "lensdesign/manufacture/drawing/tolerances.py",
         "MERCURY_LINE_UM = 0.54607",
         "MERCURY_LINE_UM = 0.6328",
-        "tests/lensdesign/fabrication/drawing/test_sheets.py",
+        "tests/lensdesign/manufacture/drawing/test_sheets.py",
     ),
     Mutation(
         "ISO 10110-11: thickness of parts up to 30 mm",
         "lensdesign/analysis/outline.py",
         "30.0: EdgeAllowance(0.5, 0.2,",
         "30.0: EdgeAllowance(0.5, 0.4,",
-        "tests/lensdesign/fabrication/drawing/test_sheets.py",
+        "tests/lensdesign/manufacture/drawing/test_sheets.py",
     ),
     # The object
     Mutation(
-        "chart: bars four times as long as wide", "wavesim/objects/usaf.py", "LENGTH = 5.0", "LENGTH = 4.0"
+        "chart: bars four times as long as wide", "wavesim/targets/usaf.py", "LENGTH = 5.0", "LENGTH = 4.0"
     ),
     Mutation(
         "chart: one width between sets",
-        "wavesim/objects/usaf.py",
+        "wavesim/targets/usaf.py",
         "GAP = 2.0",
         "GAP = 1.0",
     ),
     Mutation(
         "chart: five elements to the octave",
-        "wavesim/objects/usaf.py",
+        "wavesim/targets/usaf.py",
         "(element - 1) / 6.0",
         "(element - 1) / 5.0",
     ),
     Mutation(
         "band limit of half the aperture",
-        "wavesim/objects/targets.py",
+        "wavesim/targets/patterns.py",
         "limit = 1e3 * numerical_aperture / wavelength_um",
         "limit = 0.5e3 * numerical_aperture / wavelength_um",
-        "tests/wavesim/objects/test_targets.py",
+        "tests/wavesim/targets/test_patterns.py",
     ),
     # Through the lens
     Mutation(
@@ -211,7 +211,7 @@ MUTATIONS = (
         "wavesim/fields/plane_waves.py",
         "xp.sin(phase, out=result.imag)",
         "xp.sin(-phase, out=result.imag)",
-        "tests/wavesim/fields/test_passage.py",
+        "tests/wavesim/fields/test_propagator.py",
     ),
     Mutation(
         "the aperture of tubes of rays by paths, not by areas",
@@ -250,13 +250,13 @@ MUTATIONS = (
     # The camera
     Mutation(
         "shot noise of half the electrons",
-        "wavesim/camera/exposures.py",
+        "wavesim/sensor/exposures.py",
         "electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)",
         "electrons = 0.5 * random.poisson(2.0 * np.minimum(electrons, 2.0 * full + 100.0))",
     ),
     Mutation(
         "top count 2^bits",
-        "wavesim/camera/exposures.py",
+        "wavesim/sensor/exposures.py",
         "full, top = electronics.full_well_electrons, 2**electronics.bits - 1",
         "full, top = electronics.full_well_electrons, 2**electronics.bits",
     ),
@@ -316,21 +316,21 @@ MUTATIONS = (
     # Judgement
     Mutation(
         "resolved at half the contrast",
-        "wavesim/evaluation/metrics.py",
+        "wavesim/metrics/contrast.py",
         "RESOLVED_CONTRAST = 0.2",
         "RESOLVED_CONTRAST = 0.1",
     ),
     Mutation(
         "contrast over the brighter part",
-        "wavesim/objects/bar_sets.py",
+        "wavesim/targets/bar_sets.py",
         "total = bright + dark",
         "total = bright",
-        "tests/wavesim/evaluation/test_metrics.py",
+        "tests/wavesim/metrics/test_contrast.py",
     ),
     # Tolerances
     Mutation(
         "90 % confidence",
-        "tolerancing/analysis/yields.py",
+        "tolerancing/statistics/yields.py",
         "CONFIDENCE = 0.95",
         "CONFIDENCE = 0.9",
     ),
@@ -349,10 +349,10 @@ MUTATIONS = (
     ),
     Mutation(
         "root sum square of variances",
-        "tolerancing/analysis/parabolas.py",
+        "tolerancing/statistics/quadratic_response.py",
         "np.sqrt(np.sum(sensitivity.standard_deviation**2, axis=0))",
         "np.sum(sensitivity.standard_deviation, axis=0)",
-        "tests/tolerancing/analysis/test_parabolas.py",
+        "tests/tolerancing/statistics/test_quadratic_response.py",
     ),
     Mutation(
         "a trial at its limit fails",

@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
-from lensdesign.optimization.asked.specification import Specification, load_specification
 from lensdesign.optimization.result import OptimizationResult
 from lensdesign.optimization.search import optimize
+from lensdesign.optimization.specification.specification import Specification, load_specification
 
 ROUNDS = 7
 SEEDS = (0, 1, 2)
@@ -66,7 +66,7 @@ def in_this_process(
     """Time a search with everything imported and compiled."""
     timing = interleaved({name: lambda: optimize(specification)}, ROUNDS)[name]
     found = optimize(specification)
-    refuse_infeasible(name, found)
+    validate_feasible(name, found)
     return [
         Row(f"{name}: found", found.goal_value, unit, at_most=at_most),
         Row(f"{name}: best time", timing.best, "s"),
@@ -80,7 +80,7 @@ def from_random_starts(
     """Search from random starts."""
     settings = specification.optimize.replaced(start="random", starts=STARTS, agreeing=STARTS)
     found = optimize(specification.model_copy(update={"optimize": settings}), seed=seed)
-    refuse_infeasible(name, found)
+    validate_feasible(name, found)
     return [
         Row(f"{name}: best", found.goal_value, unit),
         Row(f"{name}: at the best", found.starts_at_best, f"of {found.starts}", at_least=at_least),
@@ -88,7 +88,7 @@ def from_random_starts(
     ]
 
 
-def refuse_infeasible(name: str, found: OptimizationResult) -> None:
+def validate_feasible(name: str, found: OptimizationResult) -> None:
     """End the program where a constraint is not met: the goal's value then means nothing."""
     if not found.feasible:
         raise SystemExit(f"void: {name} is not feasible: {'; '.join(found.violations)}")

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from benchmarks.timing import Row, print_table
-from wavesim import Grid, Recorded, retrieve
+from wavesim import Grid, Measurement, retrieve
 from wavesim.reconstruction import retrieval_bytes
 
 SIDE, PITCH_MM, WAVELENGTH_UM = 6144, 3.2e-3, 0.532
@@ -38,7 +38,7 @@ def iteration_seconds(distances_mm: tuple[float, ...]) -> tuple[list[float], lis
     rng = np.random.default_rng(8)
     grid = Grid((SIDE, SIDE), PITCH_MM, 0.0)
     recorded = [
-        Recorded(d, 64.0 + 8.0 * rng.standard_normal(grid.shape, dtype=np.float32).clip(-4.0))
+        Measurement(d, 64.0 + 8.0 * rng.standard_normal(grid.shape, dtype=np.float32).clip(-4.0))
         for d in distances_mm
     ]
     wall, cpu = [], []

@@ -18,10 +18,10 @@ import numpy as np
 from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from wavesim.calibration.planning import Plan, plan_frames
-from wavesim.camera.imaging import image
 from wavesim.reconstruction.found import FoundObject
 from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.scene.settings import Kind
+from wavesim.sensor.imaging import image
 
 ALLOWED = 0.005
 """Correlation by which an outcome may miss the predicted range."""

@@ -19,7 +19,7 @@ from wavesim import (
     Engine,
     Field,
     Grid,
-    Recorded,
+    Measurement,
     SamplingWarning,
     Scene,
     engine_for,
@@ -27,10 +27,10 @@ from wavesim import (
     reconstruct,
     retrieve,
 )
-from wavesim.camera import plane_seeds, record, recorded_planes
-from wavesim.evaluation import as_passed, element_contrasts, object_correlation, smallest_resolved_element
 from wavesim.fields.coverage import rectangle, rectangle_coverage
-from wavesim.objects import usaf_chart, usaf_elements_within
+from wavesim.metrics import element_contrasts, object_correlation, smallest_resolved_element, transmitted_part
+from wavesim.sensor import plane_seeds, record, recorded_planes
+from wavesim.targets import usaf_chart, usaf_elements_within
 
 SIDE_MM, PITCH_MM, PIXELS, PIXEL_MM = 0.38, 0.4256e-3, 864, 3.2e-3
 STOP_MM = 0.98 * SIDE_MM
@@ -94,23 +94,20 @@ def seen(transmission: np.ndarray) -> Case:
     return Case(transmission, tuple(f.with_values(np.asarray(f.values, np.complex64)) for f in fields))
 
 
-def points(case: Case) -> list[Recorded]:
+def points(case: Case) -> list[Measurement]:
     """Amplitudes at points, without noise."""
     return [
-        Recorded(d - PLANES_MM[0], np.abs(field.values))
+        Measurement(d - PLANES_MM[0], np.abs(field.values))
         for d, field in zip(PLANES_MM, case.fields, strict=True)
     ]
 
 
-def frames(case: Case, seed: int = 1) -> list[Recorded]:
+def frames(case: Case, seed: int = 1) -> list[Measurement]:
     """Amplitudes estimated from a camera's frames, each exposed for itself, and their standard deviations."""
     share = BRIGHTEST_ELECTRONS / CAMERA.full_well_electrons
     planes = zip(PLANES_MM, case.fields, plane_seeds(seed, len(PLANES_MM)), strict=True)
     return recorded_planes(
-        [
-            record(field, SENSOR, distance, CAMERA, one, brightest_share=share)
-            for distance, field, one in planes
-        ]
+        [record(field, SENSOR, distance, CAMERA, one, peak_fill=share) for distance, field, one in planes]
     )
 
 
@@ -142,7 +139,7 @@ def from_frames() -> list[Row]:
         alike = [replace(plane, sigma=None) for plane in recorded]
         name = f"{ground}, amplitude"
         rows += object_domain(f"{name}, points, sigma unknown", case, alike, kind="amplitude")
-        pixels: dict[str, Any] = {"kind": "amplitude", "active_width": 1.0}
+        pixels: dict[str, Any] = {"kind": "amplitude", "fill_factor": 1.0}
         rows += object_domain(f"{name}, pixels, sigma unknown", case, alike, **pixels)
         rows += object_domain(f"{name}, pixels, sigma", case, recorded, **pixels)
         rows += object_domain(
@@ -154,7 +151,7 @@ def from_frames() -> list[Row]:
             **pixels,
         )
         if ground == "bright":
-            complex_: dict[str, Any] = {"active_width": 1.0, "tv_weight": "auto"}
+            complex_: dict[str, Any] = {"fill_factor": 1.0, "tv_weight": "auto"}
             rows += object_domain(f"{ground}, complex, pixels, sigma, auto", case, recorded, 0.93, **complex_)
     return rows
 
@@ -174,7 +171,7 @@ def chart_from_frames() -> list[Row]:
             tv_weight="auto",
             scale=1.0,
             iterations=30,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         finest = smallest_resolved_element(element_contrasts(found.transmission.values, lit.grid, elements))
         width = np.inf if finest is None else finest.line_width_um
@@ -185,7 +182,7 @@ def chart_from_frames() -> list[Row]:
 def object_domain(
     name: str,
     case: Case,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     at_least: float | None = None,
     *,
     tv_weight: Any = 0.02,
@@ -197,20 +194,20 @@ def object_domain(
     found = reconstruct(engine, lit, recorded, tv_weight=tv_weight, scale=1.0, iterations=30, **settings)
     seconds = time.perf_counter() - started
     values = (found.transmission.values * lit.values).astype(np.complex64)
-    reached = score(case, as_passed(lit.with_values(values), engine))
+    reached = score(case, transmitted_part(lit.with_values(values), engine))
     return [
         Row(f"{name} ({len(found.misfit)} iterations)", reached, at_least=at_least),
         Row("  an iteration", seconds / len(found.misfit), "s", at_most=0.8),
     ]
 
 
-def dual_plane(name: str, case: Case, recorded: Sequence[Recorded]) -> list[Row]:
+def dual_plane(name: str, case: Case, recorded: Sequence[Measurement]) -> list[Row]:
     """Appendix A, from the forward model's field, an even and a random phase."""
     engine, lit = twin()
     grid = engine.scene.exit_grid
     first = recorded[0].amplitude
     scale = np.float32(64.0 / np.median(first[first > 1e-4 * first.max()]))
-    planes = [Recorded(p.distance_mm, scale * p.amplitude) for p in recorded]
+    planes = [Measurement(p.distance_mm, scale * p.amplitude) for p in recorded]
     model = engine.forward(lit)
     starts: dict[str, Any] = {
         "forward model": model.with_values(scale * model.values),
@@ -233,8 +230,8 @@ def dual_plane(name: str, case: Case, recorded: Sequence[Recorded]) -> list[Row]
 def score(case: Case, found: Field) -> float:
     """Correlation inside the field stop with the object as the lens passes it."""
     engine, lit = twin()
-    truth = as_passed(lit.with_values((lit.values * case.transmission).astype(np.complex64)), engine)
-    return object_correlation(found, truth, as_passed(lit, engine), np.abs(lit.values) > 0.0)
+    truth = transmitted_part(lit.with_values((lit.values * case.transmission).astype(np.complex64)), engine)
+    return object_correlation(found, truth, transmitted_part(lit, engine), np.abs(lit.values) > 0.0)
 
 
 if __name__ == "__main__":

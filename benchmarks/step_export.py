@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from lensdesign import Lens, load_design
-from lensdesign.fabrication.step.writing import StepReport, write_step
+from lensdesign.manufacture.step.writing import StepReport, write_step
 
 DESIGN = DESIGNS / "paper_singlet.toml"
 ROUNDS = 5
@@ -26,7 +26,7 @@ import sys, time
 from lensdesign import load_design
 lens = load_design(sys.argv[1])
 start = time.perf_counter()
-from lensdesign.fabrication.step.writing import write_step
+from lensdesign.manufacture.step.writing import write_step
 write_step(lens, sys.argv[2])
 print(time.perf_counter() - start)
 """

@@ -22,7 +22,7 @@ from lensdesign.analysis import check_design, first_order
 from lensdesign.lens import Lens, lens_at_temperature
 from lensdesign.lens.catalogues.thermal import REFERENCE_C
 from lensdesign.optimization import load_specification, optimize
-from lensdesign.optimization.asked.sections import Environment
+from lensdesign.optimization.specification.sections import Environment
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.pupil import RmsWaves
 from tolerancing.perturbations import PerturbationBatch, PerturbedParameter

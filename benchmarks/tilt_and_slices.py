@@ -17,7 +17,7 @@ import scipy.fft
 
 from lensdesign import Pose, load_design
 from wavesim import SamplingWarning, engine_for
-from wavesim.evaluation.resolving import bars_field, contrasts_of, meridional_scene, register
+from wavesim.metrics.resolving import bars_field, contrasts_of, meridional_scene, register
 
 WIDTHS_UM, BARS, TILTS_DEG = (0.775, 1.55), 5, (0.0, 0.3, 0.5)
 PIVOTS_MM = {

@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from benchmarks.trace_speed import PLANE_DISTANCE_MM, random_rays
 from lensdesign import load_design, trace
-from lensdesign.tracing.conic_kernel import BLOCK, through_conic
+from lensdesign.raytrace.conic_kernel import BLOCK, through_conic
 
 RAYS, REPEATS, ROUNDS, RUNS = 1_000_000, 4000, 7, 3
 CONIC = {"roots": 2, "quotients": 2, "others": 54}

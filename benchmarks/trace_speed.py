@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from benchmarks.others import largest_difference, other_tracers
 from benchmarks.timing import DESIGNS, Row, Timing, interleaved, print_table
 from lensdesign import Lens, load_design, trace
-from lensdesign.tracing.bundles import launch_pairs
-from lensdesign.tracing.compiled import compile_system
+from lensdesign.raytrace.bundles import launch_pairs
+from lensdesign.raytrace.compiled import compile_system
 
 Array = NDArray[np.float64]
 

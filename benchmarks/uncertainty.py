@@ -12,10 +12,10 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
-from wavesim import Engine, Field, Grid, Recorded, Scene, engine_for
-from wavesim.camera.recorded import recorded_intensity
+from wavesim import Engine, Field, Grid, Measurement, Scene, engine_for
 from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction import UndeterminedError, reconstruct, uncertainty
+from wavesim.sensor.measurement import recorded_intensity
 
 WAVELENGTH_UM, SAMPLES, PITCH_MM, PIXELS, PIXEL_MM = 0.532, 96, 4.2e-4, 240, 3.2e-3
 STOP_MM, ELECTRONS, FRAMES = 0.036, 1e5, 12
@@ -52,7 +52,7 @@ def record(
     distances_mm: tuple[float, ...],
     seed: int,
     electrons: float = ELECTRONS,
-) -> list[Recorded]:
+) -> list[Measurement]:
     """Amplitudes with shot noise, of so many electrons in the brightest pixel."""
     field = engine.forward(light.with_values((values * light.values).astype(np.complex64)))
     random, planes = np.random.default_rng(seed), []

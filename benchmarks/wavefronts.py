@@ -14,21 +14,21 @@ from benchmarks.others import OptilandTracer, missing_packages, prysm_tangents
 from benchmarks.timing import DESIGNS
 from lensdesign import Lens, load_design
 from lensdesign.optimization.as_built import read_as_built
-from lensdesign.optimization.asked.sections import Tolerances
-from lensdesign.optimization.asked.specification import load_specification
 from lensdesign.optimization.search import optimize
-from lensdesign.tracing.bundles import pupil_rings
+from lensdesign.optimization.specification.sections import Tolerances
+from lensdesign.optimization.specification.specification import load_specification
+from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing import load_study
-from tolerancing.analysis.yields import yield_of
 from tolerancing.merits.arrival import arriving_rays
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.study.evaluate import context_of, realise
-from tolerancing.wavefronts import arrival_differentials, differentials, predict, predict_rays
-from tolerancing.wavefronts.derivatives import ARMS, RINGS, FieldDifferentials, nominal_paths
-from tolerancing.wavefronts.paths import Paths
+from tolerancing.prediction import arrival_differentials, differentials, predict, predict_rays
+from tolerancing.prediction.derivatives import ARMS, RINGS, FieldDifferentials, nominal_paths
+from tolerancing.prediction.paths import Paths
+from tolerancing.statistics.yields import yield_of
+from tolerancing.study.evaluate import context_of, sample_perturbations
 
 ROUNDS = 9
 OPTILAND_TRIALS = 20
@@ -166,7 +166,7 @@ def rays_beside_trials() -> None:
         seconds = time.process_time() - began
         context, scores = context_of(lens, own), []
         for start in range(0, RAY_TRIALS, 500):
-            batch = realise(own, range(start, start + 500))
+            batch = sample_perturbations(own, range(start, start + 500))
             scores.append(np.stack([merit.scores(context, batch) for merit in merits], axis=1))
         for told, traced in zip(predicted, np.concatenate(scores).T, strict=True):
             good = np.mean(told.merit.passed(traced))
@@ -188,7 +188,7 @@ def compensators_beside_trials() -> None:
     study = loaded.study.model_copy(update=update)
     told, context, scores = predict(loaded.lens, study), context_of(loaded.lens, study), []
     for start in range(0, COMPENSATED_TRIALS, 20):
-        batch = realise(study, range(start, start + 20))
+        batch = sample_perturbations(study, range(start, start + 20))
         scores.append(study.merits[0].scores(context, batch))
     found = yield_of(study.merits[0].passed(np.concatenate(scores)))
     assert found is not None  # there are trials

@@ -1,11 +1,6 @@
 from .analysis.check import check_design
 from .analysis.report import CheckReport
 from .errors import DesignError, InputError, MaterialError, TransferLensError
-from .fabrication.drawing.sheets import lens_drawing, write_drawing
-from .fabrication.mesh.mesh import write_mesh
-from .fabrication.mesh.reading import read_mesh
-from .fabrication.mesh.verification import verify_mesh
-from .fabrication.step.writing import write_step
 from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
 from .files.zemax import read_zmx, write_zmx
@@ -16,14 +11,19 @@ from .lens.lens import Lens, ObjectSpace, Sensor
 from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
 from .lens.surface import Surface
-from .optimization.asked.specification import Specification, load_specification
+from .manufacture.drawing.sheets import lens_drawing, write_drawing
+from .manufacture.mesh.mesh import write_mesh
+from .manufacture.mesh.reading import read_mesh
+from .manufacture.mesh.verification import verify_mesh
+from .manufacture.step.writing import write_step
 from .optimization.result import OptimizationResult
 from .optimization.search import optimize
-from .pictures.glb import write_scene
-from .pictures.page import write_view
-from .pictures.plots import draw_all
-from .tracing.bundles import launch, pupil_hexapolar
-from .tracing.rays import RayTrace, trace
+from .optimization.specification.specification import Specification, load_specification
+from .plots.glb import write_scene
+from .plots.page import write_view
+from .plots.plots import draw_all
+from .raytrace.bundles import launch, pupil_hexapolar
+from .raytrace.rays import RayTrace, trace
 
 __all__ = [
     "CheckReport",

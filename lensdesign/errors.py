@@ -46,19 +46,19 @@ ABANDONED_SECONDS = 6 * 3600.0
 """Age at which a temporary file is taken to be abandoned, though a process has the number in its name."""
 
 
-def refuse_not_positive(name: str, value: float) -> None:
+def validate_positive(name: str, value: float) -> None:
     """Raise InputError unless a value is finite and above 0."""
     if not (math.isfinite(value) and value > 0.0):
         raise InputError(f"{name} = {value!r}: must be finite and above 0")
 
 
-def refuse_not_whole(name: str, value: int, least: int) -> None:
+def validate_whole_number(name: str, value: int, least: int) -> None:
     """Raise InputError unless a value is a whole number that is large enough."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise InputError(f"{name} = {value!r}: must be a whole number from {least}")
 
 
-def refuse_other(name: str, value: str, allowed: Sequence[str]) -> None:
+def validate_choice(name: str, value: str, allowed: Sequence[str]) -> None:
     """Raise InputError unless a value is one of those that are allowed."""
     if value not in allowed:
         raise InputError(f"{name} = {value!r}: allowed: {', '.join(allowed)}")

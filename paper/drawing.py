@@ -10,11 +10,11 @@ import numpy as np
 
 from lensdesign import Lens
 from lensdesign.lens.solid import glass_elements
-from lensdesign.tracing import pupil_fan, ray_paths
+from lensdesign.raytrace import pupil_fan, ray_paths
 from paper.style import BLUE, GLASS, GREY, INK, panel
 from wavesim import Field
-from wavesim.objects.region import around, cut_field
-from wavesim.objects.usaf import UsafElement, chart_outline
+from wavesim.targets.region import around, cut_field
+from wavesim.targets.usaf import UsafElement, chart_outline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from wavesim import Field, propagate, refocus_field
-from wavesim.objects.region import around, cut_field, soft_rim, widened
-from wavesim.objects.usaf import UsafElement, chart_outline
 from wavesim.reconstruction.refocusing import Refocusing
+from wavesim.targets.region import around, cut_field, soft_rim, widened
+from wavesim.targets.usaf import UsafElement, chart_outline
 
 LOOKED_MM, STEP_MM = 0.012, 1e-3
 RIM_MM = 0.02

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from lensdesign import Lens
 from lensdesign.lens.lens import Sensor
 from wavesim import Electronics, Field, Scene, engine_for, propagate
-from wavesim.camera.frame_sets import recorded_planes
-from wavesim.camera.frames import Frame
-from wavesim.camera.sensor import frames_of_light, light_on_pixels, sensor_grid
 from wavesim.reconstruction import Retrieved
 from wavesim.reconstruction.resumable import retrieve_resumably
+from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.sensor import frames_of_light, light_on_pixels, sensor_grid
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim import Field
-from wavesim.objects import band_limit
+from wavesim.targets import band_limit
 
 DIRECTIONS = 6
 """Along the diameter of the condenser's pupil."""

@@ -103,7 +103,7 @@ def _made(
     tell: Callable[[str], None],
 ) -> Result:
     from wavesim import SamplingWarning
-    from wavesim.camera.sensor import FootprintWarning
+    from wavesim.sensor.sensor import FootprintWarning
 
     parts = {key: folder / PARTS / key for key in (element.key, *element.needs)}
     settings = element.settings.get(budget, {})

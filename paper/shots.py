@@ -11,11 +11,11 @@ from lensdesign import Lens, load_design, scaled
 from paper.element import DESIGNS, PAPER_DESIGN
 from paper.twin import MARGIN, OBJECT_PITCH_UM, STOP_SHARE, Thing
 from wavesim import Engine, Field, Imaged, ReconstructionSettings, image
-from wavesim.evaluation import as_passed, element_contrasts, object_correlation, smallest_resolved_element
-from wavesim.objects.usaf import UsafElement
+from wavesim.metrics import element_contrasts, object_correlation, smallest_resolved_element, transmitted_part
 from wavesim.reconstruction import Retrieved
-from wavesim.reconstruction.frames_case import FramesCase, frames_case
+from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem
 from wavesim.reconstruction.resumable import retrieve_resumably
+from wavesim.targets.usaf import UsafElement
 
 ONE, BRACKET = (1.0,), (1.0, 30.0, 1000.0)
 """Exposures of each plane: set by its brightest pixel, as the paper's; and longer ones for what is faint."""
@@ -39,7 +39,7 @@ class Shot:
     imaged: Imaged
 
     @cached_property
-    def case(self) -> FramesCase:
+    def case(self) -> ReconstructionProblem:
         """The frames as a reconstruction takes them, through the nominal lens."""
         chosen = self.imaged.settings
         settings = ReconstructionSettings(
@@ -50,7 +50,7 @@ class Shot:
             field_stop_mm=chosen.field_stop_mm,
             object_pitch_um=chosen.object_pitch_um,
         )
-        return frames_case(self.lens, self.imaged.frames, settings, None, None, None)
+        return reconstruction_problem(self.lens, self.imaged.frames, settings, None, None, None)
 
     @property
     def light(self) -> Field:
@@ -89,7 +89,7 @@ class Shot:
         """Object and light."""
         light, engine = self.light, self.case.engine
         behind = light.with_values(light.values * self.imaged.target.transmission.values)
-        return as_passed(behind, engine), as_passed(light, engine)
+        return transmitted_part(behind, engine), transmitted_part(light, engine)
 
 
 @cache
@@ -99,7 +99,7 @@ def shot(
     exposures: tuple[float, ...] = ONE,
     planes: int = 2,
     farther_um: float = 0.0,
-    active_width: float = 1.0,
+    fill_factor: float = 1.0,
 ) -> Shot:
     """Take frames.
 
@@ -115,7 +115,7 @@ def shot(
         How many, from the design's nearest to its farthest.
     farther_um
         How much farther from the lens the object is than the nominal working distance.
-    active_width
+    fill_factor
         Of a pixel; 0 is a point.
     """
     lens = scaled(load_design(DESIGNS / PAPER_DESIGN), scale)
@@ -133,7 +133,7 @@ def shot(
         planes_mm=tuple(float(z) for z in np.linspace(near, far, planes)),
         exposures=exposures,
         working_distance_error_mm=1e-3 * farther_um,
-        active_width=active_width,
+        fill_factor=fill_factor,
     )
     return Shot(lens, imaged)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import atomic_path
-from lensdesign.pictures.saving import save_figure
+from lensdesign.plots.saving import save_figure
 from tolerancing.report.figures.style import (
     BLUE,
     GREEN,

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from lensdesign import Lens, load_design, scaled
 from lensdesign.analysis import footprint
 from paper.element import DESIGNS, PAPER_DESIGN
-from wavesim import Engine, Field, Grid, Recorded, Scene, engine_for, propagate, retrieve
-from wavesim.evaluation import as_passed, element_contrasts, object_correlation, smallest_resolved_element
-from wavesim.objects import field_stop, tissue_phantom, usaf_chart, usaf_elements_within
-from wavesim.objects.usaf import UsafElement
+from wavesim import Engine, Field, Grid, Measurement, Scene, engine_for, propagate, retrieve
+from wavesim.metrics import element_contrasts, object_correlation, smallest_resolved_element, transmitted_part
 from wavesim.reconstruction import Retrieved
+from wavesim.targets import field_stop, tissue_phantom, usaf_chart, usaf_elements_within
+from wavesim.targets.usaf import UsafElement
 
 OBJECT_PITCH_UM = 0.29
 """A third of the lines of group 9, element 2."""
@@ -73,10 +73,10 @@ class Twin:
         return LIT_MEDIAN / float(np.median(amplitude[amplitude > 1e-4 * amplitude.max()]))
 
     @cached_property
-    def recorded(self) -> list[Recorded]:
+    def recorded(self) -> list[Measurement]:
         """Amplitudes on the planes, at points and without noise."""
         first = self.planes[0].grid.z_mm
-        return [Recorded(one.grid.z_mm - first, self.scale * np.abs(one.values)) for one in self.planes]
+        return [Measurement(one.grid.z_mm - first, self.scale * np.abs(one.values)) for one in self.planes]
 
     def retrieved(self, start: Start, iterations: int) -> Retrieved:
         """The field behind the lens by Appendix A."""
@@ -95,8 +95,8 @@ class Twin:
     def correlation(self, found: Field) -> float:
         """With the object as the lens passes it, the illumination taken out of both."""
         light, engine = self.light, self.engine
-        truth = as_passed(light.with_values(light.values * self.transmission), engine)
-        return object_correlation(found, truth, as_passed(light, engine), np.abs(light.values) > 0.0)
+        truth = transmitted_part(light.with_values(light.values * self.transmission), engine)
+        return object_correlation(found, truth, transmitted_part(light, engine), np.abs(light.values) > 0.0)
 
     def finest_um(self, found: Field) -> float:
         """Line width of the finest element down to which all are resolved; infinite if none is."""

@@ -19,12 +19,11 @@ from lensdesign.analysis.matching import (
     smallest_exit_beam_diameter_mm,
     spread_limit_sine,
 )
-from lensdesign.fabrication.drawing.tolerances import GENERAL
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.glass import LINE_C_UM, LINE_D_UM, LINE_F_UM, get_material
 from lensdesign.lens.poses import rotation_matrix
 from lensdesign.lens.zernikes import zernike
-from tolerancing.analysis.yields import CONFIDENCE, yield_of
+from lensdesign.manufacture.drawing.tolerances import GENERAL
 from tolerancing.perturbations.distributions import (
     EndPoint,
     Normal,
@@ -34,16 +33,17 @@ from tolerancing.perturbations.distributions import (
     Uniform,
 )
 from tolerancing.perturbations.grades import FRINGE_UM
-from wavesim.camera.exposures import Electronics, SaturationWarning, expose
-from wavesim.evaluation.metrics import RESOLVED_CONTRAST
-from wavesim.evaluation.similarity import psnr_db
+from tolerancing.statistics.yields import CONFIDENCE, yield_of
 from wavesim.fields.field import Grid, correlation, relative_error
-from wavesim.fields.passage import Passage
-from wavesim.objects.usaf import usaf_elements, usaf_line_width_um
+from wavesim.fields.propagator import FreeSpacePropagator
+from wavesim.metrics.contrast import RESOLVED_CONTRAST
+from wavesim.metrics.similarity import psnr_db
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, strehl
 from wavesim.rays.interfaces import transmission
 from wavesim.reconstruction.from_field import FEEDBACK, TV_STEP
 from wavesim.reconstruction.refocusing import svfg
+from wavesim.sensor.exposures import Electronics, SaturationWarning, expose
+from wavesim.targets.usaf import usaf_elements, usaf_line_width_um
 
 
 class TestMatching:
@@ -125,7 +125,9 @@ class TestFreeSpace:
         grid, wavelength, z = Grid((64, 64), 0.5e-3, 0.0), 0.5, 3.3e-3
         frequency = 8.0 / (64 * 0.5e-3)  # a whole number of periods
         wave = np.broadcast_to(np.exp(2j * np.pi * frequency * grid.x_mm), grid.shape)
-        found = Passage(grid, grid.at(z), wavelength, pad=(64, 64), band_limit=False).forward(wave)
+        found = FreeSpacePropagator(grid, grid.at(z), wavelength, pad=(64, 64), band_limit=False).forward(
+            wave
+        )
         gained = np.exp(2j * np.pi * z * math.sqrt((1e3 / wavelength) ** 2 - frequency**2))
         assert found == pytest.approx(gained * wave, abs=1e-9)
 

@@ -12,8 +12,8 @@ from places import ROOT
 from short_studies import copy_designs
 
 from lensdesign.common.toml_files import validate
-from lensdesign.fabrication.drawing.sheets import DrawingOptions
-from lensdesign.optimization.asked.specification import Specification
+from lensdesign.manufacture.drawing.sheets import DrawingOptions
+from lensdesign.optimization.specification.specification import Specification
 from tolerancing.study.files import study_from_tables
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -73,6 +73,6 @@ def test_files_that_pages_show_are_valid(tmp_path: Path) -> None:
     whole = study_from_tables(tomllib.loads("\n".join([study, *parts])), "docs/tolerancing.md")
     assert whole.correlations
     assert whole.compensators
-    assert whole.dear_merits
+    assert whole.high_fidelity_merits
     (sheet,) = blocks(ROOT / "docs" / "making.md", "toml")
     validate(DrawingOptions, tomllib.loads(sheet), "docs/making.md")

@@ -22,7 +22,7 @@ from short_studies import copy_designs
 from small_pictures import draw_few_dots
 from typer.main import get_command
 
-from wavesim.evaluation import comparison
+from wavesim.metrics import comparison
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")

@@ -15,11 +15,11 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.report import CheckReport
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.cli.commands import app
-from lensdesign.fabrication.drawing.sheets import lens_drawing
-from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.solid import closed_elements
-from lensdesign.pictures.plots import layout_figure, write_figure
+from lensdesign.manufacture.drawing.sheets import lens_drawing
+from lensdesign.manufacture.mesh.mesh import lens_mesh
+from lensdesign.plots.plots import layout_figure, write_figure
 
 SVG = "{http://www.w3.org/2000/svg}"
 PAGE = ROOT / "docs" / "gallery.md"

@@ -11,9 +11,9 @@ import pytest
 from lensdesign import Lens, ObjectSpace, Pose, Sensor, SurfacePerturbation, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens import figure_from_zernike
-from lensdesign.tracing.bundles import launch
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.rays import trace
+from lensdesign.raytrace.bundles import launch
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.rays import trace
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.thin_lens import ThinLens

@@ -1,8 +1,3 @@
-from .analysis.limits import StudyLimits, inverse
-from .analysis.sensitivities import StudySensitivity, sensitivity
-from .analysis.summary import Summary, summarize
-from .analysis.trial import SingleTrial, single_trial
-from .analysis.yields import Yield
 from .budgets.study_budget import StudyBudget, budget, scaled_study
 from .merits.base import Merit
 from .perturbations.batch import PerturbationBatch
@@ -12,9 +7,14 @@ from .report.figures.one_trial import write_trial_figure
 from .report.report import write_report
 from .run.executors import RunError
 from .run.run import RunOutcome, run_study
+from .statistics.limits import StudyLimits, inverse
+from .statistics.sensitivities import StudySensitivity, sensitivity
+from .statistics.summary import Summary, summarize
+from .statistics.trial import SingleTrial, single_trial
+from .statistics.yields import Yield
 from .store.export import write_steps, write_trials
 from .store.store import Store, open_store
-from .study.evaluate import realise
+from .study.evaluate import sample_perturbations
 from .study.files import LoadedStudy, load_study, save_study
 from .study.starting import start_study
 from .study.study import Study
@@ -39,8 +39,8 @@ __all__ = [
     "inverse",
     "load_study",
     "open_store",
-    "realise",
     "run_study",
+    "sample_perturbations",
     "save_study",
     "scaled_study",
     "sensitivity",

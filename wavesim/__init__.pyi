@@ -1,18 +1,12 @@
 from .calibration.calibrated import Calibrated
 from .calibration.from_frames import calibrate_frames
-from .camera.exposures import Electronics
-from .camera.frame_sets import read_frames
-from .camera.frames import Frame, FrameSettings, write_frame
-from .camera.imaging import Imaged, image
-from .camera.recorded import Recorded
 from .engines.choosing import choose, engine_for
-from .evaluation.resolving import resolve
 from .fields.field import Field, Grid
 from .fields.guards import SamplingWarning
-from .fields.passage import propagate
-from .objects.usaf import usaf_chart
-from .pictures.page import write_zoom_page
-from .pictures.pyramid import write_pyramid
+from .fields.propagator import propagate
+from .metrics.resolving import resolve
+from .plots.page import write_zoom_page
+from .plots.pyramid import write_pyramid
 from .pupil.characteristic import PupilSampler
 from .pupil.line_pairs import line_pair_contrast
 from .pupil.patch_chain import PatchChain
@@ -27,6 +21,12 @@ from .scene.patches import patch_scene
 from .scene.placement import Placement
 from .scene.scene import Scene
 from .scene.settings import ImageSettings, ReconstructionSettings
+from .sensor.exposures import Electronics
+from .sensor.frame_sets import read_frames
+from .sensor.frames import Frame, FrameSettings, write_frame
+from .sensor.imaging import Imaged, image
+from .sensor.measurement import Measurement
+from .targets.usaf import usaf_chart
 
 __all__ = [
     "Calibrated",
@@ -39,12 +39,12 @@ __all__ = [
     "Grid",
     "ImageSettings",
     "Imaged",
+    "Measurement",
     "PatchChain",
     "Placement",
     "PupilSampler",
     "ReconstructionPupil",
     "ReconstructionSettings",
-    "Recorded",
     "SamplingWarning",
     "Scene",
     "calibrate_frames",

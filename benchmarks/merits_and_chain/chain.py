@@ -18,17 +18,17 @@ import numpy as np
 import scipy.fft
 
 from lensdesign.lens.lens import Lens, Sensor
-from wavesim import Electronics, Engine, Field, Grid, Placement, Recorded, engine_for, reconstruct
+from wavesim import Electronics, Engine, Field, Grid, Measurement, Placement, engine_for, reconstruct
 from wavesim.calibration.estimation import calibrate
-from wavesim.camera import Recording, image_patch, recorded_planes
-from wavesim.camera.mounting import PLANE_DISTANCE, RIGID, WORKING_DISTANCE, light_on, planes_at
-from wavesim.camera.recording import recorded_scene
-from wavesim.camera.windows import exit_scene, sensor_window
-from wavesim.objects.illumination import field_stop, plane_wave
-from wavesim.objects.patch import Patch
-from wavesim.objects.targets import band_limit
 from wavesim.scene import Bench
 from wavesim.scene.scene import placed_scene
+from wavesim.sensor import Recording, image_patch, recorded_planes
+from wavesim.sensor.mounting import PLANE_DISTANCE, RIGID, WORKING_DISTANCE, light_on, planes_at
+from wavesim.sensor.recording import recorded_scene
+from wavesim.sensor.windows import exit_scene, sensor_window
+from wavesim.targets.illumination import field_stop, plane_wave
+from wavesim.targets.patch import Patch
+from wavesim.targets.patterns import band_limit
 
 Kind = Literal["amplitude", "complex"]
 Array = np.ndarray[Any, Any]
@@ -104,7 +104,7 @@ class Chain:
         scene = exit_scene(self.lens, self.patch, self.sensor, self.planes_mm[0])
         return engine_for(scene, "eikonal", error=TILE_ERROR)
 
-    def recorded(self, system: Placement, transmission: Array, seed: int) -> list[Recorded]:
+    def recorded(self, system: Placement, transmission: Array, seed: int) -> list[Measurement]:
         """What the sensor records behind a perturbed lens."""
         noise = np.random.SeedSequence(seed)
         electronics = Electronics(full_well_electrons=ELECTRONS / 0.8, bits=12)
@@ -116,7 +116,7 @@ class Chain:
         windows = [self.sensor] * len(self.planes_mm)
         return recorded_planes(image_patch(engine, light_on(lit, system), self.sensor, windows, recording)[0])
 
-    def found(self, planes: Sequence[Recorded], bench: Bench | None = None) -> tuple[Array, float]:
+    def found(self, planes: Sequence[Measurement], bench: Bench | None = None) -> tuple[Array, float]:
         """Transmission of the object found with the nominal or a calibrated lens, and the misfit."""
         engine, light = self.engine, self.light
         if bench is not None:
@@ -130,11 +130,11 @@ class Chain:
             tv_weight="auto",
             iterations=ITERATIONS[self.kind],
             until_noise=True,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         return found.transmission.values, found.misfit[-1]
 
-    def mounting(self, planes: Sequence[Recorded], known: Array) -> Bench:
+    def mounting(self, planes: Sequence[Measurement], known: Array) -> Bench:
         """The lens as mounted, from what was recorded of a known object."""
         names = (*RIGID, WORKING_DISTANCE, *(PLANE_DISTANCE.format(n + 1) for n in range(len(planes))))
         return calibrate(
@@ -143,7 +143,7 @@ class Chain:
             planes,
             known=Field(self.grid, known, self.light.wavelength_um),
             parameters=names,
-            active_width=1.0,
+            fill_factor=1.0,
         ).bench
 
     def correlation(self, found: Array, true: Array) -> float:

@@ -17,13 +17,13 @@ from benchmarks.timing import DESIGNS
 from benchmarks.verdicts.objects import make_object, with_stop
 from lensdesign import load_design, scaled
 from lensdesign.lens.lens import Lens
-from wavesim.camera.frame_sets import recorded_planes
-from wavesim.camera.frames import Frame, read_frame, write_frame
-from wavesim.camera.imaging import image
 from wavesim.fields.field import Field
 from wavesim.fields.files import write_field
-from wavesim.objects.patch import OBJECT_FILE, lit_patch
 from wavesim.scene.settings import Kind, PatchSettings
+from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.frames import Frame, read_frame, write_frame
+from wavesim.sensor.imaging import image
+from wavesim.targets.patch import OBJECT_FILE, lit_patch
 
 Settings = tuple[tuple[str, Any], ...]
 """Names and values of settings."""

@@ -24,7 +24,7 @@ from benchmarks.verdicts.errors import (
     with_second_plane,
 )
 from lensdesign.lens.lens import Lens
-from wavesim.camera.frames import Frame
+from wavesim.sensor.frames import Frame
 
 Group = Literal["wrong", "perfect", "cause"]
 Taking = Callable[[BenchFrames], Sequence[Frame]]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.verdicts.benches import BenchFrames
-from wavesim.camera.exposures import Electronics, expose
-from wavesim.camera.frames import Frame
+from wavesim.sensor.exposures import Electronics, expose
+from wavesim.sensor.frames import Frame
 
 Frames = Sequence[Frame]
 Counts = NDArray[Any]

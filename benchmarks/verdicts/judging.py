@@ -15,11 +15,11 @@ from benchmarks.verdicts.benches import Bench, BenchFrames, write_frames
 from benchmarks.verdicts.cases import Case
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
-from wavesim.camera.frame_sets import read_frames
-from wavesim.camera.frames import Frame
 from wavesim.reconstruction.found import FoundObject
 from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings
+from wavesim.sensor.frame_sets import read_frames
+from wavesim.sensor.frames import Frame
 
 EXPLAINED, NOT_EXPLAINED, REFUSED, FAILED = range(4)
 """Exit statuses of `wavesim reconstruct`; the last is a traceback."""

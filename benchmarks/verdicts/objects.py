@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import Patch, make_target
+from wavesim.targets.patch import Patch, make_target
 
 Array = NDArray[np.floating[Any]]
 
@@ -41,7 +41,7 @@ def make_object(name: str, patch: Patch, numerical_aperture: float, seed: int) -
     Parameters
     ----------
     name
-        One of `OBJECTS`, or an object of :func:`wavesim.objects.patch.make_target`; "usaf dark" and
+        One of `OBJECTS`, or an object of :func:`wavesim.targets.patch.make_target`; "usaf dark" and
         "star dark" have a dark ground.
     patch
         The samples of the object plane.

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.bundles import launch_compiled, pupil_hexapolar
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.rays import trace_compiled
+from lensdesign.raytrace.bundles import launch_compiled, pupil_hexapolar
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.rays import trace_compiled
 
 Flags = NDArray[np.bool_]
 

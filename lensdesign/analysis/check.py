@@ -24,7 +24,7 @@ from lensdesign.analysis.spread import (
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_element
-from lensdesign.tracing.bundles import launch
+from lensdesign.raytrace.bundles import launch
 
 NA_TOLERANCE = 1e-3
 """Share by which the stop may fall short of the file's NA: stops are given to a few digits."""

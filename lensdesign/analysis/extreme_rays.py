@@ -14,9 +14,9 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.bundles import PupilSamples, launch_pairs, pupil_rings
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.rays import trace_compiled
+from lensdesign.raytrace.bundles import PupilSamples, launch_pairs, pupil_rings
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.rays import trace_compiled
 
 START_RINGS, START_ARMS, STARTS, APART = 12, 48, 10, 0.15
 """Where searches of a stop point start: the largest of so many samples that lie so far from each other."""

@@ -13,7 +13,7 @@ from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.zernikes import zernike
-from lensdesign.tracing.bundles import pupil_rings
+from lensdesign.raytrace.bundles import pupil_rings
 
 Array = NDArray[Any]
 Removed = Literal["piston", "tilt", "power"]

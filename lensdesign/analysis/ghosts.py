@@ -17,10 +17,10 @@ from lensdesign.analysis.paraxial import FirstOrder, cardinal_points
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.bundles import launch_compiled
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.ghosts import ghost_indices, ghost_order, ghost_system
-from lensdesign.tracing.rays import trace_compiled
+from lensdesign.raytrace.bundles import launch_compiled
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.ghosts import ghost_indices, ghost_order, ghost_system
+from lensdesign.raytrace.rays import trace_compiled
 
 FAN = 2001
 """Rays from rim to rim along y."""

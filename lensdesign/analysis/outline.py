@@ -22,8 +22,8 @@ from lensdesign.lens.solid import (
     Element,
     glass_element,
     glass_elements,
-    refuse_impossible_edge,
-    refuse_open,
+    validate_closed,
+    validate_edge,
 )
 from lensdesign.lens.surface import Surface
 
@@ -219,8 +219,8 @@ def thinnest_drawn_edge(lens: Lens) -> DrawnEdge | None:
 
 def _closes(element: Element) -> bool:
     try:
-        refuse_open(element)
-        refuse_impossible_edge(element)
+        validate_closed(element)
+        validate_edge(element)
     except InputError:
         return False
     return True

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, atomic_path, refuse_not_positive
+from lensdesign.errors import InputError, atomic_path, validate_positive
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.intersection import Figure
@@ -134,7 +134,7 @@ def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
 
 
 def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
-    refuse_not_positive("spacing_mm", spacing_mm)
+    validate_positive("spacing_mm", spacing_mm)
     if semi_mm / spacing_mm > MOST_ROWS:
         raise InputError(
             f"spacing_mm = {spacing_mm:g}: that makes more than {MOST_ROWS} rows up to the semi-diameter of "

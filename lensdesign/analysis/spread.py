@@ -16,10 +16,10 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from lensdesign.tracing.bundles import launch_pairs, pupil_rings
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.extremes import Extremes, Metric, extremes
-from lensdesign.tracing.rays import RayTrace, trace_compiled
+from lensdesign.raytrace.bundles import launch_pairs, pupil_rings
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.extremes import Extremes, Metric, extremes
+from lensdesign.raytrace.rays import RayTrace, trace_compiled
 
 PAPER_DISTANCE_MM = 3.0
 Perturbations = Mapping[int, SurfacePerturbation] | None
@@ -124,7 +124,7 @@ def largest_spread(
     field_heights_mm
         Only these object heights; None takes the whole field.
     pose, surface_perturbations
-        As in :func:`lensdesign.tracing.rays.trace`, single values. Fields then cover every azimuth.
+        As in :func:`lensdesign.raytrace.rays.trace`, single values. Fields then cover every azimuth.
 
     Raises
     ------

@@ -65,8 +65,8 @@ def check(
 
         report = check_design(lens)
     else:
-        from lensdesign.optimization.asked.specification import load_specification
         from lensdesign.optimization.compliance import check_against
+        from lensdesign.optimization.specification.specification import load_specification
 
         report = check_against(lens, load_specification(against))
     if as_json:
@@ -95,7 +95,7 @@ def draw(
     The 3D view is left out, with a note, where nothing can be rendered off-screen.
     """
     from lensdesign.files.design import load_design
-    from lensdesign.pictures.plots import draw_all
+    from lensdesign.plots.plots import draw_all
 
     lens, chosen = load_design(design), tuple(f.value for f in formats)
     _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)

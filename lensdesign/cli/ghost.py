@@ -30,10 +30,10 @@ def ghost(
     from rich.table import Table
 
     from lensdesign.analysis.ghosts import ghost_report
-    from lensdesign.common.lengths import WAVELENGTH_UM, refuse_doubted_length
+    from lensdesign.common.lengths import WAVELENGTH_UM, validate_length
     from lensdesign.files.design import load_design
 
-    refuse_doubted_length("--wavelength-um", wavelength_um, "um", WAVELENGTH_UM)
+    validate_length("--wavelength-um", wavelength_um, "um", WAVELENGTH_UM)
     report = ghost_report(load_design(design), share, wavelength_um)
     if as_json:
         print_json(report.as_dict())

@@ -15,18 +15,18 @@ from lensdesign.common.console import print_json
 from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError, atomic_path
-from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_lens
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
+from lensdesign.manufacture.exports import ExportOptions, export_kinds, export_lens
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lensdesign.fabrication.drawing.nominal import Stated
-    from lensdesign.fabrication.drawing.scored import SheetScore
-    from lensdesign.fabrication.drawing.strokes import Drawing
     from lensdesign.files.draft import Imported
     from lensdesign.lens.lens import Lens
     from lensdesign.lens.poses import Pose
+    from lensdesign.manufacture.drawing.nominal import Stated
+    from lensdesign.manufacture.drawing.scored import SheetScore
+    from lensdesign.manufacture.drawing.strokes import Drawing
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
 
@@ -77,7 +77,7 @@ def scene(
 ) -> None:
     """Write glass, stop, object, sensor planes and rays as one scene that viewers turn."""
     from lensdesign.files.design import load_design
-    from lensdesign.pictures.glb import write_scene
+    from lensdesign.plots.glb import write_scene
 
     lens = load_design(design)
     nodes = write_scene(lens, output)
@@ -92,7 +92,7 @@ def scene(
 def outline_of(lens: Lens) -> tuple[str, ...]:
     """The outline of each element in a scene, in one sentence."""
     from lensdesign.analysis.outline import drawn_outline
-    from lensdesign.tracing.paths import sized_lens
+    from lensdesign.raytrace.paths import sized_lens
 
     return drawn_outline(sized_lens(lens)).statements
 
@@ -154,9 +154,9 @@ def drawing(
     points is refused.
     """
     from lensdesign.common.toml_files import read_toml, validate
-    from lensdesign.fabrication.drawing.assumed import load_tolerances
-    from lensdesign.fabrication.drawing.sheets import DrawingOptions, drawing_as_stated
     from lensdesign.files.design import load_design
+    from lensdesign.manufacture.drawing.assumed import load_tolerances
+    from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_stated
 
     taken = {"the design itself": design, "the drawing": output, "the study": tolerances, "the sheet": sheet}
     for written in (as_drawn, study_as_drawn):
@@ -176,7 +176,7 @@ def drawing(
         made, stated = drawing_as_stated(lens, options, assumed)
         unscored = f"{tolerances} has no [[merit]] tables"
     else:
-        from lensdesign.fabrication.drawing.scored import read_scorer, scored_drawing
+        from lensdesign.manufacture.drawing.scored import read_scorer, scored_drawing
 
         done = scored_drawing(lens, options, assumed, read_scorer(tolerances), accept_yield_loss)
         made, stated, score = done.drawing, done.stated, done.score
@@ -219,8 +219,8 @@ def _write_as_drawn(
     design: Path,
 ) -> None:
     """Write the drawing, and the design and the study as drawn where they are asked for: all or none."""
-    from lensdesign.fabrication.drawing.sheets import write_drawing
     from lensdesign.files.design import design_text
+    from lensdesign.manufacture.drawing.sheets import write_drawing
 
     output, as_drawn, study = paths
     with ExitStack() as stack:
@@ -309,7 +309,7 @@ def import_file(
 
     What the file holds and a design cannot is listed and refused, or left out with --lossy.
     """
-    from lensdesign.files.design import refuse_doubtful_lengths, save_design
+    from lensdesign.files.design import save_design, validate_lengths
     from lensdesign.files.draft import LossyImportError, Supplement
 
     supplement = Supplement(
@@ -325,7 +325,7 @@ def import_file(
     moved = _moved(found.pose)
     if moved and not lossy:
         raise LossyImportError(str(file), [f"the lens stands at {moved}: a design stands on its axis"])
-    refuse_doubtful_lengths(found.lens, file)
+    validate_lengths(found.lens, file)
     save_design(found.lens, output)
     _tell(found, output, moved, as_json)
 

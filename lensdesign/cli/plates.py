@@ -35,8 +35,8 @@ def fit(
     written all the same), 2 for bad input.
     """
     from lensdesign.files.design import design_text
-    from lensdesign.optimization.asked.specification import load_specification
     from lensdesign.optimization.plates import fit_plates, load_plates
+    from lensdesign.optimization.specification.specification import load_specification
 
     asked, radii = load_specification(specification), load_plates(plates)
     if os.path.exists(output) and any(output.samefile(given) for given in (specification, plates)):

@@ -20,11 +20,11 @@ from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
     from lensdesign.analysis.report import Constraint
-    from lensdesign.exploration.front import Explored
+    from lensdesign.exploration.front import ExploredPoint
     from lensdesign.optimization.as_built import AsBuiltReport
-    from lensdesign.optimization.asked.specification import Specification
     from lensdesign.optimization.limits.search import Limit
     from lensdesign.optimization.result import OptimizationResult
+    from lensdesign.optimization.specification.specification import Specification
 
 
 def optimize(
@@ -65,9 +65,9 @@ def optimize(
     written all the same), 2 for bad input, 130 or 143 after an interrupt.
     """
     from lensdesign.files.design import design_text
-    from lensdesign.optimization.asked.specification import load_specification
     from lensdesign.optimization.search import SearchInterrupted
     from lensdesign.optimization.search import optimize as search
+    from lensdesign.optimization.specification.specification import load_specification
 
     asked = _with_settings(
         load_specification(specification),
@@ -155,7 +155,7 @@ def explore(
     from lensdesign.exploration.front import Exploration, front_of
     from lensdesign.exploration.glasses import with_glasses
     from lensdesign.exploration.objectives import axes_of
-    from lensdesign.optimization.asked.specification import load_specification
+    from lensdesign.optimization.specification.specification import load_specification
 
     asked = load_specification(specification)
     if glasses is not None:
@@ -208,8 +208,8 @@ def limits(
     input, 130 or 143 after an interrupt.
     """
     from lensdesign.common.deadlines import deadline, now
-    from lensdesign.optimization.asked.specification import load_specification
     from lensdesign.optimization.limits.search import LimitsInterrupted, find_limits
+    from lensdesign.optimization.specification.specification import load_specification
 
     asked, interrupted = load_specification(specification), False
     end = math.inf if max_seconds is None else now() + max_seconds
@@ -242,7 +242,7 @@ def _print_limits(found: Sequence[Limit]) -> None:
     typer.echo("each alone, everything else as asked")
 
 
-def _print_front(front: Sequence[Explored], columns: Sequence[str], searches: int) -> None:
+def _print_front(front: Sequence[ExploredPoint], columns: Sequence[str], searches: int) -> None:
     shown = table(f"{len(front)} lenses of which none is better in everything", "glasses", *columns)
     for one in front:
         shown.add_row(visible(one.glasses), *(f"{one.values[column]:.5g}" for column in columns))
@@ -255,7 +255,7 @@ def _print_front(front: Sequence[Explored], columns: Sequence[str], searches: in
 def _with_settings(specification: Specification, **changes: object) -> Specification:
     """The specification with what the command line changes."""
     from lensdesign.common.toml_files import validate
-    from lensdesign.optimization.asked.sections import Settings
+    from lensdesign.optimization.specification.sections import Settings
 
     given = {key: value for key, value in changes.items() if value is not None}
     settings = validate(Settings, specification.optimize.model_dump() | given, "command line")
@@ -265,7 +265,7 @@ def _with_settings(specification: Specification, **changes: object) -> Specifica
 def _print_optimization(result: OptimizationResult) -> None:
     from rich.markup import escape
 
-    from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
+    from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
 
     for sentence in result.unfinished:
         typer.echo(f"not finished: {visible(sentence)}")
@@ -373,7 +373,7 @@ def _yield_cells(good: float, low: float, high: float, predicted: float | None) 
 
 def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
     """Which limits a good lens keeps, and which of them trials alone can judge; a line each."""
-    from lensdesign.optimization.asked.sections import LOSS_GOAL
+    from lensdesign.optimization.specification.sections import LOSS_GOAL
 
     merits = report.rows[-1].merits
     lines = ["a good lens keeps all limits of the study:" if len(merits) > 1 else "a good lens keeps:"]

@@ -11,7 +11,7 @@ from lensdesign.cli.making import Design, Json
 from lensdesign.common.console import print_json
 
 if TYPE_CHECKING:
-    from lensdesign.fabrication.mesh.verification import MeshReport
+    from lensdesign.manufacture.mesh.verification import MeshReport
 
 
 def verify(
@@ -32,9 +32,9 @@ def verify(
     design, 2 for bad input.
     """
     from lensdesign.analysis.outline import drawn_outline
-    from lensdesign.fabrication.mesh.reading import read_mesh
-    from lensdesign.fabrication.mesh.verification import verify_mesh
     from lensdesign.files.design import load_design
+    from lensdesign.manufacture.mesh.reading import read_mesh
+    from lensdesign.manufacture.mesh.verification import verify_mesh
 
     outline = drawn_outline(load_design(design))
     report = verify_mesh(outline.lens, read_mesh(mesh), chord_error_um)

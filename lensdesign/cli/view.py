@@ -30,9 +30,9 @@ def view(
     from lensdesign.errors import InputError
     from lensdesign.files.design import load_design
     from lensdesign.lens.solid import closed_elements
-    from lensdesign.pictures.page import write_view
-    from lensdesign.pictures.window import open_window
-    from lensdesign.tracing.paths import sized_lens
+    from lensdesign.plots.page import write_view
+    from lensdesign.plots.window import open_window
+    from lensdesign.raytrace.paths import sized_lens
 
     lens = load_design(design)
     if output is None:

@@ -205,7 +205,7 @@ def worker_name() -> str:
     return f"worker on {socket.gethostname()} (process {os.getpid()})"
 
 
-def refuse_other_version(wanted: str) -> None:
+def check_same_version(wanted: str) -> None:
     """Refuse, in a worker, a toolkit of another version than the one that sent the task."""
     if toolkit_version() != wanted:
         raise InputError(

@@ -50,7 +50,7 @@ def allowed_folder() -> Path | None:
     return _files_from.get()
 
 
-def refuse_outside(file: Path, source: Path, key: str, fault: type[InputError] = InputError) -> None:
+def validate_inside(file: Path, source: Path, key: str, fault: type[InputError] = InputError) -> None:
     """Refuse a file that lies neither in the folder of the file that names it, nor in that of `files_from`.
 
     Parameters

@@ -108,7 +108,7 @@ def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLengt
     return None if doubt is None else f"{what} = {value:g}: {doubt}"
 
 
-def refuse_doubted_length(what: str, value: float | None, unit: str, plausible: PlausibleLength) -> None:
+def validate_length(what: str, value: float | None, unit: str, plausible: PlausibleLength) -> None:
     """Refuse a length that is not plausible; None passes.
 
     Raises

@@ -198,7 +198,7 @@ def read_grid_row(text: str, where: str) -> list[float]:
     return [read_number(cell.strip() or "nan", where) for cell in text.split(",")]
 
 
-def refuse_comma_pairs(rows: Sequence[tuple[str, str]]) -> None:
+def validate_no_comma_pairs(rows: Sequence[tuple[str, str]]) -> None:
     """Refuse a grid whose whole numbers come in pairs, as those with decimal commas do.
 
     Such a grid has no decimal point, twice as many columns as it was meant to have, and signs in every other

@@ -1,11 +1,11 @@
-from .front import Exploration, Explored, front_of
+from .front import Exploration, ExploredPoint, front_of
 from .objectives import OBJECTIVES, Axis, Objective, axes_of
 
 __all__ = [
     "OBJECTIVES",
     "Axis",
     "Exploration",
-    "Explored",
+    "ExploredPoint",
     "Objective",
     "axes_of",
     "front_of",

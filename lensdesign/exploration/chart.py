@@ -11,10 +11,10 @@ import numpy as np
 
 from lensdesign.common.text import visible
 from lensdesign.errors import atomic_path
-from lensdesign.exploration.front import Explored, front_of
+from lensdesign.exploration.front import ExploredPoint, front_of
 from lensdesign.exploration.objectives import Axis, Objective
-from lensdesign.pictures.charts import INK, label_axes, white_figure
-from lensdesign.pictures.plots import write_figure
+from lensdesign.plots.charts import INK, label_axes, white_figure
+from lensdesign.plots.plots import write_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +24,7 @@ WIDTH, HEIGHT, MARGIN = 860, 520, 96
 TICKS = 6
 
 
-def front_figure(explored: Sequence[Explored], axes: Sequence[Axis]) -> Figure:
+def front_figure(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> Figure:
     """The front over its first and last objective, glass by glass; lenses behind it are pale.
 
     Parameters
@@ -61,7 +61,7 @@ def named(objective: Objective) -> str:
     return f"{name}{unit}, {'more' if objective.larger_is_better else 'less'} is better"
 
 
-def write_charts(folder: Path, explored: Sequence[Explored], axes: Sequence[Axis]) -> list[Path]:
+def write_charts(folder: Path, explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[Path]:
     """Write ``front.png`` and ``front.html`` into a folder."""
     files = [folder / "front.png", folder / "front.html"]
     write_figure(front_figure(explored, axes), files[0])
@@ -70,7 +70,7 @@ def write_charts(folder: Path, explored: Sequence[Explored], axes: Sequence[Axis
     return files
 
 
-def front_page(explored: Sequence[Explored], axes: Sequence[Axis]) -> str:
+def front_page(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> str:
     """A page without scripts: circles that tell their lens where the pointer rests, and a table below."""
     columns = [axis.objective.column for axis in axes]
     across, up = columns[0], columns[-1]

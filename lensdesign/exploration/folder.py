@@ -16,10 +16,10 @@ from lensdesign.common.clusters import toolkit_version
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.text import safe_cell
 from lensdesign.errors import InputError, atomic_path
-from lensdesign.exploration.front import Explored, front_of
+from lensdesign.exploration.front import ExploredPoint, front_of
 from lensdesign.exploration.objectives import Axis
 from lensdesign.files.design import design_text, load_design
-from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.specification.specification import Specification
 
 ENDS, FRONT = "searches.jsonl", "front.csv"
 
@@ -38,7 +38,7 @@ class ExplorationFolder:
     path: Path
     fingerprint: str
 
-    def begin(self, fresh: bool = False) -> dict[str, Explored]:
+    def begin(self, fresh: bool = False) -> dict[str, ExploredPoint]:
         """Make the folder, or read what it holds of this exploration.
 
         Raises
@@ -53,7 +53,7 @@ class ExplorationFolder:
                 f"cannot use the folder {self.path}: {getattr(error, 'strerror', None) or error}"
             ) from error
 
-    def _begun(self, fresh: bool) -> dict[str, Explored]:
+    def _begun(self, fresh: bool) -> dict[str, ExploredPoint]:
         ends = self.path / ENDS
         if fresh and ends.exists():
             ends.unlink()
@@ -77,7 +77,7 @@ class ExplorationFolder:
         found = [_explored(self.path, row) for row in map(_read, lines) if "key" in row]
         return {one.key: one for one in found if one is not None}
 
-    def keep(self, one: Explored) -> None:
+    def keep(self, one: ExploredPoint) -> None:
         """Add a search's end, with its lens's file."""
         name = _name(one)
         if one.lens is not None:
@@ -98,7 +98,7 @@ class ExplorationFolder:
         except OSError as error:
             raise InputError(f"cannot write {self.path / ENDS}: {error.strerror or error}") from error
 
-    def write_front(self, explored: Sequence[Explored], axes: Sequence[Axis]) -> Path:
+    def write_front(self, explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> Path:
         """Write the front, and the lenses behind it, as a table."""
         front = {one.key for one in front_of(explored, axes)}
         columns = [axis.objective.column for axis in axes]
@@ -139,16 +139,16 @@ def _read(line: str) -> dict[str, Any]:
     return row if isinstance(row, dict) else {}
 
 
-def _explored(folder: Path, row: dict[str, Any]) -> Explored | None:
+def _explored(folder: Path, row: dict[str, Any]) -> ExploredPoint | None:
     """A search's end; None where its lens cannot be read any more, so that it is made once more."""
     try:
         lens = None if row["design"] is None else load_design(folder / row["design"])
-        return Explored(row["key"], row["glasses"], row["values"], tuple(row["point"]), lens)
+        return ExploredPoint(row["key"], row["glasses"], row["values"], tuple(row["point"]), lens)
     except (KeyError, InputError, TypeError, OSError):
         return None
 
 
-def _name(one: Explored) -> str:
+def _name(one: ExploredPoint) -> str:
     """File name of a lens: what was asked, in letters that all systems take."""
     words = re.sub(r"[^A-Za-z0-9.]+", "_", one.key).strip("_")
     return f"{words[:80]}_{hashlib.sha256(one.key.encode()).hexdigest()[:6]}.toml"

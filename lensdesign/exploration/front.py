@@ -18,11 +18,11 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.exploration.objectives import Axis, Objective, values_of
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.asked.choices import bases_of
-from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of
+from lensdesign.optimization.operands.operand import KEPT
 from lensdesign.optimization.problem import DesignProblem, finished_lens
-from lensdesign.optimization.rows.row import KEPT
+from lensdesign.optimization.specification.choices import bases_of
+from lensdesign.optimization.specification.specification import Specification
 
 ANCHOR_STARTS = 3
 """From which the best lens by one objective alone is sought."""
@@ -33,11 +33,11 @@ MOST_GLASSES = 6
 ALIKE = 2e-3
 """Share of an objective's range by which a lens must be better to count as better."""
 
-Keep = Callable[["Explored"], None]
+Keep = Callable[["ExploredPoint"], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Explored:
+class ExploredPoint:
     """One search's end.
 
     Attributes
@@ -82,11 +82,11 @@ class Exploration:
     specification: Specification
     axes: tuple[Axis, ...]
     lenses: int = 50
-    known: dict[str, Explored] = field(default_factory=dict)
+    known: dict[str, ExploredPoint] = field(default_factory=dict)
     keep: Keep = lambda _: None
     report: Callable[[int, int, str], None] = lambda *_: None
 
-    def run(self) -> list[Explored]:
+    def run(self) -> list[ExploredPoint]:
         """All ends, choice of glasses by choice of glasses.
 
         Raises
@@ -94,7 +94,7 @@ class Exploration:
         DesignError
             If no lens meets the specification with any choice of glasses.
         """
-        found: list[Explored] = []
+        found: list[ExploredPoint] = []
         bases = list(bases_of(self.specification))
         if len(bases) > MOST_GLASSES:
             bases = self._screened(bases)
@@ -108,7 +108,7 @@ class Exploration:
 
     def _screened(self, bases: list[tuple[str, Lens]]) -> list[tuple[str, Lens]]:
         """The choices of glasses with the best lenses by single objectives, each sought from one start."""
-        ends: list[Explored] = []
+        ends: list[ExploredPoint] = []
         for number, (glasses, base) in enumerate(bases):
             for axis in self._sought:
                 self.report(number, len(bases), f"{glasses}: best {axis.objective.name}, from one start")
@@ -133,8 +133,8 @@ class Exploration:
 
     def _of_glasses(
         self, glasses: str, base: Lens, counts: tuple[int, ...], done: int, total: int
-    ) -> list[Explored]:
-        found: list[Explored] = []
+    ) -> list[ExploredPoint]:
+        found: list[ExploredPoint] = []
         goal = self.axes[-1].objective
         for axis in self._sought:
             self.report(done + len(found), total, f"{glasses}: best {axis.objective.name}")
@@ -147,7 +147,7 @@ class Exploration:
             found.append(self._node(glasses, base, goal, held, found))
         return found
 
-    def _grids(self, anchors: list[Explored], counts: tuple[int, ...]) -> Iterator[Array]:
+    def _grids(self, anchors: list[ExploredPoint], counts: tuple[int, ...]) -> Iterator[Array]:
         """Values that each objective but the last is held to: from its best to where others are best."""
         for axis, count in zip(self.axes[:-1], counts, strict=True):
             column = axis.objective.column
@@ -158,7 +158,9 @@ class Exploration:
                 low, high = min(values), max(values)
             yield np.linspace(low, high, count)
 
-    def _anchor(self, glasses: str, base: Lens, objective: Objective, most: int = ANCHOR_STARTS) -> Explored:
+    def _anchor(
+        self, glasses: str, base: Lens, objective: Objective, most: int = ANCHOR_STARTS
+    ) -> ExploredPoint:
         """The best lens by one objective alone, whatever the others are."""
         key = f"{glasses}; best {objective.name}" + (" from one start" if most == 1 else "")
         asked = objective.sought(self.specification)
@@ -172,15 +174,15 @@ class Exploration:
         base: Lens,
         goal: Objective,
         held: Sequence[tuple[Objective, float]],
-        found: list[Explored],
-    ) -> Explored:
+        found: list[ExploredPoint],
+    ) -> ExploredPoint:
         """The best lens by the goal with the others held; from the nearest that is known."""
         asked = goal.sought(self.specification)
         for objective, value in held:
             asked = objective.limited(asked, value)
         problem = DesignProblem(asked, _of(base, asked))
 
-        def distance(one: Explored) -> float:
+        def distance(one: ExploredPoint) -> float:
             return sum(abs(one.values[o.column] / value - 1.0) for o, value in held)
 
         near = sorted((one for one in found if one.lens is not None), key=distance)
@@ -191,7 +193,7 @@ class Exploration:
 
     def _found(
         self, key: str, glasses: str, problem: DesignProblem, starts: list[Array], enough: int = 0
-    ) -> Explored:
+    ) -> ExploredPoint:
         """The best end of some starts, or of the first of them that meets every constraint."""
         if key in self.known:
             return self.known[key]
@@ -209,19 +211,19 @@ class Exploration:
         self.keep(explored)
         return explored
 
-    def _explored(self, key: str, glasses: str, best: Found | None) -> Explored:
+    def _explored(self, key: str, glasses: str, best: Found | None) -> ExploredPoint:
         if best is None or best.outcome.violation > KEPT:
-            return Explored(key, glasses, {}, (), None)
+            return ExploredPoint(key, glasses, {}, (), None)
         point = best.outcome.point
         try:
             lens = finished_lens(best.problem, point, best.rays)
             values = values_of(self.axes, lens, best.problem, point, best.rays)
         except DesignError:
-            return Explored(key, glasses, {}, (), None)
-        return Explored(key, glasses, values, tuple(point.tolist()), lens)
+            return ExploredPoint(key, glasses, {}, (), None)
+        return ExploredPoint(key, glasses, values, tuple(point.tolist()), lens)
 
 
-def front_of(explored: Sequence[Explored], axes: Sequence[Axis]) -> list[Explored]:
+def front_of(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[ExploredPoint]:
     """Of all lenses those that no other is better than in one objective, and no worse in any.
 
     Returns

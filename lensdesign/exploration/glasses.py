@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from lensdesign.errors import InputError
 from lensdesign.lens.glass import list_glasses
-from lensdesign.optimization.asked.specification import Specification, refuse_unknown
-from lensdesign.optimization.asked.variables import VariableRange
+from lensdesign.optimization.specification.specification import Specification, validate_known
+from lensdesign.optimization.specification.variables import VariableRange
 
 CATALOGUE = "catalogue:"
 
@@ -33,7 +33,7 @@ def with_glasses(specification: Specification, text: str) -> Specification:
     else:
         names = tuple(name.strip() for name in text.split(",") if name.strip())
         for name in names:
-            refuse_unknown(specification, first, name)
+            validate_known(specification, first, name)
     if not names:
         raise InputError(f"--glasses {text}: names no glass")
     kept = tuple(v for v in specification.variables if not (v.parameter == "material" and v.surface == first))
@@ -51,7 +51,7 @@ def _of_catalogue(specification: Specification, surface: int, name: str) -> tupl
     found = []
     for glass in names:
         try:
-            refuse_unknown(specification, surface, glass)
+            validate_known(specification, surface, glass)
         except InputError:
             continue
         found.append(glass)

@@ -10,9 +10,9 @@ import numpy as np
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import read_as_built
-from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
-from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.problem import DesignProblem, Rays
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
+from lensdesign.optimization.specification.specification import Specification
 
 
 @dataclass(frozen=True)

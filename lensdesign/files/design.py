@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import tomli_w
 
-from lensdesign.common.input_files import refuse_outside
+from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
@@ -65,15 +65,15 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
         Their file, whether it has been written or not: paths in them start from its folder, and messages
         name it.
     """
-    refuse_other_kind(data, path, "design")
+    validate_kind(data, path, "design")
     lens = validated_lens(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
     surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
-        refuse_outside(catalog, path, "glass_catalogs", DesignError)
+        validate_inside(catalog, path, "glass_catalogs", DesignError)
     for number, surface in enumerate(surfaces, start=1):
         if surface.figure is not None and surface.figure.file is not None:
-            refuse_outside(surface.figure.file, path, f"surface {number}, figure, file", DesignError)
+            validate_inside(surface.figure.file, path, f"surface {number}, figure, file", DesignError)
     lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
     try:
         check_figures(lens)
@@ -84,7 +84,7 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
     return lens
 
 
-def refuse_other_kind(data: Mapping[str, object], path: Path, wanted: str) -> None:
+def validate_kind(data: Mapping[str, object], path: Path, wanted: str) -> None:
     """Refuse a file of another kind, with the command that takes it.
 
     Parameters
@@ -156,13 +156,13 @@ def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfL
             f"{path}: no surface is marked stop = true; exactly one must be: the one whose semi_diameter_mm "
             "bounds the beam, normally surface 1"
         )
-    refuse_doubtful_lengths(lens, path)
+    validate_lengths(lens, path)
     for sentence in long_radii(lens):
         warnings.warn(f"{path}: {sentence}", LongRadiusWarning, stacklevel=3)
     return lens
 
 
-def refuse_doubtful_lengths(lens: Lens, source: Path) -> None:
+def validate_lengths(lens: Lens, source: Path) -> None:
     """Refuse a lens with lengths that no lens has and that another unit would explain.
 
     Raises

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.tables import read_grid_row, read_number, refuse_comma_pairs
+from lensdesign.common.tables import read_grid_row, read_number, validate_no_comma_pairs
 from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
@@ -116,7 +116,7 @@ def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
         raise InputError(f"{path}: no line '# {missing[0]} = ...' before the grid")
     if not rows:
         raise InputError(f"{path}: holds no values")
-    refuse_comma_pairs(texts)
+    validate_no_comma_pairs(texts)
     return np.array(rows) * UNITS_MM[header["unit"]], float(header["spacing_mm"])
 
 

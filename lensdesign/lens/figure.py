@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, validate_positive
 from lensdesign.lens.zernikes import zernike, zernike_orders
 
 Array = NDArray[Any]
@@ -226,7 +226,7 @@ def figure_from_zernike(coefficients_um: Mapping[int, ArrayLike], semi_diameter_
     InputError
         If an index does not exist, a value is not finite, or arrays differ in length.
     """
-    refuse_not_positive("figure: semi_diameter_mm", semi_diameter_mm)
+    validate_positive("figure: semi_diameter_mm", semi_diameter_mm)
     given = {index: np.asarray(value, float) for index, value in coefficients_um.items()}
     lengths = {value.shape for value in given.values() if value.ndim}
     if len(lengths) > 1 or any(value.ndim > 1 for value in given.values()):

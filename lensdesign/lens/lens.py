@@ -22,7 +22,7 @@ from lensdesign.lens.solid import (
     glass_elements,
     glass_fronts,
     mechanical_semi_diameter_mm,
-    refuse_impossible_edge,
+    validate_edge,
 )
 from lensdesign.lens.surface import Surface, vertex_z_mm
 
@@ -174,7 +174,7 @@ class Lens(Section):
                         + (f"flat from {flat_mm:g} mm and " if flat_mm is not None else "")
                         + f"bevel of {bevel_mm:g} mm"
                     )
-            refuse_impossible_edge(glass_element(self, number - 1))
+            validate_edge(glass_element(self, number - 1))
 
     @property
     def glass_fronts(self) -> tuple[int, ...]:

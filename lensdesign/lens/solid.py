@@ -294,7 +294,7 @@ def closed_elements(lens: Surfaces) -> list[Element]:
     """
     elements = glass_elements(lens)
     for element in elements:
-        refuse_open(element)
+        validate_closed(element)
     return elements
 
 
@@ -317,7 +317,7 @@ def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
     return float(r[where]), float(gap[where])
 
 
-def refuse_open(element: Element) -> None:
+def validate_closed(element: Element) -> None:
     """Refuse a body with an edge thickness of 0 or less, or with surfaces that cross.
 
     Raises
@@ -341,7 +341,7 @@ def refuse_open(element: Element) -> None:
         )
 
 
-def refuse_impossible_edge(element: Element) -> None:
+def validate_edge(element: Element) -> None:
     """Refuse bevels that cut nothing off, and a flange that stands off the edge cylinder.
 
     Raises

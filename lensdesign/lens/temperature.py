@@ -33,7 +33,7 @@ ALUMINIUM_PER_K = 23.6e-6
 
 
 @dataclass(frozen=True)
-class Growth:
+class ThermalExpansion:
     """How a lens grows; changes in mm for each K.
 
     Attributes
@@ -111,7 +111,7 @@ def expansions(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Ex
     return Expansions(np.array(surfaces), tuple(own), mount_expansion_per_k)
 
 
-def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Growth:
+def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> ThermalExpansion:
     """How a lens and the spaces about it grow.
 
     Parameters
@@ -129,7 +129,7 @@ def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Growth
     found = expansions(lens, mount_expansion_per_k)
     sags = np.array([edge_sag_mm(s.shape, s.semi_diameter_mm) for s in lens.surfaces])
     last = len(lens.surfaces) - 1
-    return Growth(
+    return ThermalExpansion(
         found.surfaces,
         float(found.of_space(-1, np.array(lens.object.working_distance_mm), sags)),
         np.array(

@@ -1,21 +1,21 @@
-from .asked.sections import Settings
-from .asked.specification import Specification, load_specification
 from .compliance import check_against
+from .limits.feasibility import FeasibilityLimit
 from .limits.kinds import Kind
-from .limits.reach import Reach
 from .limits.search import Limit, LimitsInterrupted, find_limits
 from .plates import FittedSurface, PlateFit, fit_plates, load_plates
 from .result import OptimizationResult
 from .search import SearchInterrupted, optimize
+from .specification.sections import Settings
+from .specification.specification import Specification, load_specification
 
 __all__ = [
+    "FeasibilityLimit",
     "FittedSurface",
     "Kind",
     "Limit",
     "LimitsInterrupted",
     "OptimizationResult",
     "PlateFit",
-    "Reach",
     "SearchInterrupted",
     "Settings",
     "Specification",

@@ -15,7 +15,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
-from lensdesign.optimization.asked.sections import Tolerances
+from lensdesign.optimization.specification.sections import Tolerances
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens

@@ -22,11 +22,11 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.temperature import lens_at_temperature, named_at
 from lensdesign.optimization.as_built import AsBuiltReport, TrialsOf, read_as_built
-from lensdesign.optimization.asked.sections import LOSS_GOAL, Constraints
-from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.extremes import extremes
+from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
+from lensdesign.optimization.specification.sections import LOSS_GOAL, Constraints
+from lensdesign.optimization.specification.specification import Specification
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.extremes import extremes
 
 
 def check_against(

@@ -16,9 +16,9 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.temperature import expansions, heated_keys, heated_material
-from lensdesign.optimization.rows.glass import edge_sag
-from lensdesign.optimization.rows.row import State
-from lensdesign.tracing.gradients import Chain, Variable
+from lensdesign.optimization.operands.glass import edge_sag
+from lensdesign.optimization.operands.operand import State
+from lensdesign.raytrace.gradients import Chain, Variable
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from lensdesign.optimization.nlopt_driver import (
     minimize,
     stationarity,
 )
+from lensdesign.optimization.operands.operand import KEPT
 from lensdesign.optimization.problem import DesignProblem, Rays
-from lensdesign.optimization.rows.row import KEPT
 from lensdesign.optimization.worst_rays import worse_rays
 
 EXCHANGES = 12

@@ -17,15 +17,15 @@ from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.lens.temperature import lens_at_temperature
 from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_built
-from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.asked.variables import VariableRange
 from lensdesign.optimization.heated import Heat, Heated
 from lensdesign.optimization.nlopt_driver import Evaluation
-from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
-from lensdesign.optimization.rows.requirements import constraint_rows, goal_rows
-from lensdesign.optimization.rows.row import LIMIT_MARGIN, Row, State
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.gradients import GradientTrace, Variable, gradient_trace
+from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
+from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Row, State
+from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
+from lensdesign.optimization.specification.specification import Specification
+from lensdesign.optimization.specification.variables import VariableRange
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.gradients import GradientTrace, Variable, gradient_trace
 
 
 @dataclass(frozen=True)
@@ -325,7 +325,7 @@ class DesignProblem:
     ) -> tuple[list[Row], list[Row]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
         state = self.state(point, rays, derivatives)
-        return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
+        return goal_operands(self.specification, state), constraint_operands(self.specification, state, final)
 
     def evaluate(self, point: Array, rays: Rays, final: bool = False) -> Evaluation:
         """Goals and constraints for nlopt, with derivatives by the unit variables."""

@@ -16,15 +16,19 @@ from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport, TrialsOf
-from lensdesign.optimization.asked.ending import Ending
-from lensdesign.optimization.asked.sections import AS_BUILT_GOALS, LOSS_GOAL
-from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import at_temperatures, check_against
-from lensdesign.optimization.limits.reach import Reach, largest_that_can, reach_of
+from lensdesign.optimization.limits.feasibility import (
+    FeasibilityLimit,
+    feasibility_limit,
+    feasibility_limit_of,
+)
 from lensdesign.optimization.limits.search import LimitsInterrupted, binding
 from lensdesign.optimization.local_search import Found
+from lensdesign.optimization.operands.operand import Row
 from lensdesign.optimization.problem import finished_lens
-from lensdesign.optimization.rows.row import Row
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
+from lensdesign.optimization.specification.specification import Specification
+from lensdesign.optimization.specification.stop_rules import Ending
 
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
@@ -47,7 +51,7 @@ class WavelengthSpread:
 
 
 @dataclass(frozen=True)
-class Tried:
+class GlassChoiceResult:
     """What became of one choice of glasses.
 
     Attributes
@@ -138,7 +142,7 @@ class OptimizationResult:
     unfinished: list[str]
     not_tried: list[str]
     as_built: AsBuiltReport | None
-    reach: Reach | None
+    reach: FeasibilityLimit | None
     evaluations: int
     seconds: float
     algorithm: str
@@ -189,7 +193,9 @@ class OptimizationResult:
         }
 
 
-def result_of(specification: Specification, tried: list[Tried], ending: Ending) -> OptimizationResult:
+def result_of(
+    specification: Specification, tried: list[GlassChoiceResult], ending: Ending
+) -> OptimizationResult:
     """The best of all choices of glasses, held against its specification.
 
     Parameters
@@ -212,12 +218,15 @@ def result_of(specification: Specification, tried: list[Tried], ending: Ending) 
         if ending.interrupted:
             raise
         ending.interrupted = True
-        found = reach_of(stop.limits) if isinstance(stop, LimitsInterrupted) else None
+        found = feasibility_limit_of(stop.limits) if isinstance(stop, LimitsInterrupted) else None
         return _result(specification, tried, ending, found)
 
 
 def _result(
-    specification: Specification, tried: list[Tried], ending: Ending, reach: Reach | None = None
+    specification: Specification,
+    tried: list[GlassChoiceResult],
+    ending: Ending,
+    reach: FeasibilityLimit | None = None,
 ) -> OptimizationResult:
     chosen = min((t for t in tried if t.found), key=lambda t: t.best.rank)
     best = chosen.best
@@ -226,10 +235,10 @@ def _result(
     unfinished = _unfinished(specification, tried, chosen)
     searched = not unfinished and not ending.interrupted
 
-    def can() -> Reach:
+    def can() -> FeasibilityLimit:
         with deadline(ending.end):
             report = ending.report or (lambda _: None)
-            return largest_that_can(specification, problem.base, chosen.glasses, point, ending.seed, report)
+            return feasibility_limit(specification, problem.base, chosen.glasses, point, ending.seed, report)
 
     try:
         lens = finished_lens(problem, point, best.rays)
@@ -317,7 +326,9 @@ def _rows_if_possible(study: AsBuilt, named: tuple[str, Lens], trials: int) -> t
         return ()
 
 
-def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried) -> list[str]:
+def _unfinished(
+    specification: Specification, tried: list[GlassChoiceResult], chosen: GlassChoiceResult
+) -> list[str]:
     """What limits cut short, a sentence each."""
     settings, best = specification.optimize, chosen.best
     sentences = []
@@ -342,7 +353,7 @@ def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried)
     return sentences
 
 
-def _end(specification: Specification, chosen: Tried) -> str:
+def _end(specification: Specification, chosen: GlassChoiceResult) -> str:
     """What ended the starts."""
     if chosen.limit:
         return chosen.limit

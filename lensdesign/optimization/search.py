@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import OutOfTime, deadline, no_deadline, now
 from lensdesign.errors import DesignError
-from lensdesign.optimization.asked.choices import bases_of
-from lensdesign.optimization.asked.ending import Ending
-from lensdesign.optimization.asked.specification import Specification, refuse_impossible
 from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of, stopped_at
 from lensdesign.optimization.nlopt_driver import FEASIBLE
 from lensdesign.optimization.problem import DesignProblem
-from lensdesign.optimization.result import INTERRUPT, OptimizationResult, Tried, result_of
+from lensdesign.optimization.result import INTERRUPT, GlassChoiceResult, OptimizationResult, result_of
+from lensdesign.optimization.specification.choices import bases_of
+from lensdesign.optimization.specification.specification import Specification, validate_possible
+from lensdesign.optimization.specification.stop_rules import Ending
 
 Report = Callable[[str], None]
 
@@ -67,12 +67,12 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
         If it is interrupted; the best lens so far is in its `result`. A plain KeyboardInterrupt where there
         is none yet.
     """
-    refuse_impossible(specification)
+    validate_possible(specification)
     settings = specification.optimize
     began, seconds = now(), math.inf if settings.max_seconds is None else settings.max_seconds
     ending = Ending(began, began + seconds, seed=seed, report=report)
     bases = list(bases_of(specification))
-    tried: list[Tried] = []
+    tried: list[GlassChoiceResult] = []
     try:
         end = ending.plan_trials(specification)
         for number, (glasses, base) in enumerate(bases):
@@ -86,7 +86,7 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     except KeyboardInterrupt:
         ending.interrupted = True
     if ending.interrupted:
-        tried += [Tried(glasses, (), INTERRUPT) for glasses, _ in bases[len(tried) :]]
+        tried += [GlassChoiceResult(glasses, (), INTERRUPT) for glasses, _ in bases[len(tried) :]]
     if not any(t.found for t in tried):
         if ending.interrupted:
             raise KeyboardInterrupt("interrupted before there was a lens to keep")
@@ -97,17 +97,19 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     return result
 
 
-def _nothing_tried(tried: list[Tried]) -> str:
+def _nothing_tried(tried: list[GlassChoiceResult]) -> str:
     limits = {t.limit for t in tried} - {""}
     if limits:
         return f"no start was made: {' and '.join(sorted(limits))} left no room for one; raise it"
     return "no start can be traced: no drawn lens lets all rays through; narrow the bounds"
 
 
-def _try(glasses: str, problem: DesignProblem, budget: Budget, seed: int, progress: _Progress) -> Tried:
+def _try(
+    glasses: str, problem: DesignProblem, budget: Budget, seed: int, progress: _Progress
+) -> GlassChoiceResult:
     """One choice of glasses: starts until several agree, or until time or user stop it."""
     settings = problem.specification.optimize
-    tried = Tried(glasses, (), "")
+    tried = GlassChoiceResult(glasses, (), "")
     try:
         with deadline(budget.deadline):
             for number, start in enumerate(starts_of(problem, seed)):
@@ -117,7 +119,7 @@ def _try(glasses: str, problem: DesignProblem, budget: Budget, seed: int, progre
                 found = search_from(
                     problem, start, budget, seed + number, progress.improved, on_point=progress.reached
                 )
-                tried = Tried(glasses, (*tried.found, found), found.limit)
+                tried = GlassChoiceResult(glasses, (*tried.found, found), found.limit)
                 progress.points = []
                 if tried.at_best >= settings.agreeing:
                     return replace(tried, limit="")
@@ -127,13 +129,15 @@ def _try(glasses: str, problem: DesignProblem, budget: Budget, seed: int, progre
     return tried
 
 
-def _kept(tried: Tried, problem: DesignProblem, progress: _Progress, limit: str) -> Tried:
+def _kept(
+    tried: GlassChoiceResult, problem: DesignProblem, progress: _Progress, limit: str
+) -> GlassChoiceResult:
     """What a stopped choice of glasses leaves: its finished starts, and the best point of the running one."""
     found: tuple[Found, ...] = tried.found
     if progress.points:
         with no_deadline():
             found = (*found, stopped_at(problem, progress.points, progress.evaluations, limit))
-    return Tried(tried.glasses, found, limit)
+    return GlassChoiceResult(tried.glasses, found, limit)
 
 
 @dataclass
@@ -163,7 +167,7 @@ class _Progress:
     first: float = field(default_factory=now)
     last: float = -math.inf
 
-    def begin(self, number: int, tried: Tried) -> None:
+    def begin(self, number: int, tried: GlassChoiceResult) -> None:
         """A start begins."""
         self.number, self.points, self.evaluations = number, [], 0
         self.agreeing = tried.at_best if tried.found else 0

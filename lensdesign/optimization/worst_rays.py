@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.optimization.operands.operand import Row
 from lensdesign.optimization.problem import DesignProblem, Rays
-from lensdesign.optimization.rows.row import Row
 
 TOLERANCE = 3e-5
 """Rays that exceed the working set by less than this (scaled) are not worth another round."""

@@ -16,11 +16,11 @@ from typing import Any
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.paths import FIELD_SHARES
-from studio.model.built import Workmanship, workmanship
-from studio.model.document import Aside, Document, opened, tables_text
+from lensdesign.raytrace.paths import FIELD_SHARES
+from studio.model.built import ManufacturingQuality, workmanship
+from studio.model.document import Autosave, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
-from studio.model.figures import Asked, Figures, patch_of, rays_of, waves_of
+from studio.model.figures import FigureRequest, Figures, patch_of, rays_of, waves_of
 from studio.model.values import parsed, place_of
 from studio.model.whatif import WhatIf
 
@@ -49,7 +49,7 @@ class Workbench:
     """
 
     def __init__(
-        self, design: Path | str | Lens, grade: str = "precision", aside: Aside | None = None
+        self, design: Path | str | Lens, grade: str = "precision", aside: Autosave | None = None
     ) -> None:
         if isinstance(design, Lens):
             path = Path("lens.toml")
@@ -67,7 +67,7 @@ class Workbench:
         self.patch_share = FIELD_SHARES[1]
         self.figures = Figures(self.lens)
         self.refused: dict[str, str] = {}
-        self._made: tuple[str, tuple[Any, ...], Workmanship | None] | None = None
+        self._made: tuple[str, tuple[Any, ...], ManufacturingQuality | None] | None = None
         self._listeners: list[Listener] = []
         self._condition = threading.Condition()
         self._asked = 0
@@ -180,7 +180,7 @@ class Workbench:
 
     def settle(self) -> Figures:
         """Figures as the commands make them, in this thread."""
-        asked = Asked(self.lens, self.what_if, self._workmanship(self.lens), self.patch_share)
+        asked = FigureRequest(self.lens, self.what_if, self._workmanship(self.lens), self.patch_share)
         for stage in (rays_of, waves_of, patch_of):
             self._publish(stage(asked, settled=True))
         return self.figures
@@ -197,7 +197,7 @@ class Workbench:
                     continue
                 done = self._asked
             try:
-                asked = Asked(self.lens, self.what_if, None, self.patch_share)
+                asked = FigureRequest(self.lens, self.what_if, None, self.patch_share)
                 self._keep()
                 self._publish(rays_of(asked, settled=False))
                 asked = replace(asked, made=self._workmanship(asked.lens))
@@ -216,7 +216,7 @@ class Workbench:
             self._condition.wait_for(lambda: self._ended or self._asked != done, REST_SECONDS)
             return not self._ended and self._asked == done
 
-    def _workmanship(self, lens: Lens) -> Workmanship | None:
+    def _workmanship(self, lens: Lens) -> ManufacturingQuality | None:
         """Of the grade; tolerances stay while values move, and follow what the lens is made of."""
         built_of = (len(lens.surfaces), lens.half_field_mm, tuple(s.material for s in lens.surfaces))
         if self._made is None or self._made[:2] != (self.grade, built_of):

@@ -13,17 +13,17 @@ from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.grades import GRADES, starting_study
+from tolerancing.prediction.study_prediction import StudyPrediction, predict_study
+from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
-from tolerancing.wavefronts.prediction import drawn_batch
-from tolerancing.wavefronts.study_prediction import StudyPrediction, predict_study
 
 FEWER = 4
 """While a value moves: every so many of the draws, to first order."""
 
 
 @dataclass(frozen=True, eq=False)
-class Workmanship:
+class ManufacturingQuality:
     """How a lens is made: the study that says what scatters, and what a good lens is.
 
     Attributes
@@ -49,7 +49,7 @@ class Workmanship:
 
 
 @dataclass(frozen=True, eq=False)
-class Built:
+class AsBuiltFigures:
     """What is predicted.
 
     Attributes
@@ -67,7 +67,7 @@ class Built:
     cost: float | None
 
 
-def workmanship(name: str, lens: Lens) -> Workmanship:
+def workmanship(name: str, lens: Lens) -> ManufacturingQuality:
     """The study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
 
     Parameters
@@ -84,13 +84,13 @@ def workmanship(name: str, lens: Lens) -> Workmanship:
     """
     if name in GRADES:
         tables = tomllib.loads(starting_study(lens, "design.toml", name))
-        return Workmanship(name, study_from_tables(tables, name))
+        return ManufacturingQuality(name, study_from_tables(tables, name))
     study = load_study(Path(name)).study
     check_against(study, lens, name)
-    return Workmanship(Path(name).name, study)
+    return ManufacturingQuality(Path(name).name, study)
 
 
-def built(lens: Lens, made: Workmanship, *, settled: bool = True) -> Built:
+def built(lens: Lens, made: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
     """Predict a lens as built: as `tolerancing predict` does, or coarser, while a value moves.
 
     Raises
@@ -105,7 +105,7 @@ def built(lens: Lens, made: Workmanship, *, settled: bool = True) -> Built:
         cost = cost_of(made.study, lens, _costs()).total
     except InputError:
         cost = None
-    return Built(made.name, prediction, cost)
+    return AsBuiltFigures(made.name, prediction, cost)
 
 
 @lru_cache(maxsize=1)

@@ -95,7 +95,7 @@ def _same(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
-class Aside:
+class Autosave:
     """Unsaved edits, and where the page is served, kept in the user's own folder until they are saved.
 
     Parameters

@@ -9,7 +9,7 @@ from pathlib import Path
 from lensdesign.common.outputs import check_output_file, check_output_folder
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from studio.model.built import Workmanship
+from studio.model.built import ManufacturingQuality
 
 KINDS = {
     "mesh for printing (.stl)": ".stl",
@@ -31,7 +31,7 @@ REPORT_TRIALS = 400
 
 
 def write_export(
-    lens: Lens, path: Path, made: Workmanship | None, replace: bool, report: Callable[[str], None]
+    lens: Lens, path: Path, made: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
 ) -> str:
     """Write one file, and say in a sentence what it is.
 
@@ -58,7 +58,7 @@ def write_export(
     (check_output_file if path.suffix else check_output_folder)(path)
     report(f"writing {path}")
     if path.suffix in (".pdf", ".svg"):
-        from lensdesign.fabrication.drawing.sheets import drawing_as_stated, write_drawing
+        from lensdesign.manufacture.drawing.sheets import drawing_as_stated, write_drawing
 
         drawing, stated = drawing_as_stated(lens)
         write_drawing(drawing, path)
@@ -66,12 +66,12 @@ def write_export(
             report(note)
         return f"wrote {path}: {len(drawing.sheets)} sheets"
     if path.suffix == ".html":
-        from lensdesign.pictures.page import write_view
+        from lensdesign.plots.page import write_view
 
         view = write_view(lens, path)
         return f"wrote {path}: {view.bodies} bodies, {view.rays} rays"
     if path.suffix:
-        from lensdesign.fabrication.exports import ExportOptions, export_lens
+        from lensdesign.manufacture.exports import ExportOptions, export_lens
 
         made_file = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
         for statement in made_file.outline:
@@ -80,7 +80,9 @@ def write_export(
     return _write_report(lens, path, made, report)
 
 
-def _write_report(lens: Lens, folder: Path, made: Workmanship | None, report: Callable[[str], None]) -> str:
+def _write_report(
+    lens: Lens, folder: Path, made: ManufacturingQuality | None, report: Callable[[str], None]
+) -> str:
     """Run a short study and write its report."""
     from studio.model.studies import run_trials
     from tolerancing.report.report import write_report

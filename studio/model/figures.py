@@ -11,7 +11,7 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.report import CheckReport
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
-from studio.model.built import Built, Workmanship, built
+from studio.model.built import AsBuiltFigures, ManufacturingQuality, built
 from studio.model.picture import Layout, heights_of, layout_of
 from studio.model.pupils import (
     COARSE,
@@ -51,14 +51,14 @@ class Figures:
     layout: Layout | None = None
     check: CheckReport | None = None
     pupils: tuple[PupilFigures, ...] = ()
-    built: Built | None = None
+    built: AsBuiltFigures | None = None
     patch: PatchPicture | None = None
     refused: tuple[str, ...] = ()
     seconds: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class FigureRequest:
     """What figures are asked for.
 
     Attributes
@@ -75,11 +75,11 @@ class Asked:
 
     lens: Lens
     what_if: WhatIf
-    made: Workmanship | None
+    made: ManufacturingQuality | None
     patch_share: float
 
 
-def rays_of(asked: Asked, *, settled: bool) -> Figures:
+def rays_of(asked: FigureRequest, *, settled: bool) -> Figures:
     """Layout, and what the check tells."""
     began, lens = time.perf_counter(), asked.lens
     refused: list[str] = []
@@ -95,7 +95,7 @@ def rays_of(asked: Asked, *, settled: bool) -> Figures:
     )
 
 
-def waves_of(asked: Asked, *, settled: bool) -> Figures:
+def waves_of(asked: FigureRequest, *, settled: bool) -> Figures:
     """Pupils at three object points, and what is predicted as built."""
     began, lens, made = time.perf_counter(), asked.lens, asked.made
     refused: list[str] = []
@@ -114,7 +114,7 @@ def waves_of(asked: Asked, *, settled: bool) -> Figures:
     )
 
 
-def patch_of(asked: Asked, *, settled: bool) -> Figures:
+def patch_of(asked: FigureRequest, *, settled: bool) -> Figures:
     """The patch."""
     began, lens = time.perf_counter(), asked.lens
     refused: list[str] = []

@@ -9,9 +9,9 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_elements
-from lensdesign.tracing.bundles import launch, pupil_fan, pupil_hexapolar
-from lensdesign.tracing.paths import FIELD_SHARES, ray_paths, sized_lens
-from lensdesign.tracing.rays import trace
+from lensdesign.raytrace.bundles import launch, pupil_fan, pupil_hexapolar
+from lensdesign.raytrace.paths import FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.rays import trace
 
 RAYS_PER_FIELD = 11
 SPOT_RINGS = 7

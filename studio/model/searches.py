@@ -16,12 +16,12 @@ import tomli_w
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
-from studio.model.built import Workmanship
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
+from studio.model.built import ManufacturingQuality
 from studio.model.studies import write_study
 
 if TYPE_CHECKING:
-    from lensdesign.optimization.asked.specification import Specification
+    from lensdesign.optimization.specification.specification import Specification
 
 GOALS = (
     "smallest spread",
@@ -141,7 +141,9 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
     return tomli_w.dumps(tomllib.loads(design_text(start, folder)) | tables)
 
 
-def run_search(lens: Lens, search: Search, made: Workmanship | None, report: Callable[[str], None]) -> Found:
+def run_search(
+    lens: Lens, search: Search, made: ManufacturingQuality | None, report: Callable[[str], None]
+) -> Found:
     """Search, in the process that calls.
 
     Raises
@@ -163,7 +165,12 @@ def run_search(lens: Lens, search: Search, made: Workmanship | None, report: Cal
 
 
 def run_exploration(
-    lens: Lens, search: Search, made: Workmanship | None, over: str, count: int, report: Callable[[str], None]
+    lens: Lens,
+    search: Search,
+    made: ManufacturingQuality | None,
+    over: str,
+    count: int,
+    report: Callable[[str], None],
 ) -> int:
     """Explore what is traded for what, in the process that calls; how many searches were made.
 
@@ -183,10 +190,10 @@ def run_exploration(
     InputError
         As of :func:`lensdesign.load_specification`, and if no lens is found.
     """
-    from lensdesign.exploration.front import Exploration, Explored
+    from lensdesign.exploration.front import Exploration, ExploredPoint
     from lensdesign.exploration.objectives import axes_of
 
-    def keep(one: Explored) -> None:
+    def keep(one: ExploredPoint) -> None:
         if one.lens is not None:
             found = design_text(one.lens.replaced(title=lens.title), Path("/"))
             report(json.dumps({"values": one.values, "text": found}))
@@ -196,10 +203,10 @@ def run_exploration(
 
 
 @contextmanager
-def _asked(lens: Lens, search: Search, made: Workmanship | None) -> Iterator[Specification]:
+def _asked(lens: Lens, search: Search, made: ManufacturingQuality | None) -> Iterator[Specification]:
     """The specification of a search, as long as its files are there."""
     from lensdesign.common.input_files import files_from
-    from lensdesign.optimization.asked.specification import load_specification
+    from lensdesign.optimization.specification.specification import load_specification
 
     with tempfile.TemporaryDirectory() as name, files_from("/"):
         folder = Path(name)

@@ -8,13 +8,13 @@ from pathlib import Path
 from lensdesign.errors import InputError
 from lensdesign.files.design import save_design
 from lensdesign.lens.lens import Lens
-from studio.model.built import Workmanship
+from studio.model.built import ManufacturingQuality
 from studio.model.whatif import WhatIf
 from tolerancing.study.files import load_study, save_study
 from tolerancing.study.results import TrialResults
 
 
-def write_study(lens: Lens, made: Workmanship, trials: int, folder: Path) -> Path:
+def write_study(lens: Lens, made: ManufacturingQuality, trials: int, folder: Path) -> Path:
     """Write a study and its design, with all merits by which the page predicts the yield.
 
     Raises
@@ -30,7 +30,7 @@ def write_study(lens: Lens, made: Workmanship, trials: int, folder: Path) -> Pat
 
 
 def run_trials(
-    lens: Lens, made: Workmanship, trials: int, folder: Path, report: Callable[[str], None]
+    lens: Lens, made: ManufacturingQuality, trials: int, folder: Path, report: Callable[[str], None]
 ) -> int:
     """Run a study into `folder`/study.db, in the process that calls; how many trials.
 
@@ -59,10 +59,10 @@ def trials_so_far(folder: Path) -> TrialResults | None:
 
 def trial_what_if(folder: Path, number: int) -> WhatIf:
     """How far the lens of one trial is off; irregularities, which no slider has, are left out."""
-    from tolerancing.study.evaluate import realise
+    from tolerancing.study.evaluate import sample_perturbations
 
     study = load_study(folder / "study.toml").study
-    batch = realise(study, [number])
+    batch = sample_perturbations(study, [number])
     values: dict[str, float] = {}
     for parameter, value in zip(batch.parameters, batch.values[0].tolist(), strict=True):
         if not parameter.is_irregularity:

@@ -13,7 +13,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 from studio import panes
 from studio.model.bench import Workbench
-from studio.panes.common import Talking, follow, text
+from studio.panes.common import ScriptPart, follow, text
 from studio.panes.rays import field_heights
 from studio.panes.themes import Dresser, dressed
 
@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
 
 
-class Bar(Talking):
+class Bar(ScriptPart):
     """The bar on top."""
 
     title = param.String(default="", doc="Of the design.")

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from lensdesign.errors import InputError
 from studio.model.bench import Workbench
-from studio.model.document import Aside
+from studio.model.document import Autosave
 
 ADDRESS = "127.0.0.1"
 
@@ -43,7 +43,7 @@ def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool =
     InputError
         If the file holds no lens, or the port is taken.
     """
-    aside = Aside(design)
+    aside = Autosave(design)
     bench = Workbench(design, grade, aside)
     kept = aside.read()
     token, port = _token(kept.get("token")), _port(port, kept.get("port"))

@@ -1,10 +1,10 @@
-from .beside import compare
+from .comparison import compare
 from .front import explore
 from .making import export
 from .rays import footprint, layout, spread
+from .results import look
 from .search import optimize
-from .seen import look
-from .told import as_built, findings
+from .summary import as_built, findings
 from .trials import tolerances
 from .values import surfaces, what_if
 from .waves import contrast, patch, wavefront

@@ -20,7 +20,7 @@ from studio.model.bench import Workbench
 HERE = Path(__file__).parent
 
 
-class Talking(JSComponent):
+class ScriptPart(JSComponent):
     """A part of the page with its own script, whose messages a function receives."""
 
     def __init__(self, received: Callable[[dict[str, Any]], None], **params: Any) -> None:

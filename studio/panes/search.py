@@ -15,8 +15,8 @@ from studio.model.built import workmanship
 from studio.model.editing import lens_from
 from studio.model.jobs import Job
 from studio.model.searches import CONSTRAINTS, GOALS, Found, Search, run_search, variables_of
-from studio.panes.beside import comparison
 from studio.panes.common import bench_of, follow, text
+from studio.panes.comparison import comparison
 from tolerancing.perturbations.grades import GRADES
 
 

@@ -17,9 +17,9 @@ from studio.model.jobs import Job
 from studio.model.studies import run_trials, trial_what_if, trials_so_far
 from studio.panes.common import bench_of, follow, text
 from studio.panes.themes import Dresser, Theme, chart, dressed
-from tolerancing.analysis.yields import yield_of
 from tolerancing.merits.base import Merit
 from tolerancing.merits.pupil import RmsWaves
+from tolerancing.statistics.yields import yield_of
 
 POLL_MILLISECONDS = 700
 

@@ -12,12 +12,12 @@ from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
 from studio.model.values import Value, glasses_like, parsed, values_of
 from studio.model.whatif import MOVES, Amount, WhatIf, amounts_of
-from studio.panes.common import HERE, Talking, bench_of, follow
+from studio.panes.common import HERE, ScriptPart, bench_of, follow
 
 MOVED = {move[0] for move in MOVES}
 
 
-class Values(Talking):
+class Values(ScriptPart):
     """Rows of values with sliders."""
 
     rows = param.List(default=[], doc="One mapping a row.")

@@ -8,7 +8,7 @@ import numpy as np
 import panel as pn
 
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_SHARES
 from studio.model.bench import Workbench
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed

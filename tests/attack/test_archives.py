@@ -15,12 +15,12 @@ from places import DESIGNS
 
 from lensdesign import InputError, load_design
 from lensdesign.common.array_files import FIELD_BYTES, array_names, read_arrays
-from wavesim.camera.pixels.maps import read_map
 from wavesim.cli.commands import main
 from wavesim.fields.files import read_field
-from wavesim.objects.illumination import measured_field
-from wavesim.objects.patch import object_patch
 from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.sensor.pixels.maps import read_map
+from wavesim.targets.illumination import measured_field
+from wavesim.targets.patch import object_patch
 
 
 def header(shape: tuple[int, ...], kind: str = "<c8") -> bytes:

@@ -15,17 +15,17 @@ from lensdesign.cli.commands import main as lensdesign_main
 from lensdesign.common import memory
 from lensdesign.common.console import print_json
 from lensdesign.common.text import known_text
-from lensdesign.fabrication.mesh.mesh import lens_mesh
-from tolerancing.analysis.indices import variance_indices
+from lensdesign.manufacture.mesh.mesh import lens_mesh
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.run.run import _process_count
-from tolerancing.study.evaluate import realise
+from tolerancing.statistics.indices import variance_indices
+from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.files import load_study
-from wavesim.camera.frames import FrameSettings
 from wavesim.cli.commands import main as wavesim_main
-from wavesim.objects.patch import object_patch
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.settings import FrameSetSettings, ImageSettings
+from wavesim.sensor.frames import FrameSettings
+from wavesim.targets.patch import object_patch
 
 Run = tuple[pytest.MonkeyPatch, pytest.CaptureFixture[str]]
 MAINS = {"lensdesign": lensdesign_main, "wavesim": wavesim_main, "tolerancing": tolerancing_main}
@@ -184,7 +184,7 @@ def test_sizes_of_arrays_are_held_against_memory(study: Path, monkeypatch: pytes
     with pytest.raises(InputError, match=r"chord_error_um = 0\.1.*triangles"):
         lens_mesh(lens, chord_error_um=0.1)
     with pytest.raises(InputError, match=r"trials = 1000000 needs"):
-        realise(loaded, range(1_000_000))
+        sample_perturbations(loaded, range(1_000_000))
 
 
 def test_a_scene_has_no_more_samples_than_can_be_counted() -> None:

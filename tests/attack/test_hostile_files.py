@@ -31,23 +31,23 @@ from lensdesign.common.input_files import (
 )
 from lensdesign.common.text import safe_cell, visible
 from lensdesign.errors import atomic_path
-from lensdesign.fabrication.drawing.sheets import lens_drawing, write_drawing
-from lensdesign.fabrication.mesh.reading import read_mesh
 from lensdesign.files import read_figure_grid
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.catalogues.agf import read_agf
-from lensdesign.optimization.asked.specification import load_specification
+from lensdesign.manufacture.drawing.sheets import lens_drawing, write_drawing
+from lensdesign.manufacture.mesh.reading import read_mesh
+from lensdesign.optimization.specification.specification import load_specification
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.store.file import check_is_store
 from tolerancing.study.files import load_from_files, load_study
 from wavesim.calibration.calibrated import read_calibration
-from wavesim.camera.frames import read_frame
 from wavesim.cli.commands import main as wavesim_main
-from wavesim.objects.targets import read_grey
+from wavesim.sensor.frames import read_frame
+from wavesim.targets.patterns import read_grey
 
 LENS = load_design(DESIGNS / "paper_singlet.toml")
 READERS: dict[str, tuple[Callable[[Path], object], float]] = {
@@ -404,7 +404,7 @@ def test_formulas_in_cells(text: str, cell: str) -> None:
 
 
 def test_formulas_in_the_tables_of_a_comparison(tmp_path: Path) -> None:
-    from wavesim.pictures.result_files import write_csv
+    from wavesim.plots.result_files import write_csv
 
     write_csv(
         [{"scene": "=HYPERLINK(1)", "error": -0.5}, {"scene": "fine", "error": 1.0}], tmp_path / "a.csv"

@@ -15,15 +15,15 @@ from places import DESIGNS
 from sample_lenses import SAMPLES
 
 from lensdesign import Lens, load_design
-from lensdesign.fabrication.mesh.mesh import write_mesh
-from lensdesign.fabrication.mesh.reading import TriangleMesh, read_mesh
 from lensdesign.files.codev import read_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import Supplement
 from lensdesign.files.figures import read_figure_grid
 from lensdesign.files.zemax import read_zmx
 from lensdesign.lens.catalogues.agf import read_agf
-from lensdesign.optimization.asked.specification import Specification, load_specification
+from lensdesign.manufacture.mesh.mesh import write_mesh
+from lensdesign.manufacture.mesh.reading import TriangleMesh, read_mesh
+from lensdesign.optimization.specification.specification import Specification, load_specification
 
 CATALOGUE = b"""CC Test catalogue
 NM N-BK7 2 517642.251 1.516800 64.17 0 1 1

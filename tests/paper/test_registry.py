@@ -12,14 +12,14 @@ import pytest
 from places import ROOT
 
 from lensdesign import Lens, trace
-from lensdesign.tracing import launch
+from lensdesign.raytrace import launch
 from paper.element import Made, Number
 from paper.microscope import Objective
 from paper.registry import ELEMENTS
 from paper.results import Result
 from paper.run import make_all
 from wavesim import Field, Grid
-from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 
 ROOMS = [ROOT / "paper", *(path for path in (ROOT / "paper").rglob("*") if path.is_dir())]
 PAGE, PICTURES = ROOT / "docs" / "paper.md", ROOT / "docs" / "images" / "paper"
@@ -36,7 +36,7 @@ class Results:
         """The result of an element; what unexplained frames may lack has tests of its own."""
         if key not in self.made:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(Doubts, "trials", lambda _: [])
+                patch.setattr(CauseTrials, "trials", lambda _: [])
                 made = make_all(ELEMENTS, self.folder, "small", [key])
             self.made |= {result.key: result for result in made}
         return self.made[key]

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.fabrication.drawing.strokes import SHEET_MM, Drawing, Sheet, Stroke
-from lensdesign.fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances
 from lensdesign.lens.lens import Lens
+from lensdesign.manufacture.drawing.strokes import SHEET_MM, Drawing, Sheet, Stroke
+from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, SurfaceTolerances
 
 SECTIONS: dict[str, Any] = {
     "wavelengths_um": [0.532],

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.lens.shapes.intersection import RIM_TOLERANCE, intersect, sag_and_slopes
-from lensdesign.tracing.compiled import CompiledSystem
-from lensdesign.tracing.status import Status
+from lensdesign.raytrace.compiled import CompiledSystem
+from lensdesign.raytrace.status import Status
 
 Array = NDArray[Any]
 
@@ -36,7 +36,7 @@ def trace_numpy(
     Returns
     -------
     position, direction, opl, status, failed_surface, hits
-        As in :class:`lensdesign.tracing.rays.RayTrace`.
+        As in :class:`lensdesign.raytrace.rays.RayTrace`.
     """
     position, direction = np.array(origins), np.array(directions)
     opl = np.zeros(len(position), position.dtype)

@@ -6,8 +6,8 @@ from functools import partial
 
 import pytest
 
-from lensdesign.pictures import plots, scene3d
-from wavesim.pictures import frames
+from lensdesign.plots import plots, scene3d
+from wavesim.plots import frames
 
 
 def draw_few_dots(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,14 +13,14 @@ from small_pictures import draw_few_dots
 
 from lensdesign import load_design, save_design, scaled
 from lensdesign.lens.poses import Pose
-from wavesim.camera.exposures import Electronics
-from wavesim.camera.frames import write_frame
-from wavesim.camera.recording import Recording, image_patch
-from wavesim.camera.windows import exit_scene, sensor_window
 from wavesim.cli.commands import main
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.files import write_field
-from wavesim.objects.patch import make_illumination, make_target, object_patch
+from wavesim.sensor.exposures import Electronics
+from wavesim.sensor.frames import write_frame
+from wavesim.sensor.recording import Recording, image_patch
+from wavesim.sensor.windows import exit_scene, sensor_window
+from wavesim.targets.patch import make_illumination, make_target, object_patch
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 216
 

@@ -10,8 +10,8 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from tolerancing.budgets.score_model import StudyScoreModel
 from tolerancing.merits.base import all_passed
+from tolerancing.prediction.study_prediction import is_predicted
 from tolerancing.study.study import Study
-from tolerancing.wavefronts.study_prediction import is_predicted
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class LoosenedYield:
 def loosen_each(lens: Lens, study: Study) -> tuple[LoosenedYield, ...]:
     """Predict the joint yield with each tolerance halved and doubled, to first order.
 
-    The yield is that of the limits which :func:`tolerancing.wavefronts.predict_study` predicts.
+    The yield is that of the limits which :func:`tolerancing.prediction.predict_study` predicts.
 
     Raises
     ------
     InputError, DesignError
-        As of :func:`tolerancing.wavefronts.predict_study`.
+        As of :func:`tolerancing.prediction.predict_study`.
     """
     merits = tuple(merit for merit in study.merits if is_predicted(merit))
     model = StudyScoreModel(

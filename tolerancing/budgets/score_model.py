@@ -1,7 +1,7 @@
 """Scores of drawn lenses as functions of the scales of a study's tolerances, with derivatives.
 
 Wavefront and ray merits follow from the derivatives of the nominal lens's rays to first order
-(:mod:`tolerancing.wavefronts`). Other merits follow from a response surface that is fitted to trials, with
+(:mod:`tolerancing.prediction`). Other merits follow from a response surface that is fitted to trials, with
 the residuals of that fit as scatter. What the model neglects is corrected by trials of the lens itself
 (:mod:`tolerancing.budgets.study_budget`).
 """
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
-from tolerancing.analysis.response import Response, fit_response
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import RmsWaves, Strehl
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.study.evaluate import realise
-from tolerancing.study.study import Study
-from tolerancing.wavefronts.arrivals import ArrivalDifferentials, arrival_differentials
-from tolerancing.wavefronts.prediction import (
+from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.system import amounts_of, columns_of
+from tolerancing.prediction.wavefront_prediction import (
     Judged,
     first_order,
     is_predicted_wavefront,
     replace_draws,
     study_derivatives,
 )
-from tolerancing.wavefronts.system import amounts_of, columns_of
+from tolerancing.statistics.response import Response, fit_response
+from tolerancing.study.evaluate import sample_perturbations
+from tolerancing.study.study import Study
 
 DRAWS = 8192
 """Sobol draws by which a budget knows its yield."""
@@ -152,7 +152,7 @@ class StudyScoreModel:
         self._starts = np.array([own.start for own in columns])
         self._base = np.zeros(count)
         self._base[self._starts] = self._centre
-        self.batch = realise(replace_draws(study, DRAWS), range(DRAWS))
+        self.batch = sample_perturbations(replace_draws(study, DRAWS), range(DRAWS))
         self._deviations = amounts_of(self.batch) - self._base
         self._of_change = np.repeat(np.arange(len(columns)), [own.stop - own.start for own in columns])
         probes = [self._base + scale * self._deviations[:PROBES] for scale in PROBE_SCALES]

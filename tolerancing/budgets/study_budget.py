@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from tolerancing.analysis.scorer import ROWS_AT_ONCE
-from tolerancing.analysis.yields import Yield, yield_of
+from tolerancing.budgets.allocation import Budget, allocate_tolerances, check_required
 from tolerancing.budgets.score_model import StudyScoreModel
-from tolerancing.budgets.tolerance_search import Budget, check_required, loosest_tolerances
 from tolerancing.merits.base import all_passed
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import Perturbation
+from tolerancing.statistics.scorer import ROWS_AT_ONCE
+from tolerancing.statistics.yields import Yield, yield_of
 from tolerancing.store.store import Store
-from tolerancing.study.evaluate import check_trial_memory, context_of, realise
+from tolerancing.study.evaluate import check_trial_memory, context_of, sample_perturbations
 from tolerancing.study.files import LoadedStudy, study_from_tables
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
@@ -311,7 +311,7 @@ class _Rounds:
         aim = float(np.clip(self.required - self.correction(model), 1e-3, 1.0 - 1e-3))
         low, high = self.costs.low, self.costs.high
         try:
-            return loosest_tolerances(
+            return allocate_tolerances(
                 model,
                 self.study.merits,
                 aim,
@@ -349,7 +349,7 @@ class _Rounds:
             update={"perturbations": perturbations, "seed": seed, "draws": "random"}
         )
         context, scores = context_of(self.lens, scaled), list[Array]()
-        batch = realise(scaled, range(self.fresh))
+        batch = sample_perturbations(scaled, range(self.fresh))
         try:
             for start in range(0, self.fresh, ROWS_AT_ONCE):
                 part = batch.part(slice(start, start + ROWS_AT_ONCE))

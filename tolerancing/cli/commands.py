@@ -21,12 +21,12 @@ from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import Json, StorePath, Trust
 
 if TYPE_CHECKING:
-    from tolerancing.analysis.summary import Summary
-    from tolerancing.analysis.trial import SingleTrial
-    from tolerancing.analysis.yields import Yield
     from tolerancing.merits.base import Merit
+    from tolerancing.prediction.study_prediction import StudyPrediction
+    from tolerancing.statistics.summary import Summary
+    from tolerancing.statistics.trial import SingleTrial
+    from tolerancing.statistics.yields import Yield
     from tolerancing.store.store import Store
-    from tolerancing.wavefronts.study_prediction import StudyPrediction
 
 app = make_app("Monte Carlo tolerancing of transfer lenses: studies, sensitivities, budgets, reports.")
 
@@ -61,8 +61,8 @@ def run(
     import scipy.special  # noqa: F401
 
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.summary import summarize
     from tolerancing.run.run import run_study
+    from tolerancing.statistics.summary import summarize
     from tolerancing.store.store import open_store
     from tolerancing.study.files import load_study
 
@@ -123,7 +123,7 @@ def show(
     A trial is scored again from the files of its study, which the store holds. Python among them is run
     only with --trust, or where your own copy of the file lies beside the store.
     """
-    from tolerancing.analysis.summary import summarize
+    from tolerancing.statistics.summary import summarize
     from tolerancing.store.store import open_store
 
     if trial is None and (output is not None or dear):
@@ -140,8 +140,8 @@ def show(
 
 
 def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_json: bool) -> None:
-    from tolerancing.analysis.trial import single_trial
     from tolerancing.report.figures.one_trial import write_trial_figure
+    from tolerancing.statistics.trial import single_trial
 
     with messages_only():
         trial = single_trial(store, number, dear=dear)
@@ -241,7 +241,7 @@ def _print_trial(trial: SingleTrial) -> None:
 
 def _predicted(store: Store) -> StudyPrediction | None:
     """The yield as `tolerancing predict` finds it; None where nothing of the study can be predicted."""
-    from tolerancing.wavefronts.study_prediction import predict_study
+    from tolerancing.prediction.study_prediction import predict_study
 
     try:
         return predict_study(store.loaded.lens, store.study)

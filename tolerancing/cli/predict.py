@@ -11,9 +11,9 @@ from lensdesign.common.console import print_json
 from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from tolerancing.wavefronts.prediction import WavefrontPrediction
-    from tolerancing.wavefronts.rays import RayPrediction
-    from tolerancing.wavefronts.study_prediction import StudyPrediction
+    from tolerancing.prediction.ray_prediction import RayPrediction
+    from tolerancing.prediction.study_prediction import StudyPrediction
+    from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
 MOST_ROWS = 12
 """Perturbations that the table shows."""
@@ -32,8 +32,8 @@ def predict(
 
     Exit status: 0, 1 if these orders do not suffice and trials should be run, 2 for bad input.
     """
+    from tolerancing.prediction.study_prediction import predict_study
     from tolerancing.study.files import load_study
-    from tolerancing.wavefronts.study_prediction import predict_study
 
     loaded = load_study(study)
     found = predict_study(loaded.lens, loaded.study)

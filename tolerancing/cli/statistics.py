@@ -14,8 +14,8 @@ from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import Json, StorePath, Trust
 
 if TYPE_CHECKING:
-    from tolerancing.analysis.indices import VarianceIndices
-    from tolerancing.analysis.rare_failures import RareYield
+    from tolerancing.statistics.indices import VarianceIndices
+    from tolerancing.statistics.rare_failures import RareYield
 
 
 def rare(
@@ -31,7 +31,7 @@ def rare(
     the store.
     """
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.rare_failures import rare_yield
+    from tolerancing.statistics.rare_failures import rare_yield
     from tolerancing.store.store import open_store
 
     with open_store(store, trust=trust) as opened, messages_only(), progress_bar() as bar:
@@ -59,9 +59,9 @@ def indices(
     matter, which a sensitivity of each by itself does not see.
     """
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.indices import most_trials, variance_indices
     from tolerancing.report.figures.indices import indices_figure
     from tolerancing.report.figures.style import figure_format, write_figure
+    from tolerancing.statistics.indices import most_trials, variance_indices
     from tolerancing.study.files import load_study
 
     loaded = load_study(study)

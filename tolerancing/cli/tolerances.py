@@ -17,12 +17,12 @@ from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from tolerancing.analysis.approximations import Approximation
-    from tolerancing.analysis.limits import StudyLimits
-    from tolerancing.analysis.parabolas import Sensitivity
     from tolerancing.budgets.study_budget import StudyBudget
     from tolerancing.cost.pricing import Cost
     from tolerancing.perturbations.parameters import Perturbation
+    from tolerancing.statistics.approximations import Approximation
+    from tolerancing.statistics.limits import StudyLimits
+    from tolerancing.statistics.quadratic_response import Sensitivity
     from tolerancing.study.study import Study
 
 Costs = Annotated[
@@ -64,8 +64,8 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
 
     With the root-sum-square prediction beside the trials.
     """
-    from tolerancing.analysis.approximations import approximations
-    from tolerancing.analysis.sensitivities import sensitivity
+    from tolerancing.statistics.approximations import approximations
+    from tolerancing.statistics.sensitivities import sensitivity
     from tolerancing.store.store import open_store
 
     with open_store(store) as opened:
@@ -104,7 +104,7 @@ def inverse(
 ) -> None:
     """Find how far each perturbation may go by itself before a merit misses its limit."""
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.limits import inverse
+    from tolerancing.statistics.limits import inverse
     from tolerancing.study.files import load_study
 
     with messages_only(), progress_bar() as bar:
@@ -144,13 +144,13 @@ def budget(
     """
     from lensdesign.common.console import progress_bar
     from lensdesign.common.text import duration_text
-    from tolerancing.analysis.approximations import approximations
     from tolerancing.budgets.study_budget import (
         BudgetInterrupted,
         budget,
         most_seconds,
         scaled_study,
     )
+    from tolerancing.statistics.approximations import approximations
     from tolerancing.store.store import open_store
     from tolerancing.study.files import save_study
 
@@ -292,7 +292,7 @@ def _print_sensitivity(study: Study, found: Sensitivity, k: int) -> None:
 
 
 def _print_limits(found: StudyLimits, change: float | None) -> None:
-    from tolerancing.analysis.limits import SHAPES
+    from tolerancing.statistics.limits import SHAPES
 
     study = found.study
     for label, own in found.limits.items():

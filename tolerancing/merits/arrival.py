@@ -14,7 +14,7 @@ from lensdesign.lens.poses import Pose, rotation_matrix
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
-    from lensdesign.tracing.rays import RayTrace
+    from lensdesign.raytrace.rays import RayTrace
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +65,9 @@ def arriving_rays(
     InputError
         If a trial's lens cannot be.
     """
-    from lensdesign.tracing.bundles import launch_compiled
-    from lensdesign.tracing.compiled import compile_system
-    from lensdesign.tracing.rays import trace_compiled
+    from lensdesign.raytrace.bundles import launch_compiled
+    from lensdesign.raytrace.compiled import compile_system
+    from lensdesign.raytrace.rays import trace_compiled
 
     object_shift = batch.object_shift_mm(lens)
     pose = moved(batch.poses(), -object_shift) if batch.moves_rays else batch.poses()

@@ -20,10 +20,10 @@ from tolerancing.merits.pupil import Axis
 from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
-    from wavesim import Engine, PupilSampler, Recorded
+    from wavesim import Engine, Measurement, PupilSampler
     from wavesim import Field as LightField
-    from wavesim.camera import Recording
-    from wavesim.objects.patch import Patch
+    from wavesim.sensor import Recording
+    from wavesim.targets.patch import Patch
 
 Ground = Literal["bright", "dark"]
 Method = Literal["object", "paper"]
@@ -89,7 +89,7 @@ class Chain:
     @cached_property
     def light(self) -> LightField:
         """The plane wave in the field stop."""
-        from wavesim.objects.patch import make_illumination
+        from wavesim.targets.patch import make_illumination
 
         return make_illumination(self.patch)
 
@@ -97,7 +97,7 @@ class Chain:
     def transmission(self) -> NDArray[np.complexfloating]:
         """Of the object."""
         from wavesim.fields.coverage import bar_rectangles, rectangle_coverage
-        from wavesim.objects.targets import on_ground
+        from wavesim.targets.patterns import on_ground
 
         width = 1e-3 * self.line_width_um
         shapes = [
@@ -112,7 +112,7 @@ class Chain:
         """The middle of the sensor, as much of it as light falls on, with some room."""
         import scipy.fft
 
-        from wavesim.camera.windows import sensor_window
+        from wavesim.sensor.windows import sensor_window
 
         held = max(sensor_window(self.lens, self.patch, self.planes_mm).pixels)
         pixels = scipy.fft.next_fast_len(math.ceil(WINDOW_MARGIN * held))
@@ -133,8 +133,8 @@ class Chain:
         return self._model(0.0)
 
     def _model(self, refocus_mm: float) -> Engine:
-        from wavesim.camera.windows import exit_scene
         from wavesim.engines.choosing import engine_for
+        from wavesim.sensor.windows import exit_scene
 
         scene = exit_scene(self.lens, self.patch, self.sensor, self.planes_mm[0])
         grid = scene.object_grid
@@ -151,8 +151,8 @@ class Chain:
     ) -> Recording:
         """How a perturbed system records; parameters are those of :meth:`recorded`."""
         from wavesim import Electronics
-        from wavesim.camera import Recording
         from wavesim.scene import Bench
+        from wavesim.sensor import Recording
 
         full_well = {} if electrons is None else {"full_well_electrons": electrons / FULL_WELL_SHARE}
         electronics = Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
@@ -160,7 +160,7 @@ class Chain:
 
     def recorded(
         self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence
-    ) -> list[Recorded]:
+    ) -> list[Measurement]:
         """Amplitudes of one perturbed system, at the distances at which its planes ought to be.
 
         Light that falls beside the sensor, and saturated pixels, are lost as they are to a real one.
@@ -179,12 +179,12 @@ class Chain:
         InputError, SamplingError
             If no light arrives, or samples cannot hold it on its way.
         """
-        from wavesim import Recorded, SamplingWarning
-        from wavesim.camera import FootprintWarning, SaturationWarning, image_patch, recorded_planes
-        from wavesim.camera.mounting import light_on
-        from wavesim.camera.recording import fields_on_sensor, recorded_scene
-        from wavesim.camera.sensor import light_on_pixels
+        from wavesim import Measurement, SamplingWarning
         from wavesim.engines.choosing import engine_for
+        from wavesim.sensor import FootprintWarning, SaturationWarning, image_patch, recorded_planes
+        from wavesim.sensor.mounting import light_on
+        from wavesim.sensor.recording import fields_on_sensor, recorded_scene
+        from wavesim.sensor.sensor import light_on_pixels
 
         recording = self.recording(system, electrons, bits, noise)
         behind, windows = light_on(self.behind, system), [self.sensor] * len(self.planes_mm)
@@ -198,12 +198,12 @@ class Chain:
             fields = fields_on_sensor(engine, behind, windows, recording)
             lit = [light_on_pixels(field, self.sensor) for field in fields]
         return [
-            Recorded(distance - self.planes_mm[0], np.sqrt(light).astype(np.float32))
+            Measurement(distance - self.planes_mm[0], np.sqrt(light).astype(np.float32))
             for distance, light in zip(self.planes_mm, lit, strict=True)
         ]
 
     def reconstructed(
-        self, planes: Sequence[Recorded], refocus_um: float, method: Method, iterations: int
+        self, planes: Sequence[Measurement], refocus_um: float, method: Method, iterations: int
     ) -> NDArray[np.complexfloating]:
         """Transmission of the object that is found behind recorded amplitudes, through the nominal lens.
 
@@ -217,8 +217,8 @@ class Chain:
             As of :class:`ReconstructedContrast`.
         """
         from wavesim import reconstruct
-        from wavesim.objects.patch import transmission_of
         from wavesim.reconstruction.resumable import retrieve_resumably
+        from wavesim.targets.patch import transmission_of
 
         depth_um = self.patch.wavelength_um / self.lens.object.numerical_aperture**2
         moved = abs(refocus_um) > LEAST_REFOCUS * depth_um
@@ -239,7 +239,7 @@ class Chain:
             tv_weight="auto" if noisy else QUIET_TV,
             iterations=iterations,
             scale=1.0,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         return np.asarray(found.transmission.values)
 

@@ -30,7 +30,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
-    from wavesim import Recorded
+    from wavesim import Measurement
 
 
 FRAMES = 2
@@ -122,8 +122,8 @@ class ReconstructedContrast(Merit):
         InputError
             For a patch larger than the field, or planes that tell too little of the phase.
         """
-        from wavesim.camera.windows import LEAST_DIVERSITY, diversity
-        from wavesim.objects.patch import object_patch
+        from wavesim.sensor.windows import LEAST_DIVERSITY, diversity
+        from wavesim.targets.patch import object_patch
 
         patch = object_patch(lens, self.patch_mm, wavelength_um=self.wavelength_um)
         figure = diversity(lens, patch, lens.sensor.plane_distances_mm)
@@ -160,7 +160,7 @@ class ReconstructedContrast(Merit):
         return np.array(scores)
 
     def _chain(self, lens: Lens) -> Chain:
-        from wavesim.objects.patch import object_patch
+        from wavesim.targets.patch import object_patch
 
         width_um = self.line_width_um
         pitch_um = 1e3 * object_patch(lens, self.patch_mm, wavelength_um=self.wavelength_um).grid.pitch_mm
@@ -176,7 +176,9 @@ class ReconstructedContrast(Merit):
             sets = ((self.orientation, (0.0, 0.0)),)
         return Chain(lens, patch, sets, width_um, self.ground)
 
-    def _score(self, chain: Chain, system: Placement, planes: Sequence[Recorded], refocused: bool) -> float:
+    def _score(
+        self, chain: Chain, system: Placement, planes: Sequence[Measurement], refocused: bool
+    ) -> float:
         """Contrast of the worse set of bars in what is reconstructed from one trial's planes."""
         from wavesim import refocus
         from wavesim.pupil import remove_shift

@@ -12,7 +12,7 @@ from lensdesign.errors import TransferLensError
 Result = TypeVar("Result")
 
 
-def contained(work: Callable[[], Result], file: str) -> Result:
+def run_user_code(work: Callable[[], Result], file: str) -> Result:
     """Do what a user's code does.
 
     Exceptions of every kind become ordinary ones, ``sys.exit`` among them: it would end a run with status 0,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from lensdesign.tracing.bundles import PupilSamples
+    from lensdesign.raytrace.bundles import PupilSamples
     from tolerancing.merits.arrival import Arrival
     from tolerancing.merits.compensators import Compensator, ModelPupils
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
@@ -90,7 +90,7 @@ class Context:
 
     def stop_samples(self) -> PupilSamples:
         """Points on the stop through which rays go, with weights; the last ring is the rim."""
-        from lensdesign.tracing.bundles import pupil_rings
+        from lensdesign.raytrace.bundles import pupil_rings
 
         return pupil_rings(self.sampling.rings, self.sampling.arms, edge=True)
 

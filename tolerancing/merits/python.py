@@ -15,7 +15,7 @@ from pydantic import Field, PrivateAttr, field_validator
 from lensdesign.errors import DesignError, InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import LARGEST_SCORE, Merit
-from tolerancing.merits.containment import contained
+from tolerancing.merits.containment import run_user_code
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch
 from wavesim.scene.placement import Placement
@@ -120,7 +120,7 @@ class PythonMerit(Merit):
         systems = context.placements(batch, self.wavelength_um)
 
         def score(trial: Trial) -> float:
-            return contained(lambda: _number(function(trial), self.function), self.file_name)
+            return run_user_code(lambda: _number(function(trial), self.function), self.file_name)
 
         return np.array(
             [
@@ -173,7 +173,7 @@ def function_of(source: str, function: str) -> Any:
     file, _, name = function.rpartition(":")
     namespace: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}
     try:
-        contained(lambda: exec(compile(source, file, "exec"), namespace), file)
+        run_user_code(lambda: exec(compile(source, file, "exec"), namespace), file)
     except TransferLensError as error:
         raise DesignError(f"{file}: cannot be run: {error}") from error
     found = namespace.get(name)

@@ -17,7 +17,7 @@ from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
-    from lensdesign.tracing.bundles import PupilSamples
+    from lensdesign.raytrace.bundles import PupilSamples
 
 SAME_HEIGHT = 1e-6
 """Field heights that differ by less than this fraction of the half field are one."""

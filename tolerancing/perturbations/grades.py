@@ -15,10 +15,10 @@ import tomli_w
 from lensdesign.analysis.matching import match
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.fabrication.drawing.tolerances import GENERAL, MERCURY_LINE_UM
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.paths import FIELD_SHARES
+from lensdesign.manufacture.drawing.tolerances import GENERAL, MERCURY_LINE_UM
+from lensdesign.raytrace.paths import FIELD_SHARES
 
 COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601

@@ -14,7 +14,7 @@ from lensdesign.analysis.form_error import TEST_WAVELENGTH_UM
 from lensdesign.common.arrays import Array
 from lensdesign.lens.figure import SurfaceFigure, figure_from_zernike
 from lensdesign.lens.zernikes import zernike, zernike_orders
-from lensdesign.tracing.bundles import pupil_rings
+from lensdesign.raytrace.bundles import pupil_rings
 
 INDICES = (3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14)
 """OSA/ANSI indices: astigmatism, coma, trefoil and the fourth radial order."""

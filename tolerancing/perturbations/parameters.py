@@ -359,7 +359,7 @@ def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
     )
 
 
-def refuse_beside_meridian(parameter: PerturbedParameter) -> None:
+def validate_in_meridian(parameter: PerturbedParameter) -> None:
     """Refuse a parameter that takes light out of the plane x = 0, or whose effect a line does not show.
 
     Raises

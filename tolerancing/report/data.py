@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from tolerancing.analysis.approximations import Approximation, approximations_of
-from tolerancing.analysis.correlation import RankCorrelation, rank_correlation
-from tolerancing.analysis.parabolas import Sensitivity
-from tolerancing.analysis.sensitivities import study_sensitivities
-from tolerancing.analysis.summary import Summary
-from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.statistics.approximations import Approximation, approximations_of
+from tolerancing.statistics.correlation import RankCorrelation, rank_correlation
+from tolerancing.statistics.quadratic_response import Sensitivity
+from tolerancing.statistics.sensitivities import study_sensitivities
+from tolerancing.statistics.summary import Summary
+from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 from tolerancing.study.study import Study
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class ReportData:
     record: StudyRecord
     nominal: Mapping[str, float]
     results: TrialResults
-    dear: DearResults | None
+    dear: HighFidelityResults | None
     steps: Sequence[StepResults]
     summary: Summary
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError, atomic_path
-from tolerancing.analysis.summary import Summary
 from tolerancing.report.blocks import Block, Report, plain
 from tolerancing.report.data import ReportData
 from tolerancing.report.sections.designed import Front, designed_section, read_front
+from tolerancing.statistics.summary import Summary
 from tolerancing.store.store import Store
 
 
@@ -64,7 +64,7 @@ def write_report(
     for path in vars(files).values():
         if os.path.exists(path) and path.samefile(store.path):
             raise InputError(f"cannot write {path}: it is the store itself; give another folder")
-    shown = Beside(
+    shown = ReportComparison(
         None if beside is None else report_data(beside).summary,
         None if front is None else read_front(Path(front)),
     )
@@ -80,11 +80,11 @@ def write_report(
 
 def report_data(store: Store) -> ReportData:
     """All that a store's report is made from."""
-    from tolerancing.analysis.summary import summary_of
+    from tolerancing.statistics.summary import summary_of
 
     loaded, record, nominal = store.loaded, store.record(), store.nominal()
     results, steps = store.trials(), store.steps()
-    dear = store.dear() if store.study.dear_merits else None
+    dear = store.dear() if store.study.high_fidelity_merits else None
     return ReportData(
         loaded=loaded,
         record=record,
@@ -97,14 +97,16 @@ def report_data(store: Store) -> ReportData:
 
 
 @dataclass(frozen=True)
-class Beside:
+class ReportComparison:
     """What a report puts beside its own lens: another store's results, and an exploration's front."""
 
     before: Summary | None = None
     front: Front | None = None
 
 
-def report_of(data: ReportData, written: str | None = None, beside: Beside = Beside()) -> Report:
+def report_of(
+    data: ReportData, written: str | None = None, beside: ReportComparison = ReportComparison()
+) -> Report:
     """The report's content, whatever it is rendered to.
 
     Parameters
@@ -134,7 +136,7 @@ def report_of(data: ReportData, written: str | None = None, beside: Beside = Bes
     )
 
 
-def _blocks(data: ReportData, written: str, beside: Beside) -> Sequence[Block]:
+def _blocks(data: ReportData, written: str, beside: ReportComparison) -> Sequence[Block]:
     from tolerancing.report.sections.method import fidelity_section, method_section, reproduction_section
     from tolerancing.report.sections.reconstruction import reconstruction_section
     from tolerancing.report.sections.series import series_section, trial_pictures

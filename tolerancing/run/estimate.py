@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from lensdesign.common.text import duration_text
 from tolerancing.merits.context import Context
 from tolerancing.run.tasks import Task
-from tolerancing.study.evaluate import context_of, realise, score_dear, score_trials
+from tolerancing.study.evaluate import context_of, sample_perturbations, score_high_fidelity, score_trials
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.results import WORST
 from tolerancing.study.study import Study
@@ -81,8 +81,8 @@ def estimate_run(
         each = _seconds(lambda: score_trials(context, study, range(few))) / few
     seconds = each * lacking["trials"] + sum(_step_seconds(context, study, step, single) for step in steps)
     if lacking["dear"]:
-        score_dear(context, study, (0,), (WORST,))
-        seconds += lacking["dear"] * _seconds(lambda: score_dear(context, study, (0,), (WORST,)))
+        score_high_fidelity(context, study, (0,), (WORST,))
+        seconds += lacking["dear"] * _seconds(lambda: score_high_fidelity(context, study, (0,), (WORST,)))
     counts = (lacking["trials"], len(steps), lacking["dear"])
     setup = _setup_seconds(context, study, lacking["trials"], steps)
     return RunEstimate(*counts, workers, setup + seconds / max(workers, 1))
@@ -90,7 +90,7 @@ def estimate_run(
 
 def _setup_seconds(context: Context, study: Study, trials: int, steps: Sequence[Task]) -> float:
     """What each worker sets up once for further trials and steps, as their merits tell."""
-    batches = [realise(study, range(min(trials, MOST_LOOKED_AT)))] if trials else []
+    batches = [sample_perturbations(study, range(min(trials, MOST_LOOKED_AT)))] if trials else []
     batches += [
         batch for task in steps if (batch := study.series[task.series].batch(context, task.step)) is not None
     ]

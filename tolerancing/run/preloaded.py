@@ -42,7 +42,7 @@ PLATE = {
 def preload() -> None:
     """Import, trace one ray, and keep the collector of garbage away from what is there for good."""
     from lensdesign.lens.lens import Lens
-    from lensdesign.tracing.rays import trace
+    from lensdesign.raytrace.rays import trace
 
     gc.disable()
     for name in MODULES:

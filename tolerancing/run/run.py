@@ -20,8 +20,8 @@ from tolerancing.run.tasks import (
     Task,
     all_tasks,
     chunk_size,
-    dear_counts,
-    missing_dear,
+    high_fidelity_counts,
+    missing_high_fidelity,
     missing_steps,
     missing_trials,
 )
@@ -200,8 +200,8 @@ def _score(
     """Fill the store: steps and trials, then what these choose for the dear merits."""
     study = loaded.study
     _store_results(store, perform, chain(missing_steps(study, store), trials), tally)
-    if study.dear_merits:
-        _store_results(store, perform, missing_dear(study, store, planned), tally)
+    if study.high_fidelity_merits:
+        _store_results(store, perform, missing_high_fidelity(study, store, planned), tally)
 
 
 def _store_results(store: Store, perform: Perform, tasks: Iterable[Task], tally: _Tally) -> None:
@@ -218,10 +218,10 @@ def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
     study = loaded.study
     trials = planned - store.trial_count(planned)
     steps = sum(len(series) for series in study.series) - len(store.finished_steps())
-    if trials or not study.dear_merits:
-        dear = sum(dear_counts(study, planned))
+    if trials or not study.high_fidelity_merits:
+        dear = sum(high_fidelity_counts(study, planned))
     else:
-        dear = sum(1 for _ in missing_dear(study, store, planned))
+        dear = sum(1 for _ in missing_high_fidelity(study, store, planned))
     return {"steps": steps, "trials": trials, "dear": dear}
 
 

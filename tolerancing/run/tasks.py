@@ -12,11 +12,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tolerancing.analysis.control_variates import Chosen, choose_trials
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
+from tolerancing.statistics.control_variates import TrialChoice, choose_trials
 from tolerancing.store.store import Store
-from tolerancing.study.evaluate import score_dear, score_step, score_trials
+from tolerancing.study.evaluate import score_high_fidelity, score_step, score_trials
 from tolerancing.study.results import RANDOM, WORST, Results
 from tolerancing.study.study import Study
 
@@ -62,7 +62,7 @@ class Task:
 def perform(context: Context, study: Study, task: Task) -> Results:
     """Do one task."""
     if task.chosen:
-        return score_dear(context, study, task.trials, task.chosen)
+        return score_high_fidelity(context, study, task.trials, task.chosen)
     if task.trials:
         return score_trials(context, study, task.trials)
     return score_step(context, study, task.series, task.step)
@@ -126,27 +126,27 @@ def missing_trials(store: Store, planned: int, size: int, workers: int, in_order
             yield Task(trials=lacking)
 
 
-def missing_dear(study: Study, store: Store, planned: int) -> Iterator[Task]:
+def missing_high_fidelity(study: Study, store: Store, planned: int) -> Iterator[Task]:
     """Dear scores that a store with all its trials still lacks, trial by trial, the worst first."""
     chosen = chosen_trials(study, store.scores(predictor(study).label, planned))
     for trials, why in ((chosen.worst, WORST), (chosen.random, RANDOM)):
         for trial in trials.tolist():
-            if store.lacks_dear(trial):
+            if store.lacks_high_fidelity(trial):
                 yield Task(trials=(trial,), chosen=(why,))
 
 
 def predictor(study: Study) -> Merit:
     """The cheap merit that trials are chosen by: that of the study's first dear merit."""
-    label = study.dear_merits[0].predicted_by
+    label = study.high_fidelity_merits[0].predicted_by
     return next(merit for merit in study.merits if merit.label == label)
 
 
-def dear_counts(study: Study, trials: int) -> tuple[int, int]:
+def high_fidelity_counts(study: Study, trials: int) -> tuple[int, int]:
     """How many of the worst and of the other trials the study's `fidelity` chooses.
 
     A share above 0 is at least one trial, as long as there are trials.
     """
-    if not study.dear_merits:
+    if not study.high_fidelity_merits:
         return 0, 0
     shares = study.fidelity.worst_share, study.fidelity.random_share
     worst, random = (max(round(share * trials), 1) if share > 0.0 else 0 for share in shares)
@@ -154,7 +154,7 @@ def dear_counts(study: Study, trials: int) -> tuple[int, int]:
     return worst, min(random, trials - worst)
 
 
-def chosen_trials(study: Study, cheap_scores: ArrayLike) -> Chosen:
+def chosen_trials(study: Study, cheap_scores: ArrayLike) -> TrialChoice:
     """The trials to choose, which follow from the study and the scores alone.
 
     Parameters
@@ -165,4 +165,4 @@ def chosen_trials(study: Study, cheap_scores: ArrayLike) -> Chosen:
         Of all trials, by :func:`predictor`; NaN where there is none.
     """
     margin = predictor(study).margin(cheap_scores)
-    return choose_trials(margin, study.seed, *dear_counts(study, len(margin)))
+    return choose_trials(margin, study.seed, *high_fidelity_counts(study, len(margin)))

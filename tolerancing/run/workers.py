@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from lensdesign.common.clusters import refuse_other_version, worker_name
+from lensdesign.common.clusters import check_same_version, worker_name
 from lensdesign.errors import InputError
 from tolerancing.run.processes import follow_parent
 from tolerancing.run.tasks import Task, perform
@@ -96,7 +96,7 @@ def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
 
         from tolerancing.study.files import load_from_files
 
-        refuse_other_version(parcel.toolkit_version)
+        check_same_version(parcel.toolkit_version)
         threadpool_limits(limits=1, user_api="blas")
         folder = TemporaryDirectory(prefix="tolerancing-")
         loaded = load_from_files(parcel.name, parcel.files, Path(folder.name))

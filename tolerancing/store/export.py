@@ -42,8 +42,8 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     columns |= dict.fromkeys(number_columns(study), "number")
     columns |= {"passed": "flag", "seconds": "number", "finished": "number"}
     own = [f'trial."{name}"' for name in columns]
-    if study.dear_merits:
-        dear: Columns = {"chosen": "text"} | {m.column: "number" for m in study.dear_merits}
+    if study.high_fidelity_merits:
+        dear: Columns = {"chosen": "text"} | {m.column: "number" for m in study.high_fidelity_merits}
         own += [f'dear."{name}"' for name in dear] + ["dear.message", "dear.seconds"]
         columns |= dear | {"dear_message": "text", "dear_seconds": "number"}
     query = (

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tolerancing.merits.base import Merit
-from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 from tolerancing.study.study import Study
 
 Rows = list[tuple[Any, ...]]
@@ -147,7 +147,7 @@ def number_columns(study: Study) -> tuple[str, ...]:
 
 def study_tables(study: Study) -> str:
     """SQL that makes the tables of trials, and the view that joins all that is known of each."""
-    dear = [m.column for m in study.dear_merits]
+    dear = [m.column for m in study.high_fidelity_merits]
     return (
         "CREATE TABLE trial (trial INTEGER PRIMARY KEY, status TEXT NOT NULL, message TEXT NOT NULL, "
         f"{_reals(number_columns(study))}passed INTEGER NOT NULL, seconds REAL NOT NULL, "
@@ -194,7 +194,7 @@ def trial_rows(results: TrialResults) -> Rows:
     ]
 
 
-def dear_rows(results: DearResults) -> Rows:
+def high_fidelity_rows(results: HighFidelityResults) -> Rows:
     """Rows of the table of dear scores."""
     finished = time.time()
     return [

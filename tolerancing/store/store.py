@@ -40,7 +40,7 @@ from tolerancing.store.file import check_is_store, connect, put_log_away, report
 from tolerancing.store.schema import (
     MeritRecord,
     StudyRecord,
-    dear_rows,
+    high_fidelity_rows,
     insert,
     number_columns,
     picture_rows,
@@ -49,7 +49,7 @@ from tolerancing.store.schema import (
 )
 from tolerancing.store.trust import without_leave
 from tolerancing.study.files import LoadedStudy, load_from_files
-from tolerancing.study.results import DearResults, Picture, Results, StepResults, TrialResults
+from tolerancing.study.results import HighFidelityResults, Picture, Results, StepResults, TrialResults
 from tolerancing.study.study import MOST_TRIALS, Study
 
 __all__ = ["Store", "StudyRecord", "create_store", "open_store"]
@@ -231,8 +231,8 @@ class Store:
             for results in batches:
                 if isinstance(results, TrialResults):
                     insert(self._connection, "trial", trial_rows(results))
-                elif isinstance(results, DearResults):
-                    insert(self._connection, "dear", dear_rows(results))
+                elif isinstance(results, HighFidelityResults):
+                    insert(self._connection, "dear", high_fidelity_rows(results))
                 else:
                     insert(self._connection, "step", step_rows(results))
                     insert(self._connection, "picture", picture_rows(results))
@@ -247,7 +247,7 @@ class Store:
         held = {row[0] for row in self._rows(query)}
         return tuple(trial for trial in trials if trial not in held)
 
-    def lacks_dear(self, trial: int) -> bool:
+    def lacks_high_fidelity(self, trial: int) -> bool:
         """Whether a trial has no dear scores."""
         return not self._rows(f"SELECT 1 FROM dear WHERE trial = {trial}")
 
@@ -303,9 +303,9 @@ class Store:
         scores[numbers] = rows[:, 1]
         return scores
 
-    def dear(self) -> DearResults:
+    def dear(self) -> HighFidelityResults:
         """All dear scores, by trials in order."""
-        merits = self.study.dear_merits
+        merits = self.study.high_fidelity_merits
         names = "".join(f', "{merit.column}"' for merit in merits)
         rows = self._rows(f"SELECT trial, chosen, message, seconds{names} FROM dear ORDER BY trial")
         with undamaged(self.path):
@@ -314,7 +314,7 @@ class Store:
             scores = np.array([row[4:] for row in rows], float).reshape(len(rows), len(merits))
             seconds = np.array([row[3] for row in rows], float)
             check_scores("dear", scores)
-        return DearResults(
+        return HighFidelityResults(
             trials=tuple(row[0] for row in rows),
             chosen=tuple(row[1] for row in rows),
             scores=scores,

@@ -1,7 +1,15 @@
-from .evaluate import context_of, decide_levels, nominal_scores, realise, score_dear, score_step, score_trials
+from .evaluate import (
+    context_of,
+    decide_levels,
+    nominal_scores,
+    sample_perturbations,
+    score_high_fidelity,
+    score_step,
+    score_trials,
+)
 from .files import LoadedStudy, load_from_files, load_study, save_study
 from .priors import Priors, calibration_priors
-from .results import DearResults, Picture, StepResults, TrialResults
+from .results import HighFidelityResults, Picture, StepResults, TrialResults
 from .scoring import score_batch
 from .series import Series
 from .slice_counts import SliceCounts
@@ -11,8 +19,8 @@ from .sweep import STEPS, OneAtATime, ParameterGrid, Sweep
 
 __all__ = [
     "STEPS",
-    "DearResults",
     "Fidelity",
+    "HighFidelityResults",
     "LoadedStudy",
     "OneAtATime",
     "ParameterGrid",
@@ -30,10 +38,10 @@ __all__ = [
     "load_from_files",
     "load_study",
     "nominal_scores",
-    "realise",
+    "sample_perturbations",
     "save_study",
     "score_batch",
-    "score_dear",
+    "score_high_fidelity",
     "score_step",
     "score_trials",
     "start_study",

@@ -15,7 +15,7 @@ from tolerancing.merits.base import Merit, all_passed
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.draws import probabilities
-from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 from tolerancing.study.scoring import fault_text, score_batch
 from tolerancing.study.series import LinePairSection
 from tolerancing.study.study import Study
@@ -77,7 +77,7 @@ def check_trial_memory(study: Study, trials: int) -> None:
     check_memory(TRIAL_COPIES * 8.0 * trials * columns, f"trials = {trials}", "take fewer trials")
 
 
-def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:
+def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBatch:
     """Draw the deltas of given trials.
 
     A trial's values depend on nothing but the study and its number: on the perturbations, their order, the
@@ -106,7 +106,7 @@ def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:
 def score_trials(context: Context, study: Study, trials: Sequence[int]) -> TrialResults:
     """Draw and score some trials of a study; one that fails says why and spoils no other."""
     start = time.perf_counter()
-    batch = realise(study, trials)
+    batch = sample_perturbations(study, trials)
     scores, messages = score_batch(study.merits, context, batch)
     extras = np.column_stack(
         [_tolerant(merit.uncompensated, context, batch) for merit in study.compensated]
@@ -118,15 +118,17 @@ def score_trials(context: Context, study: Study, trials: Sequence[int]) -> Trial
     return TrialResults(tuple(trials), batch.values, scores, extras, messages, passed, seconds)
 
 
-def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Sequence[str]) -> DearResults:
+def score_high_fidelity(
+    context: Context, study: Study, trials: Sequence[int], chosen: Sequence[str]
+) -> HighFidelityResults:
     """Score some trials by the dear merits."""
-    batch = realise(study, trials)
+    batch = sample_perturbations(study, trials)
     rows = []
     for one in batch.single_trials():
         start = time.perf_counter()
-        scores, (message,) = score_batch(study.dear_merits, context, one)
+        scores, (message,) = score_batch(study.high_fidelity_merits, context, one)
         rows.append((scores[0], message, time.perf_counter() - start))
-    return DearResults(
+    return HighFidelityResults(
         trials=tuple(trials),
         chosen=tuple(chosen),
         scores=np.array([row[0] for row in rows]),
@@ -219,7 +221,7 @@ def _level(merit: Merit, context: Context, study: Study) -> str:
     able = merit.able_levels()
     if merit.level != "auto" or len(able) == 1:
         return merit.used_level if merit.level != "auto" else able[0]
-    batch = realise(study, range(min(PROBED_TRIALS, study.trials)))
+    batch = sample_perturbations(study, range(min(PROBED_TRIALS, study.trials)))
     try:
         scores = {level: merit.model_copy(update={"level": level}).scores(context, batch) for level in able}
     except TransferLensError:

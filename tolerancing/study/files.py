@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
-from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, refuse_outside
+from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, validate_inside
 from lensdesign.common.section import Section
 from lensdesign.common.toml_files import joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
@@ -102,7 +102,7 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
     study = study_from_tables(read_toml(path), str(path), path.parent)
     design = path.parent / study.design
     if allowed_folder() is not None:  # of a store: its own, not a design of the reader
-        refuse_outside(design, path, "design", DesignError)
+        validate_inside(design, path, "design", DesignError)
     lens = load_design(design)
     # A length in another unit often is the cause of other faults: it comes first.
     _refuse([*doubted_study_lengths(study, lens), *_faults_against(study, lens)], str(path))
@@ -259,7 +259,9 @@ def _with_its_file(item: Section, folder: Path, source: str, where: str) -> Sect
     if not isinstance(item, Perturbation | Merit):
         return item
     if item.file_name is not None:
-        refuse_outside(folder / item.file_name, folder / Path(source).name, where.removeprefix(f"{source}: "))
+        validate_inside(
+            folder / item.file_name, folder / Path(source).name, where.removeprefix(f"{source}: ")
+        )
     return item.loaded(folder)
 
 

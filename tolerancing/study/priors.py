@@ -16,7 +16,7 @@ from tolerancing.perturbations.irregularity import INDICES, draw_shape, peak_to_
 from tolerancing.perturbations.parameters import RADII, Perturbation
 from tolerancing.study.files import load_study
 from wavesim.calibration.parameters import all_names
-from wavesim.camera.mounting import RIGID, WORKING_DISTANCE
+from wavesim.sensor.mounting import RIGID, WORKING_DISTANCE
 
 SHAPES = 400
 """Figures that are drawn to see how much of an irregularity each of its terms is."""

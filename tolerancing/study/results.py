@@ -58,7 +58,7 @@ class TrialResults:
 
 
 @dataclass(frozen=True)
-class DearResults:
+class HighFidelityResults:
     """Scores of the dear merits for trials that were chosen.
 
     Attributes
@@ -141,4 +141,4 @@ class StepResults:
     seconds: float
 
 
-Results = TrialResults | DearResults | StepResults
+Results = TrialResults | HighFidelityResults | StepResults

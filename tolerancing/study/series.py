@@ -83,7 +83,7 @@ class LinePairSection(Section):
     def _something(self) -> Any:
         if not self.merits and not self.line_widths_um:
             raise ValueError("nothing to score: give merits or line_widths_um")
-        refuse_twice(self, "line_widths_um", "merits")
+        validate_unique(self, "line_widths_um", "merits")
         shared = [pairs.label for pairs in self.line_pairs() if pairs.label in self.merits]
         if shared:
             raise ValueError(
@@ -119,7 +119,7 @@ class LinePairSection(Section):
         return (*(m for m in merits if m.label in self.merits), *self.line_pairs())
 
 
-def refuse_twice(section: Section, *keys: str) -> None:
+def validate_unique(section: Section, *keys: str) -> None:
     """Refuse lists in which something stands twice, with a ValueError."""
     for key in keys:
         items = getattr(section, key)

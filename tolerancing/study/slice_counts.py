@@ -21,10 +21,10 @@ from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.parameters import Name
 from tolerancing.study.results import Picture, StepResults
-from tolerancing.study.series import Coordinates, Series, refuse_twice
+from tolerancing.study.series import Coordinates, Series, validate_unique
 
 if TYPE_CHECKING:
-    from wavesim.evaluation import LineContrast
+    from wavesim.metrics import LineContrast
 
 BARS = 5
 
@@ -65,7 +65,7 @@ class SliceCounts(Section, Series):
 
     @model_validator(mode="after")
     def _consistent(self) -> SliceCounts:
-        refuse_twice(self, "slices", "compensations", "line_widths_um")
+        validate_unique(self, "slices", "compensations", "line_widths_um")
         strangers = [n for n in self.picture_slices if n not in self.slices]
         if strangers:
             raise ValueError(
@@ -114,7 +114,7 @@ class SliceCounts(Section, Series):
         )
 
     def seconds(self, context: Context, step: int) -> float:
-        from wavesim.evaluation import resolving_seconds
+        from wavesim.metrics import resolving_seconds
 
         return self._by_slices(resolving_seconds, context, step)
 

@@ -107,7 +107,7 @@ class Study(Section):
         return tuple(m for m in self.all_merits if m.predicted_by is None)
 
     @property
-    def dear_merits(self) -> tuple[Merit, ...]:
+    def high_fidelity_merits(self) -> tuple[Merit, ...]:
         """The merits that chosen trials are scored by."""
         return tuple(m for m in self.all_merits if m.predicted_by is not None)
 
@@ -154,17 +154,17 @@ class Study(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:
-        refuse_repeated([p.column for p in self.perturbations], "two perturbations")
-        refuse_repeated([m.label for m in self.all_merits], "two merits")
-        refuse_repeated([c.column for c in self.compensators], "two compensators")
-        refuse_repeated([s.label for s in self.series], "two sweeps, grids or slice counts")
+        validate_not_repeated([p.column for p in self.perturbations], "two perturbations")
+        validate_not_repeated([m.label for m in self.all_merits], "two merits")
+        validate_not_repeated([c.column for c in self.compensators], "two compensators")
+        validate_not_repeated([s.label for s in self.series], "two sweeps, grids or slice counts")
         columns = [
             *RESERVED_COLUMNS,
             *(p.column for p in self.perturbations),
             *(m.column for m in self.all_merits),
             *self.extra_columns,
         ]
-        refuse_repeated(columns, "a perturbation or merit and another column")
+        validate_not_repeated(columns, "a perturbation or merit and another column")
         self._check_names()
         self._check_settings()
         self.dependence  # noqa: B018  refuses what does not go together
@@ -175,13 +175,13 @@ class Study(Section):
         labels = [m.label for m in self.merits]
         if not labels:
             raise ValueError("merit: all are predicted_by another; at least one must score all trials")
-        for merit in self.dear_merits:
-            refuse_unknown_merit(f"merit {merit.label!r}: predicted_by", merit.predicted_by, labels)
+        for merit in self.high_fidelity_merits:
+            validate_merit_name(f"merit {merit.label!r}: predicted_by", merit.predicted_by, labels)
         every = [m.label for m in self.all_merits]
         for kind, parts in (("sweep", self.sweeps), ("grid", self.grids)):
             for part in parts:
                 for label in part.merits:
-                    refuse_unknown_merit(f"{kind} {part.label!r}: merits", label, every)
+                    validate_merit_name(f"{kind} {part.label!r}: merits", label, every)
 
     def _check_settings(self) -> None:
         """Refuse settings of the reconstruction that no merit follows, or that have no derivative."""
@@ -206,13 +206,13 @@ class Study(Section):
         return (*self.perturbations, *self.sweeps, *axes)
 
 
-def refuse_unknown_merit(what: str, label: str | None, allowed: Sequence[str]) -> None:
+def validate_merit_name(what: str, label: str | None, allowed: Sequence[str]) -> None:
     """Refuse the name of a merit that is not there, with a ValueError."""
     if label not in allowed:
         raise ValueError(f"{what}: there is no merit {label!r}; allowed: {', '.join(allowed)}")
 
 
-def refuse_repeated(names: Iterable[str], what: str) -> None:
+def validate_not_repeated(names: Iterable[str], what: str) -> None:
     """Refuse a name that stands twice, with a ValueError."""
     seen: set[str] = set()
     for name in names:

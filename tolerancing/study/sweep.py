@@ -16,7 +16,7 @@ from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import Name, Perturbation, PerturbedParameter
 from tolerancing.study.results import StepResults
-from tolerancing.study.series import Coordinates, LinePairSection, Series, refuse_twice, score_perturbed
+from tolerancing.study.series import Coordinates, LinePairSection, Series, score_perturbed, validate_unique
 
 STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Where each perturbation is scored alone, in fractions of its tolerance."""
@@ -50,7 +50,7 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
             )
         if self.picture_values and not self.line_widths_um:
             raise ValueError("picture_values: pictures are of line pairs; give line_widths_um")
-        refuse_twice(self, "values")
+        validate_unique(self, "values")
         self.check_setting(self.values)
         return self
 
@@ -85,7 +85,7 @@ class GridAxis(PerturbedParameter):
 
     @model_validator(mode="after")
     def _distinct(self) -> GridAxis:
-        refuse_twice(self, "values")
+        validate_unique(self, "values")
         self.check_setting(self.values)
         return self
 

@@ -13,9 +13,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated, traded
-from wavesim.calibration.joint.fast_grid import on_fast_grid
+from wavesim.calibration.joint.fast_grid import with_fast_shape
 from wavesim.calibration.joint.pixels import AllPixels, Pixels
-from wavesim.calibration.joint.search import JointSearch, Stand
+from wavesim.calibration.joint.search import JointSearch, SearchState
 from wavesim.calibration.joint.some_pixels import pixels_apart, some_pixels
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
@@ -26,13 +26,6 @@ from wavesim.calibration.parameters import (
     chosen_parameters,
     with_priors,
 )
-from wavesim.camera.frame_sets import recorded_planes
-from wavesim.camera.frames import Frame
-from wavesim.camera.light_of_frames import light_of_frames
-from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
-from wavesim.camera.recorded import noise_misfit
-from wavesim.camera.recording import Progress
-from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
@@ -41,6 +34,13 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
+from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.light_of_frames import light_of_frames
+from wavesim.sensor.measurement import noise_misfit
+from wavesim.sensor.patch_of_frames import key_of_frames, patch_of_frames
+from wavesim.sensor.recording import Progress
+from wavesim.sensor.windows import exit_scene, imaging_engine
 
 HELD = 5
 """Arrays as large as all parameters' changes of all pixels that a search holds at its end."""
@@ -68,19 +68,19 @@ class Seen:
         priors: Mapping[str, float] | None = None,
     ) -> None:
         self.lens, self.settings, self.priors = lens, settings, priors or {}
-        self.framed = framed = framed_patch(lens, frames, settings)
+        self.framed = framed = patch_of_frames(lens, frames, settings)
         self.recorded = tuple(recorded_planes(frames))
         self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
         self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
         self._behind = light_of_frames(self.scene, framed.frames, framed.light)
         self._made: dict[str, Engine] = {}
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
-        told = settings.scale, settings.active_width, self.make
+        told = settings.scale, settings.fill_factor, self.make
         some, apart = None, pixels_apart(framed.patch, self.scene)
         if apart > 1 and settings.engine == EikonalTiles.name:
             every = AllPixels(self.scene, light, self.recorded, *told)
             some = some_pixels(every, framed.frames, apart)
-        scene, recorded = on_fast_grid(self.scene, self.recorded)
+        scene, recorded = with_fast_shape(self.scene, self.recorded)
         self.pixels: Pixels = some or AllPixels(scene, light, recorded, *told)
 
     def make(self, scene: Scene) -> Engine:
@@ -225,18 +225,18 @@ class _Run:
         self._start, self.names, self._checkpoint = start, names, checkpoint
         self.kept = 0
 
-    def begun(self) -> Stand:
+    def begun(self) -> SearchState:
         """Where an earlier run was cut off, or the start."""
         kept = None if self._checkpoint is None else self._checkpoint.load()
         if kept is None:
-            return Stand(self._start)
+            return SearchState(self._start)
         self.kept = len(kept["misfits"])
         rows = zip(kept["values"].tolist(), kept["misfits"].tolist(), strict=True)
         trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
         here = self._start.changed(self.names, kept["here"].tolist())
-        return Stand(here, int(kept["stage"]), float(kept["stretch"]), trail)
+        return SearchState(here, int(kept["stage"]), float(kept["stretch"]), trail)
 
-    def keep(self, stand: Stand) -> None:
+    def keep(self, stand: SearchState) -> None:
         """After each step."""
         self.kept = len(stand.trail)
         if self._checkpoint is None:

@@ -16,11 +16,11 @@ from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.parameters import Unknowns, all_names
-from wavesim.camera.mounting import mounting_of, mounting_table, read_table
-from wavesim.evaluation.verdicts import Verdict
+from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import StopOrigin
+from wavesim.sensor.mounting import mounting_of, mounting_table, read_table
 
 NOT_TOLD = 0.5
 """Share of what is expected of a parameter: with a standard deviation beyond it, frames do not tell."""
@@ -65,7 +65,7 @@ class Calibrated:
     stopped_because : str
         What ended the search.
     misfit_of_noise : float or None
-        What the stated noise alone would leave (:func:`wavesim.camera.recorded.noise_misfit`).
+        What the stated noise alone would leave (:func:`wavesim.sensor.measurement.noise_misfit`).
     traded : mapping
         Of parameters that frames do not tell from others: names of the others.
     nominal : tuple of str
@@ -97,7 +97,7 @@ class Calibrated:
     nominal: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
     applied: Mapping[str, float] | None = None
-    verdict: Verdict | None = None
+    verdict: GoodnessOfFit | None = None
     covariance: Array | None = None
     field_stop_mm: float | None = None
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0)

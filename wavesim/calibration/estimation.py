@@ -17,29 +17,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_whole
+from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum
-from wavesim.camera.mounting import (
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.scene.bench import Bench
+from wavesim.scene.engine import Engine
+from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement, noise_misfit
+from wavesim.sensor.mounting import (
     DECENTERS,
     RIGID,
     TILTS,
     light_on,
     planes_at,
-    refuse_parameters,
+    validate_parameters,
     values_of,
     with_values,
 )
-from wavesim.camera.recorded import Recorded, noise_misfit
-from wavesim.engines.choosing import engine_for
-from wavesim.fields.field import Field
-from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.bench import Bench
-from wavesim.scene.engine import Engine
-from wavesim.scene.placement import NOMINAL, Placement
-from wavesim.scene.scene import Scene, placed_scene
 
 Make = Callable[[Scene], Engine]
 Progress = Callable[[str, int, Placement, float], None]
@@ -66,12 +66,12 @@ def eikonal_tiles(scene: Scene) -> Engine:
 def calibrate(
     scene: Scene,
     illumination: Field,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     *,
     known: Field,
     parameters: Sequence[str] = RIGID,
     scale: float | None = None,
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     start: Placement = NOMINAL,
     make: Make = eikonal_tiles,
     most_mountings: int = 80,
@@ -90,8 +90,8 @@ def calibrate(
     known
         Transmission of the object.
     parameters
-        What is unknown, by the names of :func:`wavesim.camera.mounting.parameter_names`.
-    scale, active_width
+        What is unknown, by the names of :func:`wavesim.sensor.mounting.parameter_names`.
+    scale, fill_factor
         As of :func:`wavesim.reconstruct`.
     start
         Where the search begins, and what holds for parameters that are not sought.
@@ -107,11 +107,11 @@ def calibrate(
     InputError
         If a value or a shape is not usable, or no light gets through the lens at the start.
     """
-    refuse_parameters(parameters, len(recorded))
-    refuse_not_whole("most_mountings", most_mountings, 1)
+    validate_parameters(parameters, len(recorded))
+    validate_whole_number("most_mountings", most_mountings, 1)
     if known.grid != illumination.grid:
         raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
-    seen = _Seen(scene, illumination, recorded, known, scale, active_width, make)
+    seen = _Seen(scene, illumination, recorded, known, scale, fill_factor, make)
     begin, rigid = start, tuple(name for name in parameters if name in RIGID)
     if rigid:
         coarse = _Trail("coarse", seen.shadows, start, rigid, progress)
@@ -152,10 +152,10 @@ class _Seen:
 
     scene: Scene
     illumination: Field
-    recorded: Sequence[Recorded]
+    recorded: Sequence[Measurement]
     known: Field
     scale: float | None
-    active_width: float
+    fill_factor: float
     make: Make
 
     def shadows(self, mounting: Placement, names: Sequence[str]) -> Response:
@@ -176,13 +176,13 @@ class _Seen:
             fits_scale=self.scale is None,
         )
 
-    def _model(self, mounting: Placement) -> RecordingModel:
-        return RecordingModel(
+    def _model(self, mounting: Placement) -> ForwardModel:
+        return ForwardModel(
             self.make(placed_scene(self.scene, mounting)),
             light_on(self.illumination, mounting),
             planes_at(self.recorded, mounting),
             self.scale,
-            self.active_width,
+            self.fill_factor,
         )
 
 

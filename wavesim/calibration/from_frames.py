@@ -17,18 +17,12 @@ from wavesim.calibration.bench_search import Seen, searched
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.estimation import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
-from wavesim.camera.frame_sets import planes_of_frames
-from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import RIGID, light_on, parameter_names, planes_at, refuse_parameters
-from wavesim.camera.patch_of_frames import refuse_doubtful_frames
-from wavesim.camera.recording import Progress
-from wavesim.evaluation.verdicts import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
 from wavesim.fields.field import Field
-from wavesim.objects.patch import lit, lit_patch, read_object
+from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
 from wavesim.reconstruction.field_stop import StopSearch
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.reconstruction.linear.linearised import Linearised
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.scene import placed_scene
@@ -38,6 +32,12 @@ from wavesim.scene.settings import (
     ReconstructionSettings,
     SettingError,
 )
+from wavesim.sensor.frame_sets import planes_of_frames
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.mounting import RIGID, light_on, parameter_names, planes_at, validate_parameters
+from wavesim.sensor.patch_of_frames import validate_frames
+from wavesim.sensor.recording import Progress
+from wavesim.targets.patch import lit, lit_patch, read_object
 
 SEEN_OVER_NOISE, SEEN = 4.0, 0.2
 """What a smooth light leaves of frames that saw an object: times the noise, or, where there is much of that,
@@ -105,7 +105,7 @@ def calibrate_frames(
         If empty frames are not quite explained.
     """
     chosen = (settings or CalibrationSettings()).replaced(**changes)
-    refuse_doubtful_frames(lens, frames, chosen)
+    validate_frames(lens, frames, chosen)
     tell = progress or (lambda what, done, count: None)
     settings = _with_stop(lens, frames, chosen, tell)
     found = _calibrated(lens, frames, settings, known, empty, priors, folder, tell, judges)
@@ -136,7 +136,7 @@ def _with_stop(
         lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
-        settings.active_width,
+        settings.fill_factor,
         progress=lambda text: tell(text, 0, 0),
     )
     return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
@@ -165,7 +165,7 @@ def _calibrated(
     if empty is None:
         found = searched(seen, seen.parameters(), begin, kept_in, tell)
         return _judged(lens, frames, settings, found, tell) if judges else found
-    refuse_other_frames(empty, frames)
+    validate_same_frames(empty, frames)
     measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=tell)
     rest = tuple(p for p in seen.parameters(light_order=0) if p.name in measured.parameters)
     if not rest:
@@ -210,7 +210,7 @@ def calibrate_empty(
         If the frames are not quite explained.
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
-    refuse_doubtful_frames(lens, empty, settings)
+    validate_frames(lens, empty, settings)
     seen = Seen(lens, empty, settings, priors)
     tell = progress or (lambda what, done, count: None)
     everything = seen.parameters("all", light_order=LIGHT_ORDER_ALONE)
@@ -242,7 +242,7 @@ def calibrate_empty(
 _HINT = "; where lens or camera are not as designed, all that differs is sought by `wavesim calibrate`"
 
 
-def refuse_other_frames(empty: Sequence[Frame], frames: Sequence[Frame]) -> None:
+def validate_same_frames(empty: Sequence[Frame], frames: Sequence[Frame]) -> None:
     """Refuse frames without an object that are not of the light, the pixels and the planes of the object's.
 
     Raises
@@ -307,7 +307,7 @@ def _of_known_object(seen: Seen, found: Calibrated, known: Field) -> Calibrated:
     bench, settings = found.bench, seen.settings
     engine = seen.make(placed_scene(seen.scene, bench.placement))
     light, planes = light_on(seen.framed.light, bench), planes_at(seen.recorded, bench)
-    model = RecordingModel(engine, light, planes, settings.scale, settings.active_width)
+    model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor)
     if settings.scale is None:
         model.scale = Linearised(model, np.asarray(known.values), True).scale
     nothing = np.zeros(0, np.intp)
@@ -328,7 +328,7 @@ def _mounting_alone(seen: Seen, known: Field, tell: Progress) -> Calibrated:
         known=known,
         parameters=_named(settings.parameters, parameter_names(len(seen.framed.planes_mm))),
         scale=settings.scale,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         start=seen.start,
         make=seen.make,
         most_mountings=settings.most_mountings,
@@ -343,7 +343,7 @@ def _named(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:
     groups = {"rigid": RIGID, "all": allowed}
     names = groups.get(text) or tuple(part.strip() for part in text.split(",") if part.strip())
     try:
-        refuse_parameters(names, len(allowed) - len(RIGID) - 1)
+        validate_parameters(names, len(allowed) - len(RIGID) - 1)
     except InputError as error:
         raise SettingError(f"{{parameters}} = {text!r}: {error}; or: rigid, all") from None
     return names

@@ -9,10 +9,10 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.lens.poses import rotation_matrix
-from wavesim.camera.mounting import DECENTERS, TILTS
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.scene.placement import Placement
+from wavesim.sensor.mounting import DECENTERS, TILTS
 
 ComplexArray = NDArray[np.complexfloating]
 

@@ -16,7 +16,8 @@ from lensdesign.errors import InputError
 from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
-from wavesim.camera.mounting import (
+from wavesim.scene.bench import Bench, Orders
+from wavesim.sensor.mounting import (
     DECENTERS,
     PLANE_DISTANCE,
     RIGID,
@@ -24,7 +25,6 @@ from wavesim.camera.mounting import (
     WORKING_DISTANCE,
     with_values,
 )
-from wavesim.scene.bench import Bench, Orders
 
 Part = Literal["light", "lens", "mounting", "camera"]
 

@@ -28,22 +28,22 @@ from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled
-from wavesim.camera.frame_sets import recorded_planes
-from wavesim.camera.frames import Frame
-from wavesim.camera.imaging import image
-from wavesim.camera.recorded import noise_misfit
-from wavesim.camera.recording import Progress
-from wavesim.camera.windows import TILE_ERROR, diversity, exit_scene, footprint_mm
 from wavesim.engines.choosing import engine_for
-from wavesim.evaluation.judgement import truth_metrics
 from wavesim.fields.field import Field
-from wavesim.objects.patch import Patch, lit, object_patch
-from wavesim.reconstruction.doubts.held_out import hold_out
+from wavesim.metrics.judgement import truth_metrics
+from wavesim.reconstruction.diagnostics.held_out import hold_out
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
-from wavesim.scene.lengths import refuse_doubtful_lengths
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import ITERATIONS, Kind, PatchSettings, PlanSettings
+from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.imaging import image
+from wavesim.sensor.measurement import noise_misfit
+from wavesim.sensor.recording import Progress
+from wavesim.sensor.windows import TILE_ERROR, diversity, exit_scene, footprint_mm
+from wavesim.targets.patch import Patch, lit, object_patch
 
 SIDE, SAMPLES = 144, 192
 """Pixels across the light on the farthest plane, and samples of the object, that a twin has at most."""
@@ -154,10 +154,10 @@ class Plan:
     planes_mm : tuple of float
         From the exit vertex of the lens itself.
     exposures : tuple of float
-        Of each plane, as multiples of what gives the brightest share.
+        Exposure times of each plane; 1 gives the peak fill of the brightest pixel.
     correlation : float
         Lowest correlation of the object found with the true one
-        (:func:`wavesim.evaluation.metrics.object_correlation`), of all objects tried.
+        (:func:`wavesim.metrics.contrast.object_correlation`), of all objects tried.
     misfit_over_noise : float
         Misfit of the frames over that of their noise, of the object that is explained worst: far above 1,
         the object that explains the frames was not found.
@@ -317,7 +317,7 @@ def plan_frames(
         If a value is not usable.
     """
     settings = (settings or PlanSettings()).replaced(**changes)
-    refuse_doubtful_lengths(lens, settings)
+    validate_lengths(lens, settings)
     near, far = _range(lens, settings)
     patch_mm = lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm
     patch = object_patch(lens, patch_mm, wavelength_um=settings.wavelength_um)
@@ -463,7 +463,7 @@ class _Tries(NamedTuple):
             tv_weight="auto",
             iterations=ITERATIONS["object"],
             until_noise=True,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         noise = noise_misfit(given)
         correlation = truth_metrics(

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wavesim.calibration.motion import gradient, motion
-from wavesim.camera.mounting import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.placement import Placement
+from wavesim.sensor.mounting import WORKING_DISTANCE, plane_of
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -58,7 +58,7 @@ class Response:
 
 
 def mounting_response(
-    model: RecordingModel,
+    model: ForwardModel,
     transmission: ComplexArray,
     mounting: Placement,
     parameters: Sequence[str],
@@ -129,7 +129,7 @@ def _response(recorded: RealArray, seen: RealArray, changes: RealArray, scale: f
 
 
 def _change_behind(
-    model: RecordingModel, lit: Field, behind: Field, mounting: Placement, name: str
+    model: ForwardModel, lit: Field, behind: Field, mounting: Placement, name: str
 ) -> ComplexArray:
     """Change of the field on the exit grid for a unit of a parameter of lens or object."""
     if name == WORKING_DISTANCE:
@@ -146,7 +146,7 @@ class _Plane:
 
     def __init__(
         self,
-        model: RecordingModel,
+        model: ForwardModel,
         number: int,
         spectrum: ComplexArray,
         known: NDArray[np.bool_] | None,

@@ -11,7 +11,7 @@ from wavesim.scene.settings import FrameSetSettings, SettingError
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from wavesim.camera.frames import Frame
+    from wavesim.sensor.frames import Frame
 
 FRAMES = "frame_*.tif"
 """In a folder of `wavesim image`."""
@@ -28,7 +28,7 @@ def read_empty(
     paths: Sequence[Path] | None, of_frames: FrameSetSettings, lens: Lens
 ) -> tuple[Frame, ...] | None:
     """Frames without an object: those named, and those of folders that `wavesim image` wrote."""
-    from wavesim.camera.frame_sets import read_frames
+    from wavesim.sensor.frame_sets import read_frames
 
     if not paths:
         return None

@@ -19,7 +19,7 @@ from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSe
 
 if TYPE_CHECKING:
     from wavesim.calibration.calibrated import Calibrated
-    from wavesim.camera.frames import Frame
+    from wavesim.sensor.frames import Frame
 
 FILE = "calibration.json"
 
@@ -45,9 +45,9 @@ def calibrate(
     within their noise, and 1 if they are not. An interrupted run goes on with the same command.
     """
     from wavesim.calibration.from_frames import calibrate_frames
-    from wavesim.camera.frame_sets import read_frames
-    from wavesim.pictures.result_files import remove_unfinished
+    from wavesim.plots.result_files import remove_unfinished
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
+    from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
@@ -84,10 +84,10 @@ def write_calibration(
     found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], told: dict[str, Any], output: Path
 ) -> dict[str, Any]:
     """Write table and picture of a calibration together; gives the table."""
-    from wavesim.camera.frame_sets import planes_of_frames
-    from wavesim.pictures.calibrations import calibration_figure
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.result_files import new_results, write_json
+    from wavesim.plots.calibrations import calibration_figure
+    from wavesim.plots.frames import save
+    from wavesim.plots.result_files import new_results, write_json
+    from wavesim.sensor.frame_sets import planes_of_frames
 
     summary = {
         "frames": [str(path) for path in paths],
@@ -104,7 +104,7 @@ def write_calibration(
 
 def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
     """Print the estimates with their standard deviations, and the verdict."""
-    from wavesim.objects.patch import stop_words
+    from wavesim.targets.patch import stop_words
 
     rows = []
     deviations = found.deviations or (None,) * len(found.parameters)

@@ -14,7 +14,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.cli.options import AsJson, Design
 from wavesim.cli.resolve import PlaneDistanceMm
 from wavesim.cli.runs import print_table
-from wavesim.scene.lengths import refuse_doubtful_lengths
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import DEFAULT_ERROR, ChoiceSettings
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def choose(
     from wavesim.scene.patches import patch_scene
 
     lens = load_design(design)
-    refuse_doubtful_lengths(lens, settings)
-    refuse_doubtful_lengths(
+    validate_lengths(lens, settings)
+    validate_lengths(
         lens, {"field_mm": field_mm, "plane_distance_mm": plane_distance_mm}, settings.wavelength_um
     )
     scene = patch_scene(
@@ -76,8 +76,8 @@ def choose(
 def _lit_scene(lens: Lens, scene: Scene, name: str, settings: ChoiceSettings) -> tuple[Scene, Light]:
     """The scene with the object's own samples, and the light behind it; of a line, of its middle column."""
     from wavesim.fields.field import Field
-    from wavesim.objects.patch import lit_patch, make_target
     from wavesim.scene.light import Light
+    from wavesim.targets.patch import lit_patch, make_target
 
     patch, illumination = lit_patch(lens, settings, settings.wavelength_um)
     target = make_target(

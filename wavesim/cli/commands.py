@@ -17,14 +17,14 @@ from wavesim.cli.calibrate import calibrate
 from wavesim.cli.choose import choose
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
-from wavesim.cli.options import AsJson, Design, numbers, refuse_no_picture, with_settings
+from wavesim.cli.options import AsJson, Design, numbers, validate_picture_request, with_settings
 from wavesim.cli.oracle import oracle
 from wavesim.cli.plan import plan
 from wavesim.cli.reconstruct import reconstruct
 from wavesim.cli.resolve import resolve
 from wavesim.cli.runs import print_table
 from wavesim.cli.view import view
-from wavesim.scene.lengths import refuse_doubtful_lengths
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import PoseSettings
 
 app = make_app("Waves through spatial information transfer lenses.")
@@ -55,17 +55,17 @@ def pupil(
     The reconstruction knows only the nominal lens: what the displaced one does otherwise is the phase of
     the reconstruction pupil, and with it contrast and MTF.
     """
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.pupils import pupil_figure
+    from wavesim.plots.frames import save
+    from wavesim.plots.pupils import pupil_figure
     from wavesim.pupil.characteristic import PupilSampler
     from wavesim.pupil.pupil import refocus as to_best_focus
     from wavesim.pupil.pupil import remove_shift
 
     field = numbers(field_mm, "--field-mm", 2)
     widths = numbers(linewidths_um, "--linewidths-um")
-    refuse_no_picture(output)
+    validate_picture_request(output)
     lens = load_design(design)
-    refuse_doubtful_lengths(
+    validate_lengths(
         lens,
         {
             "wavelength_um": wavelength_um,
@@ -74,7 +74,7 @@ def pupil(
             "linewidths_um": widths,
         },
     )
-    refuse_doubtful_lengths(lens, mounted, wavelength_um)
+    validate_lengths(lens, mounted, wavelength_um)
     if math.hypot(*field) > lens.half_field_mm * (1.0 + 1e-9):
         raise InputError(
             f"--field-mm = {field_mm!r}: lies {math.hypot(*field):g} mm from the axis; allowed: up to "

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design
 from wavesim.cli.runs import print_table
-from wavesim.scene.lengths import refuse_doubtful_lengths
+from wavesim.scene.lengths import validate_lengths
 
 PICTURE_DPI = 110
 
@@ -51,15 +51,15 @@ def compare(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from lensdesign.lens.scaling import scaled
-    from wavesim.evaluation.comparison import compare as measure
-    from wavesim.evaluation.comparison import lens_case, variants
-    from wavesim.oracles.registry import oracle_case
-    from wavesim.pictures.comparisons import comparison_figure
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.result_files import write_csv
+    from wavesim.analytic.registry import analytic_case
+    from wavesim.metrics.comparison import compare as measure
+    from wavesim.metrics.comparison import lens_case, variants
+    from wavesim.plots.comparisons import comparison_figure
+    from wavesim.plots.frames import save
+    from wavesim.plots.result_files import write_csv
 
     lens = scaled(load_design(design), scale)
-    refuse_doubtful_lengths(lens, {"patch_mm": patch_mm, "field_mm": field_mm})
+    validate_lengths(lens, {"patch_mm": patch_mm, "field_mm": field_mm})
     if output.exists() and not output.is_dir():
         raise InputError(f"--output = {str(output)!r}: is no folder")
     try:
@@ -72,7 +72,7 @@ def compare(
         size = "" if scale == 1.0 else f", scaled by {scale:g}"
         name = lens.title or design.stem
         cases = {
-            f"line: exact cylinder, radius {radius_mm:g} mm": oracle_case("cylinder", radius_mm=radius_mm),
+            f"line: exact cylinder, radius {radius_mm:g} mm": analytic_case("cylinder", radius_mm=radius_mm),
             f"line: {name}{size}, patch of {patch_mm:g} mm at {field_mm:g} mm": lens_case(
                 lens, patch_mm, field_mm
             ),
@@ -100,11 +100,11 @@ def compare(
 
 def _on_planes(lens: Any, name: str) -> dict[str, Any]:
     from lensdesign.lens.scaling import scaled
-    from wavesim.evaluation.about_axis import axial_case
-    from wavesim.oracles.registry import oracle_case
+    from wavesim.analytic.registry import analytic_case
+    from wavesim.metrics.about_axis import axial_case
 
     cases = {
-        f"plane: exact sphere, radius {SPHERE_RADIUS_MM:g} mm": oracle_case(
+        f"plane: exact sphere, radius {SPHERE_RADIUS_MM:g} mm": analytic_case(
             "sphere", radius_mm=SPHERE_RADIUS_MM
         )
     }
@@ -125,10 +125,10 @@ def _on_planes(lens: Any, name: str) -> dict[str, Any]:
 
 def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
     from lensdesign.lens.scaling import scaled
-    from wavesim.evaluation.failures import failure_maps, map_rows
-    from wavesim.pictures.comparisons import failure_figure
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.result_files import write_csv
+    from wavesim.metrics.failures import failure_maps, map_rows
+    from wavesim.plots.comparisons import failure_figure
+    from wavesim.plots.frames import save
+    from wavesim.plots.result_files import write_csv
 
     twin = scaled(lens, MAP_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
     bar.update(task, total=None, description="failure maps")

@@ -29,8 +29,8 @@ def in_free_space(
 ) -> None:
     """Find the field on z = 0 and write it, with the planes that are asked for."""
     from wavesim.calibration.free_space.field import ITERATIONS, PLAIN, reconstruct_free_space
-    from wavesim.camera.frame_sets import read_frames
-    from wavesim.camera.frames import AssumedWarning
+    from wavesim.sensor.frame_sets import read_frames
+    from wavesim.sensor.frames import AssumedWarning
 
     _refuse_of_lenses(settings, of_lenses)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
@@ -75,10 +75,10 @@ def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list
     import numpy as np
 
     from wavesim.fields.files import write_arrays, write_field
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.objects import object_figure
-    from wavesim.pictures.pyramid import write_pyramid
-    from wavesim.pictures.result_files import new_results, write_csv, write_json
+    from wavesim.plots.frames import save
+    from wavesim.plots.objects import object_figure
+    from wavesim.plots.pyramid import write_pyramid
+    from wavesim.plots.result_files import new_results, write_csv, write_json
 
     pitch_um = 1e3 * found.field.grid.pitch_mm
     with new_results(output) as folder:

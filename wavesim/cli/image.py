@@ -18,8 +18,8 @@ from wavesim.scene.settings import ImageSettings
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from wavesim.camera.imaging import Imaged
-    from wavesim.camera.recording import Recording
+    from wavesim.sensor.imaging import Imaged
+    from wavesim.sensor.recording import Recording
 
 
 def image(
@@ -42,7 +42,7 @@ def image(
     Of a whole field (engine two-level) finished parts are kept: the same command goes on with a run that was
     interrupted.
     """
-    from wavesim.pictures.result_files import remove_unfinished
+    from wavesim.plots.result_files import remove_unfinished
 
     remove_unfinished(output)
     lens = load_design(design)
@@ -73,8 +73,8 @@ def _recorded(
     lens: Lens, name: str, object_: str, settings: ImageSettings, output: Path, as_json: bool
 ) -> dict[str, Any]:
     """Record and write; what was done."""
-    from wavesim.camera.imaging import image as record
-    from wavesim.camera.recording import drop_parts
+    from wavesim.sensor.imaging import image as record
+    from wavesim.sensor.recording import drop_parts
 
     before = None if as_json else memory_teller(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
@@ -136,7 +136,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
 
 def _finest(imaged: Imaged) -> dict[str, Any]:
     """The finest element of a chart, and what keeps finer ones out of it."""
-    from wavesim.evaluation.charts import chart_end
+    from wavesim.metrics.charts import chart_end
 
     elements = imaged.target.elements
     if not elements:
@@ -163,12 +163,12 @@ def _names(recording: Recording) -> list[tuple[str, float]]:
 
 def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     """Names of the files written."""
-    from wavesim.camera.frames import write_frame
     from wavesim.fields.files import write_field
-    from wavesim.pictures.frames import frames_figure, save
-    from wavesim.pictures.objects import object_figure
-    from wavesim.pictures.pyramid import write_pyramid
-    from wavesim.pictures.result_files import new_results, write_json
+    from wavesim.plots.frames import frames_figure, save
+    from wavesim.plots.objects import object_figure
+    from wavesim.plots.pyramid import write_pyramid
+    from wavesim.plots.result_files import new_results, write_json
+    from wavesim.sensor.frames import write_frame
 
     patch, transmission = imaged.patch, imaged.target.transmission
     with new_results(output) as folder:
@@ -191,7 +191,7 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from wavesim.objects.patch import stop_words
+    from wavesim.targets.patch import stop_words
 
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
     across, down = sensor["pixels"]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
-from pydantic import ValidationError
+from pydantic import AliasChoices, ValidationError
 from pydantic.fields import FieldInfo
 
 from lensdesign.common.console import message_console
@@ -78,7 +78,7 @@ def _parameters(model: type[Section]) -> list[inspect.Parameter]:
     """One for each field, annotated as Typer reads it."""
     made = []
     for name, field in model.model_fields.items():
-        flags = [] if field.annotation is bool else [_option(field.alias or name)]
+        flags = [] if field.annotation is bool else _flags(name, field)
         kind = _typed(field)
         typed: Any = Annotated[kind, typer.Option(*flags, help=field.description)]
         default = field.get_default(call_default_factory=True)
@@ -86,6 +86,13 @@ def _parameters(model: type[Section]) -> list[inspect.Parameter]:
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_text(default), annotation=typed)
         )
     return made
+
+
+def _flags(name: str, field: FieldInfo) -> list[str]:
+    """Return the option of a field, and those of its former names."""
+    if isinstance(field.validation_alias, AliasChoices):
+        return [_option(str(choice)) for choice in field.validation_alias.choices]
+    return [_option(field.alias or name)]
 
 
 def _typed(field: FieldInfo) -> Any:
@@ -187,7 +194,7 @@ def numbers(text: str, option: str, count: int | None = None) -> list[float]:
     return values
 
 
-def refuse_no_picture(path: Path | None) -> None:
+def validate_picture_request(path: Path | None) -> None:
     """Refuse a file to write a picture to whose name does not say that it is one.
 
     Raises

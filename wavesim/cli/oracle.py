@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from wavesim.analytic.registry import ORACLES
 from wavesim.cli.options import AsJson, print_warnings, settings_text
 from wavesim.cli.runs import print_table
 from wavesim.engines.registry import ENGINES
-from wavesim.oracles.registry import ORACLES
 from wavesim.scene.settings import SingleEngineDetails
 
 
@@ -28,10 +28,10 @@ def oracle(
     The error is the L2 norm of the difference of both exit fields over that of the exact one; neither phase
     nor amplitude is fitted. What is left out stays at the oracle's and the engine's own choice.
     """
-    from wavesim.evaluation.accuracy import run_oracle
+    from wavesim.metrics.accuracy import run_analytic_case
 
     of_oracle = {"semi_diameter_mm": semi_diameter_mm, "incidence_deg": incidence_deg}
-    result = run_oracle(
+    result = run_analytic_case(
         engine,
         oracle,
         radius_mm,

@@ -12,7 +12,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, Design, print_warnings, refuse_no_picture
+from wavesim.cli.options import AsJson, Design, print_warnings, validate_picture_request
 from wavesim.cli.runs import print_table, progress
 from wavesim.scene.settings import PlanSettings
 
@@ -36,10 +36,10 @@ def plan(
     all objects reach --correlation is recommended. What the prediction assumes is listed.
     """
     from wavesim.calibration.planning import plan_frames
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.plans import plans_figure
+    from wavesim.plots.frames import save
+    from wavesim.plots.plans import plans_figure
 
-    refuse_no_picture(output)
+    validate_picture_request(output)
     lens = load_design(design)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -41,12 +41,12 @@ SHOWN_DISPLACEMENT = 0.2
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibrated import Calibrated
-    from wavesim.camera.frames import Frame
     from wavesim.fields.field import Field
-    from wavesim.objects.usaf import UsafElement
     from wavesim.reconstruction.found import FoundObject
     from wavesim.runtime.memory import Memory
     from wavesim.scene.bench import Bench
+    from wavesim.sensor.frames import Frame
+    from wavesim.targets.usaf import UsafElement
 
 
 def reconstruct(
@@ -74,11 +74,11 @@ def reconstruct(
     likely differs is tried and named. An interrupted run goes on with the same command from the last
     iterations that it kept.
     """
-    from wavesim.camera.frame_sets import read_frames
-    from wavesim.evaluation.verdicts import STOP_CAUSE, Finding, with_finding
-    from wavesim.pictures.result_files import remove_unfinished
+    from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, with_finding
+    from wavesim.plots.result_files import remove_unfinished
     from wavesim.reconstruction.from_frames import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
+    from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
     if free.free_space:
@@ -193,7 +193,7 @@ def _calibrated(
 
     With a bench that is calibrated already, the light alone is sought anew.
     """
-    from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, refuse_other_frames
+    from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, validate_same_frames
     from wavesim.scene.bench import Bench
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
@@ -210,7 +210,7 @@ def _calibrated(
                 progress=tell,
                 judges=False,  # the reconstruction that follows is
             )
-        refuse_other_frames(empty, frames)
+        validate_same_frames(empty, frames)
         start = bench or Bench(Placement(settings.pose))
         return calibrate_empty(
             lens, empty, sought, start=start, folder=output, progress=tell, parameters="light"
@@ -255,9 +255,9 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     """Write all files together, and return their names."""
     import numpy as np
 
-    from wavesim.pictures.frames import curves_figure, residual_figure, save
-    from wavesim.pictures.objects import object_figure
-    from wavesim.pictures.result_files import new_results, write_csv, write_json
+    from wavesim.plots.frames import curves_figure, residual_figure, save
+    from wavesim.plots.objects import object_figure
+    from wavesim.plots.result_files import new_results, write_csv, write_json
 
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
     distances = [plane.distance_mm for plane in found.planes]
@@ -298,7 +298,7 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
 def _pack(transmission: Field, folder: Path) -> None:
     """Write the object itself."""
     from wavesim.fields.files import write_field
-    from wavesim.pictures.pyramid import write_pyramid
+    from wavesim.plots.pyramid import write_pyramid
 
     x_mm, y_mm = transmission.grid.centre_mm
     for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
@@ -309,7 +309,7 @@ def _pack(transmission: Field, folder: Path) -> None:
 
 def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
     """The finest element of the chart that is resolved, or else the widest that is there."""
-    from wavesim.objects.region import holds
+    from wavesim.targets.region import holds
 
     if not found.charts:
         return None
@@ -349,7 +349,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
 
 
 def _figures(summary: dict[str, Any]) -> list[str]:
-    from wavesim.objects.patch import stop_words
+    from wavesim.targets.patch import stop_words
 
     words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])
     lines = [f"{words}, {STOP_ORIGINS[summary['field_stop_from']]}"]

@@ -13,9 +13,16 @@ from lensdesign.common.outputs import output_file
 from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, Design, numbers, print_warnings, refuse_no_picture, settings_text
+from wavesim.cli.options import (
+    AsJson,
+    Design,
+    numbers,
+    print_warnings,
+    settings_text,
+    validate_picture_request,
+)
 from wavesim.cli.runs import print_table
-from wavesim.scene.lengths import refuse_doubtful_lengths
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import SingleEngineDetails
 
 PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
@@ -53,13 +60,13 @@ def resolve(
     reference engine and brought back by each one named, then refocused and registered: what is left of their
     contrast is what that engine's model of the lens allows.
     """
-    from wavesim.pictures.frames import save
-    from wavesim.pictures.resolving import resolving_figure
+    from wavesim.plots.frames import save
+    from wavesim.plots.resolving import resolving_figure
 
-    refuse_no_picture(output)
+    validate_picture_request(output)
     lens = load_design(design)
     widths, heights = numbers(linewidths_um, "--linewidths-um"), numbers(field_mm, "--field-mm")
-    refuse_doubtful_lengths(
+    validate_lengths(
         lens,
         {
             "wavelength_um": wavelength_um,
@@ -68,7 +75,7 @@ def resolve(
             "plane_distance_mm": plane_distance_mm,
         },
     )
-    refuse_doubtful_lengths(lens, details, wavelength_um)
+    validate_lengths(lens, details, wavelength_um)
     engines = _engines(engine or ["slices"], details.details())
     common = {
         "reference": reference,
@@ -106,7 +113,7 @@ def _tests(
     common: dict[str, Any],
 ) -> list[list[Any]]:
     """For each engine, its results at all field heights; with a bar."""
-    from wavesim.evaluation.resolving import resolve as resolving_test
+    from wavesim.metrics.resolving import resolve as resolving_test
 
     tests: list[list[Any]] = []
     with progress_bar() as bar:
@@ -180,7 +187,7 @@ def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dic
 
 
 def _print_resolved(results: list[Any]) -> None:
-    from wavesim.evaluation.metrics import RESOLVED_CONTRAST
+    from wavesim.metrics.contrast import RESOLVED_CONTRAST
 
     first = results[0]
     settings = settings_text(first.settings)
@@ -241,7 +248,7 @@ def _limit(result: Any) -> str:
 
 def _at_end(result: Any) -> str:
     """Widths of lines whose refocusing ended where the search does: they may lie farther, or not be found."""
-    from wavesim.evaluation.resolving import REFOCUS_RANGE_MM, REFOCUS_STEP_MM
+    from wavesim.metrics.resolving import REFOCUS_RANGE_MM, REFOCUS_STEP_MM
 
     most_um = 1e3 * (REFOCUS_RANGE_MM - 2.0 * REFOCUS_STEP_MM)
     widths = [f"{one.line_width_um:g}" for one in result.lines if abs(one.refocus_um) > most_um]

@@ -12,9 +12,9 @@ from lensdesign.common.console import print_whole, progress_bar
 from lensdesign.common.text import finite_or_none, known_text
 
 if TYPE_CHECKING:
-    from wavesim.camera.recording import Progress
     from wavesim.runtime.memory import Memory
     from wavesim.scene.engine import Engine
+    from wavesim.sensor.recording import Progress
 
 
 @contextmanager

@@ -64,7 +64,7 @@ def view(
     is one of the object (the frames of a folder are left out then), or of the frame that RESULT names.
     """
     from wavesim.cli.options import numbers
-    from wavesim.pictures.page import write_zoom_page
+    from wavesim.plots.page import write_zoom_page
 
     region = None if region_mm is None else numbers(region_mm, "--region-mm", 4)
     folder = result.is_dir()
@@ -120,8 +120,8 @@ def _layers(
 
 def _field(path: Path, name: str, region: list[float] | None) -> list[Any]:
     from wavesim.fields.files import read_centre_um, read_field
-    from wavesim.objects.region import cut_out
-    from wavesim.pictures.layers import field_layers
+    from wavesim.plots.layers import field_layers
+    from wavesim.targets.region import cut_out
 
     values, pitch_um = read_field(path)
     centre_um = read_centre_um(path)
@@ -133,9 +133,9 @@ def _field(path: Path, name: str, region: list[float] | None) -> list[Any]:
 def _frame(path: Path, region: list[float] | None, pixel_pitch_um: float | None) -> Any:
     from dataclasses import replace
 
-    from wavesim.camera.frames import read_frame
-    from wavesim.objects.region import cut_out
-    from wavesim.pictures.layers import frame_layer
+    from wavesim.plots.layers import frame_layer
+    from wavesim.sensor.frames import read_frame
+    from wavesim.targets.region import cut_out
 
     if pixel_pitch_um is not None:
         frame = read_frame(path, pixel_pitch_um=pixel_pitch_um, **CAMERA)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lensdesign.common.toml_files import did_you_mean
-from lensdesign.errors import InputError, SamplingError, refuse_not_whole
+from lensdesign.errors import InputError, SamplingError, validate_whole_number
 from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
 from wavesim.fields.guards import SamplingWarning
@@ -161,7 +161,7 @@ def predict(scene: Scene, engine: str, light: Light | None = None, **settings: A
 
 def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> Prediction:
     if light is not None:
-        light.refuse_beside(built.scene)
+        light.validate_same_scene(built.scene)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
@@ -247,7 +247,7 @@ def _chosen(
     for name, value in (("memory_gb", memory_gb), ("seconds", seconds)):
         if not value > 0.0:
             raise InputError(f"{name} = {value!r}: must be above 0")
-    refuse_not_whole("runs", runs, 1)
+    validate_whole_number("runs", runs, 1)
     allowed = Allowed(error, 1e9 * memory_gb, seconds, runs)
     weighed = tuple(predictions(scene, error, light, built))
     holding = [p for p in weighed if allowed.fault(p) is None]

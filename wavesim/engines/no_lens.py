@@ -9,10 +9,10 @@ import math
 from functools import cached_property
 from typing import Any
 
-from wavesim.engines.surfaces.grids import refuse_if_huge
-from wavesim.fields.passage import Passage
+from wavesim.engines.surfaces.grids import check_grid_size
+from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.runtime.arrays import in_double
-from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
 
@@ -34,14 +34,14 @@ class NoLens(Engine):
         self._force = force
 
     @cached_property
-    def _transfer(self) -> Passage:
+    def _transfer(self) -> FreeSpacePropagator:
         scene = self.scene
         index = float(scene.system.index[0, 0])
-        return Passage(scene.object_grid, scene.exit_grid, scene.wavelength_um, index)
+        return FreeSpacePropagator(scene.object_grid, scene.exit_grid, scene.wavelength_um, index)
 
     @cached_property
-    def _prepared(self) -> Passage:
-        refuse_if_huge(self.name, self._transfer.samples, self.cost(), self._force)
+    def _prepared(self) -> FreeSpacePropagator:
+        check_grid_size(self.name, self._transfer.samples, self.cost(), self._force)
         return self._transfer
 
     def _forward(self, values: Any) -> Any:
@@ -53,8 +53,8 @@ class NoLens(Engine):
     def cost(self) -> Cost:
         return Cost(self._transfer.seconds, 0.0, self._transfer.peak_bytes)
 
-    def neglected(self) -> tuple[Neglected, ...]:
-        return (Neglected("the lens", math.nan),)
+    def neglected(self) -> tuple[ErrorTerm, ...]:
+        return (ErrorTerm("the lens", math.nan),)
 
     def settings(self) -> dict[str, Any]:
         return {}

@@ -21,18 +21,18 @@ from numpy.typing import NDArray
 from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.analysis.paraxial import cardinal_points
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import InputError, SamplingError, validate_positive
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
-from lensdesign.tracing.bundles import launch_compiled, pupil_fan
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.rays import trace_compiled
-from wavesim.engines.surfaces.grids import refuse_if_huge
+from lensdesign.raytrace.bundles import launch_compiled, pupil_fan
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.rays import trace_compiled
+from wavesim.engines.surfaces.grids import check_grid_size
 from wavesim.fields.field import Grid
-from wavesim.fields.passage import Passage
+from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.rays.interfaces import transmission
 from wavesim.runtime.arrays import in_double
 from wavesim.runtime.speed import exponential_seconds, pass_seconds
-from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
 FINENESS, WINDOW_MARGIN = 0.9, 1.02
@@ -123,7 +123,7 @@ class ThinLens(Engine):
     def __init__(self, scene: Scene, *, pitch_mm: float | None = None, force: bool = False) -> None:
         super().__init__(scene)
         if pitch_mm is not None:
-            refuse_not_positive("pitch_mm", pitch_mm)
+            validate_positive("pitch_mm", pitch_mm)
         self._pitch_mm, self._force = pitch_mm, force
 
     @cached_property
@@ -189,20 +189,20 @@ class ThinLens(Engine):
         return float(np.prod(factors))
 
     @cached_property
-    def _transfers(self) -> tuple[Passage, Passage]:
+    def _transfers(self) -> tuple[FreeSpacePropagator, FreeSpacePropagator]:
         """From the object to the front principal plane, and from the rear one to the exit."""
         scene, (front, rear) = self.scene, self.lens_grids
         before, behind = (float(n) for n in scene.system.index[0, [0, -1]])
         return (
-            Passage(scene.object_grid, front, scene.wavelength_um, before),
-            Passage(rear, scene.exit_grid, scene.wavelength_um, behind),
+            FreeSpacePropagator(scene.object_grid, front, scene.wavelength_um, before),
+            FreeSpacePropagator(rear, scene.exit_grid, scene.wavelength_um, behind),
         )
 
     @cached_property
-    def _prepared(self) -> tuple[Passage, NDArray[np.complex128], Passage]:
+    def _prepared(self) -> tuple[FreeSpacePropagator, NDArray[np.complex128], FreeSpacePropagator]:
         into, out_of = self._transfers
         size = max(self.lens_grids[0].size, into.samples, out_of.samples)
-        refuse_if_huge(self.name, size, self.cost(), self._force)
+        check_grid_size(self.name, size, self.cost(), self._force)
         return into, self._phase(), out_of
 
     def _forward(self, values: Any) -> Any:
@@ -216,13 +216,13 @@ class ThinLens(Engine):
     def settings(self) -> dict[str, Any]:
         return {"pitch_mm": self.lens_grids[0].pitch_mm}
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         waves, error = self._misfit()
         what = f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
-        found = [Neglected(what, error), *self._figures()]
+        found = [ErrorTerm(what, error), *self._figures()]
         return tuple(sorted(found, key=lambda part: -part.relative_error))
 
-    def _figures(self) -> list[Neglected]:
+    def _figures(self) -> list[ErrorTerm]:
         """The figure of each surface, as the phase that it adds to light along the axis."""
         scene, found = self.scene, []
         for i, figures in enumerate(scene.system.figures):
@@ -234,7 +234,7 @@ class ThinLens(Engine):
                 step = abs(float(scene.system.index[0, i + 1] - scene.system.index[0, i]))
                 waves = rms * step * TEST_WAVELENGTH_UM / scene.wavelength_um
                 error = min(2.0 * math.pi * waves, math.sqrt(2.0))
-                found.append(Neglected(f"figure of surface {i + 1}: {waves:.3g} waves rms", error))
+                found.append(ErrorTerm(f"figure of surface {i + 1}: {waves:.3g} waves rms", error))
         return found
 
     def _misfit(self) -> tuple[float, float]:

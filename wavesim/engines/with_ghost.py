@@ -8,7 +8,7 @@ from typing import Any
 
 from lensdesign.errors import InputError
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.scene.engine import Cost, Engine, Neglected, Tiled
+from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
 from wavesim.scene.ghosts import ghost_of
 from wavesim.scene.light import Light
 from wavesim.scene.settings import SettingError
@@ -66,10 +66,10 @@ class WithGhost(Engine):
             sum(part.peak_bytes_in_single for part in parts),
         )
 
-    def rim_light(self, light: Light) -> float:
-        return self.straight.rim_light(light)
+    def edge_illumination(self, light: Light) -> float:
+        return self.straight.edge_illumination(light)
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         return self.straight.neglected()
 
     def settings(self) -> dict[str, Any]:

@@ -1,13 +1,13 @@
 from .field import Field, Grid, correlation, relative_error
 from .files import read_field, write_field
 from .guards import SamplingWarning, check_propagation, critical_distance_mm, predicted_relative_error
-from .passage import Passage, propagate
+from .propagator import FreeSpacePropagator, propagate
 from .spectrum import SpectrumSupport, spectrum_support
 
 __all__ = [
     "Field",
+    "FreeSpacePropagator",
     "Grid",
-    "Passage",
     "SamplingWarning",
     "SpectrumSupport",
     "check_propagation",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import InputError, SamplingError, validate_positive
 from wavesim.fields.field import Grid, Orientation, axis_of
 
 SAMPLES_PER_FEATURE = 2.0
@@ -66,10 +66,10 @@ def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:
     InputError
         If the grid is a line, or a rectangle reaches beyond it.
     """
-    refuse_line(grid)
+    validate_two_dimensional(grid)
     covered = np.zeros(grid.shape)
     for one in rectangles:
-        refuse_outside(grid, one)
+        validate_inside(grid, one)
         rows, down = _interval(grid.y_mm, grid.pitch_mm, one.low_mm, one.high_mm)
         columns, across = _interval(grid.x_mm, grid.pitch_mm, one.left_mm, one.right_mm)
         covered[rows, columns] += np.outer(down, across)
@@ -82,8 +82,8 @@ def disc_coverage(grid: Grid, radius_mm: float, at_mm: tuple[float, float] = (0.
     The area of a cell on the circle is the second difference of the area of the disc left of and below its
     corners.
     """
-    refuse_line(grid)
-    refuse_not_positive("radius_mm", radius_mm)
+    validate_two_dimensional(grid)
+    validate_positive("radius_mm", radius_mm)
     edges = [
         grid.pitch_mm * (np.arange(count + 1) - 0.5 * count) - middle
         for count, middle in zip(grid.shape, reversed(at_mm), strict=True)
@@ -129,13 +129,13 @@ def half_plane_coverage(distance: Array, cosine: Array, sine: Array) -> Array:
     return np.asarray(np.where(abs(distance) >= outer, distance > 0.0, np.clip(area, 0.0, 1.0)))
 
 
-def refuse_line(grid: Grid) -> None:
+def validate_two_dimensional(grid: Grid) -> None:
     """Raise InputError if a grid is not a plane."""
     if grid.is_line:
         raise InputError(f"grid shape = {grid.shape}: must be a plane, (ny, nx)")
 
 
-def refuse_finer(grid: Grid, width_um: float, what: str) -> None:
+def validate_sampling(grid: Grid, width_um: float, what: str) -> None:
     """Raise SamplingError if a feature is narrower than `SAMPLES_PER_FEATURE` samples."""
     pitch_um = 1e3 * grid.pitch_mm
     if width_um < SAMPLES_PER_FEATURE * pitch_um * ROUNDING:
@@ -145,7 +145,7 @@ def refuse_finer(grid: Grid, width_um: float, what: str) -> None:
         )
 
 
-def refuse_outside(grid: Grid, shape: Rectangle) -> None:
+def validate_inside(grid: Grid, shape: Rectangle) -> None:
     """Raise InputError if a rectangle reaches beyond a grid."""
     half_y, half_x = grid.half_widths_mm
     x, y = grid.centre_mm

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, validate_positive
 from wavesim.runtime.arrays import array_module
 
 Orientation = Literal["x", "y"]
@@ -55,7 +55,7 @@ class Grid:
         whole = all(isinstance(n, int | np.integer) and n > 0 for n in self.shape)
         if len(self.shape) not in (1, 2) or not whole:
             raise InputError(f"grid shape = {self.shape}: must be one or two whole numbers from 1")
-        refuse_not_positive("grid pitch_mm", self.pitch_mm)
+        validate_positive("grid pitch_mm", self.pitch_mm)
         if not (math.isfinite(self.z_mm) and all(math.isfinite(c) for c in self.centre_mm)):
             raise InputError(f"grid z_mm = {self.z_mm!r}, centre_mm = {self.centre_mm!r}: must be finite")
         if self.is_line and self.centre_mm[0] != 0.0:
@@ -156,7 +156,7 @@ class Field:
             raise InputError(
                 f"field values have shape {tuple(self.values.shape)}: the grid's is {self.grid.shape}"
             )
-        refuse_not_positive("wavelength_um", self.wavelength_um)
+        validate_positive("wavelength_um", self.wavelength_um)
 
     @property
     def wavenumber_per_mm(self) -> float:

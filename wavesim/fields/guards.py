@@ -19,9 +19,9 @@ from wavesim.fields.plane_waves import (
     Samples,
     axial_wavenumbers,
     fft_frequencies,
+    largest_lateral_shift_mm,
+    lateral_shift_mm,
     period_counts,
-    steepest_walk_mm,
-    walks_mm,
     windows,
 )
 from wavesim.runtime.arrays import array_module, fftn
@@ -84,7 +84,7 @@ def critical_distance_mm(
     For small angles count pitch^2 / wavelength (Matsushima and Shimobaba 2009); 0 where the pitch holds waves
     at 90 degrees.
     """
-    walk = steepest_walk_mm(grid, wavelength_um, index, 1.0)
+    walk = largest_lateral_shift_mm(grid, wavelength_um, index, 1.0)
     return 0.5 * min(pad or grid.shape) * grid.pitch_mm / walk
 
 
@@ -111,7 +111,7 @@ def measure_propagation(
         return PropagationCheck(0.0, 0.0, 0.0, 0.0, 0.0)
     cycles = fft_frequencies(field.grid.shape, field.grid.pitch_mm, xp)
     kz, propagating = axial_wavenumbers(cycles, field.wavelength_um, field.index, xp)
-    walks = walks_mm(cycles, kz, distance_mm, xp)
+    walks = lateral_shift_mm(cycles, kz, distance_mm, xp)
 
     none = propagating & ~propagating
     edge, fine, lands = none, none, propagating
@@ -232,7 +232,7 @@ def check_propagation(
     return found
 
 
-def refuse_huge(counts: Sequence[int], what: str) -> None:
+def check_sample_count(counts: Sequence[int], what: str) -> None:
     """Refuse more than `MOST_SAMPLES` of a spectrum."""
     if math.prod(counts) > MOST_SAMPLES:
         raise SamplingError(
@@ -257,7 +257,7 @@ def predicted_relative_error(
     Parameters
     ----------
     grid, wavelength_um, distance_mm, pad
-        As of :class:`wavesim.fields.passage.Passage`.
+        As of :class:`wavesim.fields.propagator.FreeSpacePropagator`.
     numerical_aperture
         Sine of the angle at which the intensity is 1/e^2 of that on the axis.
 

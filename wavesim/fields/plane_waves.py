@@ -82,14 +82,14 @@ def axial_wavenumbers(
     return xp.sqrt(xp.where(propagating, squared, xp.zeros_like(squared))), propagating
 
 
-def walks_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float, xp: Any = np) -> list[Any]:
+def lateral_shift_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float, xp: Any = np) -> list[Any]:
     """How far plane waves carry light along each axis over a distance; meaningless where kz is 0."""
     safe = xp.where(kz > 0.0, kz, xp.ones_like(kz))
     return [2.0 * math.pi * distance_mm * cycles / safe for cycles in cycles_per_mm]
 
 
 @dataclass(frozen=True)
-class PassBand:
+class BandLimit:
     """Along one axis, which walks a transfer function lets pass.
 
     Attributes
@@ -115,7 +115,7 @@ class PassBand:
         return xp.sin(0.5 * math.pi * xp.sin(0.5 * math.pi * part) ** 2) ** 2
 
 
-def wave_factor(phase: Any, dtype: Any = None, xp: Any = np) -> Any:
+def phasor_of(phase: Any, dtype: Any = None, xp: Any = np) -> Any:
     """exp(i phase) of phases in float64, which are reduced before they are rounded to a single `dtype`.
 
     complex64 if that is the `dtype`, else complex128.
@@ -136,7 +136,7 @@ def transfer(
     wavelength_um: float,
     index: float,
     distance_mm: float,
-    bands: Sequence[PassBand] | None = None,
+    bands: Sequence[BandLimit] | None = None,
     *,
     dtype: Any = None,
     xp: Any = np,
@@ -149,15 +149,15 @@ def transfer(
     phase = kz * distance_mm
     weight = xp.asarray(propagating, dtype=xp.float64)
     if bands is not None:
-        walks = walks_mm(cycles_per_mm, kz, distance_mm, xp)
+        walks = lateral_shift_mm(cycles_per_mm, kz, distance_mm, xp)
         for cycles, walk, band in zip(cycles_per_mm, walks, bands, strict=True):
             weight = weight * band.weight(walk, xp)
             phase = phase + TURN * band.shift_mm * cycles
-    factor = wave_factor(phase, dtype, xp)
+    factor = phasor_of(phase, dtype, xp)
     return factor * xp.asarray(weight, dtype=xp.float32 if factor.dtype == xp.complex64 else xp.float64)
 
 
-class PlaneWay:
+class TransferFunction:
     """Free space between parallel planes, as a factor of a field's spectrum: `spectrum * way`.
 
     The factor is the same for a frequency and its negative along each axis: a quarter of it is kept, beside
@@ -237,7 +237,7 @@ class PlaneWay:
         return self.times(np.asarray(scipy.fft.fftn(values, workers=-1, overwrite_x=True)), back=True)
 
 
-def steepest_walk_mm(grid: Grid, wavelength_um: float, index: float, distance_mm: float) -> float:
+def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, distance_mm: float) -> float:
     """Walk along an axis of the steepest wave that a grid holds; infinite at 90 degrees."""
     sine = wavelength_um / (2e3 * index * grid.pitch_mm)
     cosine_squared = 1.0 - len(grid.shape) * sine * sine
@@ -254,7 +254,7 @@ def fresnel_length_mm(wavelength_um: float, index: float, distance_mm: float, wa
 
 
 @dataclass(frozen=True)
-class Windows:
+class SamplingWindow:
     """An input and an output window, along one axis.
 
     Attributes
@@ -277,18 +277,18 @@ class Windows:
         """Half the sum of the widths: how far from the shift a walk may be and still end inside."""
         return self.half_in_mm + self.half_out_mm
 
-    def pass_band(self, count: int) -> PassBand:
+    def pass_band(self, count: int) -> BandLimit:
         """What may pass when a period of the field has `count` samples."""
         period = count * self.pitch_mm
         if period >= 2.0 * self.reach_mm:
-            return PassBand(self.shift_mm, self.reach_mm, period - self.reach_mm)
-        return PassBand(self.shift_mm, 0.5 * period, 0.5 * period)
+            return BandLimit(self.shift_mm, self.reach_mm, period - self.reach_mm)
+        return BandLimit(self.shift_mm, 0.5 * period, 0.5 * period)
 
 
-def windows(source: Grid, target: Grid) -> list[Windows]:
+def windows(source: Grid, target: Grid) -> list[SamplingWindow]:
     """For each axis."""
     return [
-        Windows(source.pitch_mm, there - here, half_in, half_out)
+        SamplingWindow(source.pitch_mm, there - here, half_in, half_out)
         for here, there, half_in, half_out in zip(
             centres_mm(source), centres_mm(target), source.half_widths_mm, target.half_widths_mm, strict=True
         )
@@ -305,7 +305,7 @@ def period_counts(
 ) -> tuple[int, ...]:
     """Samples along each axis that a period must have so that no copy of the field reaches the output."""
     counts = []
-    steepest = steepest_walk_mm(source, wavelength_um, index, distance_mm)
+    steepest = largest_lateral_shift_mm(source, wavelength_um, index, distance_mm)
     for axis, pair in enumerate(windows(source, target)):
         farthest = min(pair.reach_mm + abs(pair.shift_mm), steepest)
         fade = FADE_ZONES * fresnel_length_mm(wavelength_um, index, distance_mm, farthest)

@@ -15,7 +15,7 @@ import math
 from numpy import empty, int64
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from wavesim.runtime.fourier import lanes
 from wavesim.runtime.fourier.lanes import (
     LANES,
@@ -32,7 +32,7 @@ from wavesim.runtime.fourier.lanes import (
     whole,
 )
 
-_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 BLOCK, BLOCKS = 1024, 2
 """Columns of the fine plane at a time, at most, and what the number of blocks is a multiple of: threads

@@ -16,7 +16,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, validate_positive
 from wavesim.fields.plane_waves import fft_frequencies
 
 BLOCK = 512
@@ -109,8 +109,8 @@ def spectrum_support(
     InputError
         If values are not usable, or nothing but their mean is there.
     """
-    refuse_not_positive("pitch_mm", pitch_mm)
-    refuse_not_positive("beyond_per_mm", beyond_per_mm)
+    validate_positive("pitch_mm", pitch_mm)
+    validate_positive("beyond_per_mm", beyond_per_mm)
     if not 0.0 < share < 1.0:
         raise InputError(f"share = {share!r}: must lie between 0 and 1")
     if values.ndim not in (1, 2) or not np.all(np.isfinite(values)):

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, validate_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from lensdesign.tracing.bundles import launch
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.bundles import launch
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
 from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
@@ -41,7 +41,7 @@ class PointCharacteristic:
     grid : PupilGrid
         Directions at the object: ``grid.cosines`` holds p = (L, M).
     status : ndarray of int8, shape (samples, samples)
-        :class:`lensdesign.tracing.status.Status` of every ray of the grid; the n inside are OK.
+        :class:`lensdesign.raytrace.status.Status` of every ray of the grid; the n inside are OK.
     object_point_mm : ndarray, shape (3,)
         The point c.
     plane_z_mm : float
@@ -152,8 +152,8 @@ def point_characteristic(
         raise InputError(f"field_mm = {field_mm!r}: must be two finite numbers, x and y")
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 8 <= samples <= 4096:
         raise InputError(f"samples = {samples!r}: must be a whole number from 8 to 4096")
-    refuse_not_positive("plane_distance_mm", plane_distance_mm)
-    refuse_not_positive("wavelength_um", wavelength)
+    validate_positive("plane_distance_mm", plane_distance_mm)
+    validate_positive("wavelength_um", wavelength)
     system = compile_system(lens, wavelength)
     point = np.array([*field, lens.object_z_mm])
     plane_z = lens.exit_vertex_z_mm + plane_distance_mm

@@ -20,9 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
+from lensdesign.errors import InputError, validate_positive, validate_whole_number
 from wavesim.fields.field import Orientation, axis_of
-from wavesim.pupil.pupil import ComplexArray, PupilGrid, ReconstructionPupil, plane_waves, refuse_wide
+from wavesim.pupil.pupil import (
+    ComplexArray,
+    PupilGrid,
+    ReconstructionPupil,
+    plane_waves,
+    validate_pupil_width,
+)
 
 
 def line_pair_contrast(
@@ -199,9 +205,9 @@ class _Target:
 
 @lru_cache(maxsize=512)
 def _target(grid: PupilGrid, width_um: float, axis: int, bars: int) -> _Target:
-    refuse_not_positive("line_width_um", width_um)
-    refuse_not_whole("bars", bars, 2)
-    refuse_wide(
+    validate_positive("line_width_um", width_um)
+    validate_whole_number("bars", bars, 2)
+    validate_pupil_width(
         grid, (2 * bars + 3) * width_um, f"a target of {bars} bars of {width_um:g} um, with its edge,"
     )
     cosines = grid.axes[axis]
@@ -236,6 +242,6 @@ def _along(values: NDArray, axis: int) -> NDArray:
 
 
 def _coordinates(width_um: float, bars: int, points: int) -> Array:
-    refuse_not_whole("points", points, 2)
+    validate_whole_number("points", points, 2)
     half = (bars + 1.5) * width_um
     return np.linspace(-half, half, points)

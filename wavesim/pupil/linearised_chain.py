@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive, refuse_other
+from lensdesign.errors import InputError, validate_choice, validate_positive
 from wavesim.pupil.meridian import Meridian
 from wavesim.pupil.pupil import ComplexArray
 from wavesim.scene.settings import Kind
@@ -77,8 +77,8 @@ class LinearisedChain:
     electrons: float = 1e4
 
     def __post_init__(self) -> None:
-        refuse_other("kind", self.kind, ("amplitude", "complex"))
-        refuse_not_positive("electrons", self.electrons)
+        validate_choice("kind", self.kind, ("amplitude", "complex"))
+        validate_positive("electrons", self.electrons)
 
     @cached_property
     def objects(self) -> Array | ComplexArray:

@@ -22,9 +22,9 @@ from functools import cached_property
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, validate_positive
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.pupil.characteristic import ray_derivatives
 from wavesim.pupil.pupil import ComplexArray
 from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
@@ -120,8 +120,8 @@ class Meridian:
     fans: int = 0
 
     def __post_init__(self) -> None:
-        refuse_not_positive("length_mm", self.length_mm)
-        refuse_not_positive("pixels_per_sample", self.pixels_per_sample)
+        validate_positive("length_mm", self.length_mm)
+        validate_positive("pixels_per_sample", self.pixels_per_sample)
         if self.fans and self.fans < FEWEST_FANS:
             raise InputError(f"fans = {self.fans}: must be 0, or {FEWEST_FANS} or more")
 

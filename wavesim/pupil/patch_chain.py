@@ -26,17 +26,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import InputError, SamplingError, validate_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from lensdesign.tracing.compiled import compile_system
+from lensdesign.raytrace.compiled import compile_system
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.characteristic import point_characteristic
 from wavesim.pupil.focus import reach_um, sought
 from wavesim.pupil.patch_rays import NominalRays, nominal_rays
 from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch, ReturnedPatch
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
-from wavesim.scene.engine import Neglected
+from wavesim.scene.engine import ErrorTerm
 from wavesim.scene.placement import NOMINAL, Placement, placed
 
 WINDOW = {True: 6.0, False: 3.0}
@@ -95,7 +95,7 @@ class PatchChain:
     line: bool = False
 
     def __post_init__(self) -> None:
-        refuse_not_positive("patch_um", self.patch_um)
+        validate_positive("patch_um", self.patch_um)
         _ = self.rays
 
     @cached_property
@@ -171,7 +171,7 @@ class PatchChain:
         """
         return self.perturbed(placement).returned(object_values).values
 
-    def neglected(self, displacement_um: float = 0.0) -> tuple[Neglected, ...]:
+    def neglected(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
         """What is left out, with estimates of the returned field's relative error.
 
         Parameters
@@ -193,7 +193,7 @@ class PatchChain:
             f"{largest:.2g} at most"
         )
         rim = f"the perturbed stop's rim, finer than one of {self.rays.base.grid.samples} samples"
-        return (Neglected(path, 2.0 * math.pi * rms), Neglected(rim, math.nan))
+        return (ErrorTerm(path, 2.0 * math.pi * rms), ErrorTerm(rim, math.nan))
 
 
 def chain_contrast(

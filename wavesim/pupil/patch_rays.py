@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.pupil.characteristic import PointCharacteristic, point_characteristic
 from wavesim.pupil.ray_aiming import Aimed, AimingMap, shoot
 from wavesim.rays.ray_bundles import FoldError

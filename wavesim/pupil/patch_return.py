@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
+from lensdesign.errors import InputError, validate_positive, validate_whole_number
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.focus import axial_path
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
@@ -65,7 +65,7 @@ class PatchGrid:
         axis = axis_of(orientation)
         if self.line and axis == 0:
             raise InputError("orientation = 'x': a meridional line has bars along 'y' only")
-        refuse_not_whole("bars", bars, 2)
+        validate_whole_number("bars", bars, 2)
         length = (2 * bars - 1) * line_width_um
         if not (math.isfinite(line_width_um) and 0.0 < length <= self.side_um):
             raise InputError(
@@ -207,7 +207,7 @@ class PerturbedPatch:
 
     def _noise(self, light: ComplexArray, electrons: float, rng: np.random.Generator | None) -> ComplexArray:
         """Circular complex noise: that of a pixel, averaged over the pixels that each sample stands for."""
-        refuse_not_positive("electrons", electrons)
+        validate_positive("electrons", electrons)
         if rng is None:
             raise InputError("electrons are given: noise needs an rng, as of numpy.random.default_rng(seed)")
         side_mm = self.rays.base.grid.spacing / self.pixel_mm

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Orientation, axis_of
-from wavesim.fields.plane_waves import wave_factor
+from wavesim.fields.plane_waves import phasor_of
 
 ComplexArray = NDArray[np.complex128]
 
@@ -149,7 +149,7 @@ class ReconstructionPupil:
     @cached_property
     def phasor(self) -> ComplexArray:
         """exp(i k dV) at the samples, shape (n,); 0 where not valid."""
-        values: ComplexArray = wave_factor(2.0 * np.pi * self.opd_waves)
+        values: ComplexArray = phasor_of(2.0 * np.pi * self.opd_waves)
         values[~self.valid] = 0.0
         return values
 
@@ -314,7 +314,7 @@ def psf(pupil: ReconstructionPupil, half_width_um: float, points: int = 129) -> 
         raise InputError(
             f"half_width_um = {half_width_um:g}, points = {points}: must be above 0, and at least 2"
         )
-    refuse_wide(pupil.grid, 2.0 * half_width_um, "the point spread's window")
+    validate_pupil_width(pupil.grid, 2.0 * half_width_um, "the point spread's window")
     coordinates = np.linspace(-half_width_um, half_width_um, points)
     across, down = (plane_waves(axis, coordinates, pupil.wavelength_um) for axis in pupil.grid.axes)
     field = down @ pupil.function @ across.T
@@ -360,7 +360,7 @@ def mtf(
     return np.asarray(np.hypot(*at) / correlation[0].real)
 
 
-def refuse_wide(grid: PupilGrid, width_um: float, what: str) -> None:
+def validate_pupil_width(grid: PupilGrid, width_um: float, what: str) -> None:
     """SamplingError if something in the object plane is wider than the grid's period."""
     if width_um > grid.window_um:
         needed = int(np.ceil(grid.samples * width_um / grid.window_um))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
-from lensdesign.tracing.compiled import CompiledSystem
-from lensdesign.tracing.rays import RayTrace, trace_compiled
+from lensdesign.raytrace.compiled import CompiledSystem
+from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from wavesim.scene.placement import Placement
 
 PATH_TOLERANCE_WAVES = 1e-4

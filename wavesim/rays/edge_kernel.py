@@ -9,9 +9,9 @@ import math
 from numpy import empty, int64
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit
 
-_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
 @_jit

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.detours import STEP_SHARES, Detours
 from wavesim.rays.edge_kernel import at_arms
+from wavesim.rays.edge_path_difference import STEP_SHARES, EdgePathDifference
 from wavesim.rays.ray_bundles import OpenPupil
 from wavesim.scene.scene import Scene
 
@@ -219,7 +219,7 @@ def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
         z of the plane behind the lens.
     """
     for every in (EVERY, 1) if _is_smooth(pupil) else (1,):
-        found = _followed(Detours(scene, point_mm, pupil, plane_z_mm, every))
+        found = _followed(EdgePathDifference(scene, point_mm, pupil, plane_z_mm, every))
         if every == 1 or (np.all(found.good) and len(set(found.moves < 0.0)) == 1):
             break
     terms = _between(found.terms, every, CUBIC)
@@ -262,7 +262,7 @@ class _Followed:
     good: NDArray[np.bool_]
 
 
-def _followed(detours: Detours) -> _Followed:
+def _followed(detours: EdgePathDifference) -> _Followed:
     """March along arms to both sides of the rim."""
     inwards, detour, moved, good = _beside(detours)
     line, arms = detours.pupil.is_line, np.arange(len(detours.reach))
@@ -288,7 +288,7 @@ def _followed(detours: Detours) -> _Followed:
     return _Followed(terms, deep, seen, moves, good)
 
 
-def _beside(detours: Detours) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _beside(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Ways inwards and detours next to the rim on either side, shape (2, arms), by which movement they were
     found, and whether they tell anything."""
     count = len(detours.reach)

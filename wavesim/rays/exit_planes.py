@@ -9,8 +9,8 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from wavesim.fields.field import Grid
-from wavesim.fields.passage import Passage
-from wavesim.rays.maps import refuse_fold, sample_points
+from wavesim.fields.propagator import FreeSpacePropagator
+from wavesim.rays.maps import check_no_fold, sample_points
 from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
 
@@ -40,7 +40,7 @@ class ExitPlane:
     """
 
     grid: Grid
-    beyond: Passage | None
+    beyond: FreeSpacePropagator | None
 
 
 def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
@@ -58,12 +58,12 @@ def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
         plane_z_mm = _chosen_z_mm(scene, samples)
     bundles = _bundles(scene, samples, plane_z_mm)
     for point, bundle in bundles:
-        refuse_fold(bundle, point, plane_z_mm)
+        check_no_fold(bundle, point, plane_z_mm)
     if plane_z_mm == target.z_mm:
         return ExitPlane(target, None)
     grid = _covering_grid(scene, plane_z_mm, [bundle for _, bundle in bundles])
     index = float(scene.system.index[0, -1])
-    return ExitPlane(grid, Passage(grid, target, scene.wavelength_um, index))
+    return ExitPlane(grid, FreeSpacePropagator(grid, target, scene.wavelength_um, index))
 
 
 def _chosen_z_mm(scene: Scene, samples: Samples) -> float:
@@ -108,7 +108,7 @@ def _quality(scene: Scene, samples: Samples, plane_z_mm: float) -> _Quality:
     apart = plane_z_mm - scene.lens.exit_vertex_z_mm
     for point, bundle in _bundles(scene, samples, plane_z_mm):
         try:
-            most = max(most, refuse_fold(bundle, point, plane_z_mm))
+            most = max(most, check_no_fold(bundle, point, plane_z_mm))
         except FoldError:
             return _Quality(0.0, 0.0, most)
         size = np.abs(bundle.determinant[bundle.ok])

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.tracing.bundles import launch_compiled
-from lensdesign.tracing.compiled import CompiledSystem
-from lensdesign.tracing.rays import RayTrace, trace_compiled
+from lensdesign.raytrace.bundles import launch_compiled
+from lensdesign.raytrace.compiled import CompiledSystem
+from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from wavesim.scene.scene import Coating, Scene
 
 HEIGHT_TOLERANCE_MM = 1e-12
@@ -137,7 +137,7 @@ def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, .
     )
 
 
-def refuse_skew(scene: Scene, rays: RayTrace) -> None:
+def validate_meridional(scene: Scene, rays: RayTrace) -> None:
     """InputError if rays of a meridional line do not stay in its plane."""
     aside = np.abs(np.stack([rays.position[rays.ok, 0], rays.direction[rays.ok, 0]]))
     if scene.object_grid.is_line and np.any(aside > 1e-9):

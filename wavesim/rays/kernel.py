@@ -7,10 +7,10 @@ from __future__ import annotations
 from numpy import empty, inf, searchsorted
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit
 
 
-@kept_njit(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def row_ends(border: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
     """Where rows at rising y enter a closed border of points (y, x), and where they leave it last."""
     low, high = empty(len(y)), empty(len(y))

@@ -278,7 +278,7 @@ def ray_map(
     errors = np.full(3, np.inf)
     for order in orders:
         bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order), plane_z_mm)
-        caustics = refuse_fold(bundle, point_mm, plane_z_mm)
+        caustics = check_no_fold(bundle, point_mm, plane_z_mm)
         check = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order, 0.37), plane_z_mm)
         told = _carried(bundle)[:, bundle.ok]
         both = fit_map(bundle.sensor_mm[bundle.ok], np.concatenate([told, _stop_of(bundle)]), order)
@@ -316,7 +316,7 @@ def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_
         if not np.all(bundle.ok):
             continue
         try:
-            refuse_fold(bundle, point_mm, plane_z_mm)
+            check_no_fold(bundle, point_mm, plane_z_mm)
         except FoldError:
             continue
         return wider
@@ -339,7 +339,7 @@ def _carried(bundle: RayBundle) -> Array:
     return np.concatenate([bundle.path_mm[None], bundle.amplitude[None], bundle.cosines.T])
 
 
-def refuse_fold(bundle: RayBundle, point_mm: tuple[float, float], plane_z_mm: float) -> int:
+def check_no_fold(bundle: RayBundle, point_mm: tuple[float, float], plane_z_mm: float) -> int:
     """Number of caustics that the light has touched.
 
     Raises

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.tracing.bundles import launch_pairs
-from lensdesign.tracing.rays import RayTrace, trace_compiled
-from lensdesign.tracing.status import Status
-from wavesim.rays.interfaces import refuse_skew, transmission
+from lensdesign.raytrace.bundles import launch_pairs
+from lensdesign.raytrace.rays import RayTrace, trace_compiled
+from lensdesign.raytrace.status import Status
+from wavesim.rays.interfaces import transmission, validate_meridional
 from wavesim.scene.scene import Scene
 
 STEP = 3e-4
@@ -218,7 +218,7 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     all_points = np.tile(points, (len(moves), 1))
     bunch = shoot(scene, all_points, (pupil + moves[:, None]).reshape(-1, 2), plane_z_mm, clip=False)
     rays = _part(bunch, slice(0, len(pupil)))
-    refuse_skew(scene, rays)
+    validate_meridional(scene, rays)
     headings = _first_headings(scene, all_points, bunch).reshape(len(moves), -1, 3)
     first = headings[0]
     ok = bunch.ok.reshape(len(moves), -1).all(axis=0)

@@ -1,4 +1,4 @@
-from .doubts.bootstrap import Uncertainty, UndeterminedError, uncertainty
+from .diagnostics.bootstrap import Uncertainty, UndeterminedError, uncertainty
 from .found import FoundObject
 from .from_field import Retrieved, agreement, retrieve
 from .from_frames import reconstruct_frames

@@ -25,14 +25,14 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_object import reconstruct
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement, noise_misfit
 
 Array = NDArray[np.floating[Any]]
 
@@ -98,7 +98,7 @@ class StopSearch:
 
     Parameters
     ----------
-    engine, recorded, kind, scale, active_width, modes
+    engine, recorded, kind, scale, fill_factor, modes
         As of :func:`wavesim.reconstruct`.
     light_of
         The light on the object behind a field stop.
@@ -109,12 +109,12 @@ class StopSearch:
     """
 
     engine: Engine
-    recorded: Sequence[Recorded]
+    recorded: Sequence[Measurement]
     light_of: Callable[[FieldStop], Field]
     patch_mm: float
     kind: Kind
     scale: float | None = None
-    active_width: float = 0.0
+    fill_factor: float = 0.0
     modes: Sequence[SourceMode] = ()
     progress: Callable[[str], None] = lambda text: None
     _tried: dict[tuple[FieldStop, int], float] = field(default_factory=dict, init=False, repr=False)
@@ -169,7 +169,7 @@ class StopSearch:
         for _ in range(2):
             light = self.light_of(self._within(np.array([0.0, 0.0, probe_mm])))
             grains = np.exp(1j * gaussian_filter(random.standard_normal(light.grid.shape), 1.5) * 8.0)
-            model = RecordingModel(self.engine, light, self.recorded, None, self.active_width)
+            model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
             plane = self.recorded[number]
             made = model.amplitudes(grains.astype(light.values.dtype))[number].astype(float)
             made *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (made**2).sum()))
@@ -203,7 +203,7 @@ class StopSearch:
         axes = scene.exit_grid.y_mm, scene.exit_grid.x_mm
 
         def middles(light: Field) -> Array:
-            model = RecordingModel(self.engine, light, self.recorded, None, self.active_width)
+            model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
             made = model.amplitudes(model.lit.astype(light.values.dtype))
             return np.array([_middle(one, axes) for one in made])
 
@@ -236,7 +236,7 @@ class StopSearch:
             tv_weight="auto",
             iterations=iterations,
             scale=self.scale,
-            active_width=self.active_width,
+            fill_factor=self.fill_factor,
             modes=self.modes,
             residuals=False,
         )

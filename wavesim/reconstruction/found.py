@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
-from wavesim.camera.frame_sets import PlaneFrames
-from wavesim.camera.recorded import Recorded
-from wavesim.evaluation.judgement import chart_metrics, plane_metrics
-from wavesim.evaluation.verdicts import Verdict
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import Patch
-from wavesim.objects.usaf import UsafElement
+from wavesim.metrics.goodness_of_fit import GoodnessOfFit
+from wavesim.metrics.judgement import chart_metrics, plane_metrics
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
+from wavesim.sensor.frame_sets import PlaneFrames
+from wavesim.sensor.measurement import Measurement
+from wavesim.targets.patch import Patch
+from wavesim.targets.usaf import UsafElement
 
 Array = NDArray[np.floating[Any]]
 
@@ -66,7 +66,7 @@ class FoundObject:
     charts : tuple
         Elements of the USAF chart in the middle, and of those beside it.
     diversity : float
-        What the planes tell of the phase (:func:`wavesim.camera.windows.diversity`).
+        What the planes tell of the phase (:func:`wavesim.sensor.windows.diversity`).
     engine : Engine
         From the object to the nearest plane.
     memory : Memory
@@ -81,10 +81,10 @@ class FoundObject:
     transmission: Field
     inside: NDArray[np.bool_]
     planes: tuple[PlaneFrames, ...]
-    recorded: tuple[Recorded, ...]
+    recorded: tuple[Measurement, ...]
     residual_maps: tuple[Array, ...]
     curve: tuple[float, ...]
-    verdict: Verdict
+    verdict: GoodnessOfFit
     focus: Focus | None
     of_method: dict[str, Any]
     true: Field | None

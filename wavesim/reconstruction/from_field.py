@@ -20,8 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, refuse_not_whole
-from wavesim.camera.recorded import Recorded, amplitude_unit
+from lensdesign.errors import InputError, validate_whole_number
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.retrieval.steps import (
     Array,
@@ -30,6 +29,7 @@ from wavesim.reconstruction.retrieval.steps import (
     Passes,
     plane_for,
 )
+from wavesim.sensor.measurement import Measurement, amplitude_unit
 
 Start = Field | Literal["uniform", "random"]
 
@@ -95,13 +95,13 @@ class RetrievalState:
 def retrieve(
     grid: Grid,
     wavelength_um: float,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     start: Start = "uniform",
     *,
     iterations: int = 500,
     feedback: tuple[float, float] = FEEDBACK,
     tv_step: float = TV_STEP,
-    held_out: Recorded | None = None,
+    held_out: Measurement | None = None,
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
     resume: RetrievalState | None = None,
@@ -192,7 +192,7 @@ def _resumed(grid: Grid, state: RetrievalState) -> RetrievalState:
 
 @contextmanager
 def passes_for(
-    grid: Grid, wavelength_um: float, recorded: Sequence[Recorded], dtype: Any
+    grid: Grid, wavelength_um: float, recorded: Sequence[Measurement], dtype: Any
 ) -> Iterator[Passes]:
     """The passes of iterations over recorded planes, for fields of a complex type, with their threads."""
     planes = [plane_for(grid, wavelength_um, p.distance_mm, p.amplitude, p.known, dtype) for p in recorded]
@@ -236,12 +236,12 @@ def amplitude_correlation(a: Array, b: Array) -> float:
     return float(np.sum(x * y, dtype=float)) / norm if norm > 0.0 else 0.0
 
 
-def residual(field: Field, plane: Recorded) -> float:
+def residual(field: Field, plane: Measurement) -> float:
     """Relative L2 difference of a field's amplitude on a plane and the recorded one, in known pixels."""
     return _met(field, plane)[0].residual
 
 
-def residual_and_map(field: Field, plane: Recorded) -> tuple[float, Array]:
+def residual_and_map(field: Field, plane: Measurement) -> tuple[float, Array]:
     """The same, and the field's amplitude less the recorded one in every pixel."""
     met, there = _met(field, plane)
     left = np.abs(there)
@@ -249,7 +249,7 @@ def residual_and_map(field: Field, plane: Recorded) -> tuple[float, Array]:
     return met.residual, left
 
 
-def _met(field: Field, plane: Recorded) -> tuple[Match, ComplexArray]:
+def _met(field: Field, plane: Measurement) -> tuple[Match, ComplexArray]:
     """How well a field meets a plane, and the field there."""
     values = np.ascontiguousarray(field.values)
     now = values.reshape(-1, values.shape[-1])
@@ -296,7 +296,7 @@ def replace_amplitude(
     replace(rows.view(rows.real.dtype), wanted, told)
 
 
-def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: str) -> None:
+def validate_planes(recorded: Sequence[Measurement], shape: tuple[int, ...], whose: str) -> None:
     """Refuse amplitudes that cannot be those of a field; `whose` names the grid that has the shape.
 
     Raises
@@ -330,11 +330,15 @@ def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: s
 
 
 def _refuse(
-    grid: Grid, recorded: Sequence[Recorded], iterations: int, feedback: tuple[float, float], tv_step: float
+    grid: Grid,
+    recorded: Sequence[Measurement],
+    iterations: int,
+    feedback: tuple[float, float],
+    tv_step: float,
 ) -> None:
     if len(recorded) < 2:
         raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
-    refuse_planes(recorded, grid.shape, "the grid's")
+    validate_planes(recorded, grid.shape, "the grid's")
     for number, plane in enumerate(recorded, start=1):
         if any(plane.shift_mm) or plane.background is not None:
             raise InputError(
@@ -347,7 +351,7 @@ def _refuse(
             f"plane 1: amplitudes reach {float(recorded[0].amplitude.max()):.3g}, whose squares overflow or "
             f"vanish: divide planes and start by {unit:.3g}"
         )
-    refuse_not_whole("iterations", iterations, 1)
+    validate_whole_number("iterations", iterations, 1)
     if not (all(map(math.isfinite, feedback)) and math.isfinite(tv_step) and tv_step >= 0.0):
         raise InputError(
             f"feedback = {feedback}, tv_step = {tv_step!r}: must be finite, the step not negative"

@@ -13,23 +13,16 @@ import numpy as np
 
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
-from wavesim.camera.frames import Frame
-from wavesim.camera.patch_of_frames import refuse_doubtful_frames
-from wavesim.camera.recording import Progress
-from wavesim.camera.windows import imaging_engine
 from wavesim.engines.registry import AUTO
 from wavesim.engines.whole_field.on_cluster import tiles_in
-from wavesim.evaluation.judgement import truth_metrics
-from wavesim.evaluation.verdicts import MODEL_ERROR
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import transmission_of
-from wavesim.objects.region import cut_field, soft_rim
-from wavesim.reconstruction.doubts.held_out import maps_of_all
-from wavesim.reconstruction.doubts.starts import agreement_of_starts
+from wavesim.metrics.goodness_of_fit import MODEL_ERROR
+from wavesim.metrics.judgement import truth_metrics
+from wavesim.reconstruction.diagnostics.held_out import maps_of_all
+from wavesim.reconstruction.diagnostics.starts import agreement_of_starts
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found import Array, Focus, FoundObject
-from wavesim.reconstruction.frames_case import FramesCase, frames_case
-from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction.from_object import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.judging import (
     EngineOn,
     MethodResult,
@@ -43,14 +36,15 @@ from wavesim.reconstruction.judging import (
     starts_needed,
     stop_search,
 )
+from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.reconstruction.source_width import found_width
 from wavesim.reconstruction.stopped_down import (
     ITERATIONS,
     ROUNDS,
+    coarse_problem,
     on_all_samples,
-    stopped_down_problem,
 )
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
@@ -60,6 +54,12 @@ from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.patch_of_frames import validate_frames
+from wavesim.sensor.recording import Progress
+from wavesim.sensor.windows import imaging_engine
+from wavesim.targets.patch import transmission_of
+from wavesim.targets.region import cut_field, soft_rim
 
 BETTER = 0.97
 """Ratio of residuals from which on an amplitude object without an upper limit, or from another start, is the
@@ -121,12 +121,12 @@ def reconstruct_frames(
         Where frames tell less than they might.
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
-    refuse_doubtful_frames(lens, frames, settings)
-    case = frames_case(lens, frames, settings, truth, calibration, folder)
+    validate_frames(lens, frames, settings)
+    case = reconstruction_problem(lens, frames, settings, truth, calibration, folder)
     told = _Told(progress, settings, case.engine)
     if settings.field_stop == "find":
         stated = settings.with_stop(*_stop_found(case, settings, told))
-        case = frames_case(lens, frames, stated, truth, calibration, folder)
+        case = reconstruction_problem(lens, frames, stated, truth, calibration, folder)
     del frames  # nobody else may hold them, and they take much
     if before is not None:
         before(case.memory)
@@ -141,7 +141,7 @@ def reconstruct_frames(
         raise ClusterError(f"{error}; {_goes_on(case) or 'no iteration was kept'}") from error
 
 
-def _stop_found(case: FramesCase, settings: ReconstructionSettings, told: _Told) -> FieldStop:
+def _stop_found(case: ReconstructionProblem, settings: ReconstructionSettings, told: _Told) -> FieldStop:
     """Position and diameter of the field stop, as far as settings do not state them."""
     if isinstance(case.engine, Tiled):
         raise SettingError(
@@ -202,12 +202,14 @@ def _ready(engine: Engine, take: Take, told: _Told) -> Iterator[Engine]:
         engine.report = None
 
 
-def _goes_on(case: FramesCase) -> str:
+def _goes_on(case: ReconstructionProblem) -> str:
     kept = case.checkpoint is not None and case.checkpoint.kept
     return "the same command goes on from where it was last kept" if kept else ""
 
 
-def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told) -> FoundObject:
+def _run(
+    case: ReconstructionProblem, settings: ReconstructionSettings, take: Take, told: _Told
+) -> FoundObject:
     def engine_on(grid: Grid) -> AbstractContextManager[Engine]:
         own = case.engine.scene.object_grid
         return _ready(case.engine if grid == own else case.engine_on(grid), take, told)
@@ -263,12 +265,12 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
 
 
 def _begun_on_half(
-    case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told
-) -> Progressed | None:
+    case: ReconstructionProblem, settings: ReconstructionSettings, take: Take, told: _Told
+) -> SolverState | None:
     """What the first iterations of a whole field find on half of its samples; None where they win little."""
     if not isinstance(case.engine, Tiled) or len(case.modes) > 1:
         return None
-    small = stopped_down_problem(case.engine.scene, case.light, case.given)
+    small = coarse_problem(case.engine.scene, case.light, case.given)
     if small is None:
         return None
     kind = "amplitude" if settings.first == "amplitude" else settings.kind
@@ -283,7 +285,7 @@ def _begun_on_half(
             iterations=min(ITERATIONS, settings.most_iterations),
             until_noise=True,
             scale=settings.scale,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             progress=told.on_half,
             residuals=False,
             rounds=ROUNDS,
@@ -291,17 +293,17 @@ def _begun_on_half(
     values = found.transmission.values
     values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)
     values = case.scratch.held(values, "a step")
-    return Progressed(values, values, 0.0, (), None, 0, 0)
+    return SolverState(values, values, 0.0, (), None, 0, 0)
 
 
 def _object(
-    case: FramesCase,
+    case: ReconstructionProblem,
     settings: ReconstructionSettings,
     take: Take,
     told: _Told,
     start: Field | None,
-    begun: list[Progressed | None],
-) -> tuple[FramesCase, MethodResult]:
+    begun: list[SolverState | None],
+) -> tuple[ReconstructionProblem, MethodResult]:
     """The object, and the case with the engine that found it.
 
     Where residuals exceed the noise by no more than the engine's predicted error, a more accurate engine goes
@@ -325,9 +327,7 @@ def _object(
                 found = _by_complex_object(case, settings, engine, told, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
-                maps = maps_of_all(
-                    engine, case.light, case.recorded, settings.active_width, found, case.modes
-                )
+                maps = maps_of_all(engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
             curve += found.misfit
             limited = is_engine_limited(case, maps, found.misfit[-1])
             finer = more_accurate_case(case, told.step) if limited else None
@@ -363,13 +363,13 @@ def _object(
 
 
 def _solved(
-    case: FramesCase,
+    case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine: Engine,
     told: _Told,
     start: Field | Literal["amplitude"] | None,
     kept: Checkpoint | None = None,
-    resume: Progressed | None = None,
+    resume: SolverState | None = None,
     bounded: bool = True,
 ) -> Reconstructed:
     """The object that iterations with one engine come to."""
@@ -383,7 +383,7 @@ def _solved(
         until_noise=True,
         scale=settings.scale,
         start=start,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         progress=told.iteration,
         resume=resume,
         keep=keeper(kept),
@@ -394,7 +394,11 @@ def _solved(
 
 
 def _by_complex_object(
-    case: FramesCase, settings: ReconstructionSettings, engine: Engine, told: _Told, found: Reconstructed
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    told: _Told,
+    found: Reconstructed,
 ) -> Reconstructed:
     """The amplitude object that starts from a complex one, if it fits better than the one found.
 
@@ -412,7 +416,7 @@ def _by_complex_object(
 
 
 def _paper(
-    case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told
+    case: ReconstructionProblem, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told
 ) -> MethodResult:
     with engine_on(case.light.grid) as engine:
         retrieved, maps = retrieve_resumably(
@@ -432,7 +436,7 @@ def _paper(
 
 
 def _refocused(
-    case: FramesCase, focus_mm: tuple[float, float], behind: Field, told: _Told
+    case: ReconstructionProblem, focus_mm: tuple[float, float], behind: Field, told: _Told
 ) -> tuple[Field, Focus]:
     """The sharpest of all distances; a field is carried, not a transmission."""
     if behind.grid != case.shown:  # a part of the field must not end as if it were cut off

@@ -29,16 +29,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
-from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit, noise_misfit, power_of_two
 from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.memory import Sizes, step_array
-from wavesim.reconstruction.recording.refusals import refuse_numbers, refuse_others
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.recording.refusals import validate_measurements, validate_numbers
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit, power_of_two
 
 Array = NDArray[np.inexact[Any]]
 Stop = Literal["noise", "rest", "iterations"]
@@ -120,7 +120,7 @@ class Reconstructed:
 
 
 @dataclass(frozen=True, eq=False)
-class Progressed:
+class SolverState:
     """Where a reconstruction stands after an iteration: all that it needs to go on.
 
     Attributes
@@ -149,7 +149,7 @@ class Progressed:
 def reconstruct(
     engine: Operator,
     illumination: Field,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     *,
     kind: Kind = "complex",
     tv_weight: float | Literal["auto"] = 0.0,
@@ -157,10 +157,10 @@ def reconstruct(
     until_noise: bool = False,
     scale: float | None = None,
     start: Field | Literal["amplitude"] | None = None,
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     progress: Callable[[int, float], None] | None = None,
-    resume: Progressed | None = None,
-    keep: Callable[[Progressed], None] | None = None,
+    resume: SolverState | None = None,
+    keep: Callable[[SolverState], None] | None = None,
     scratch: Scratch | None = None,
     modes: Sequence[SourceMode] = (),
     rows: Sequence[slice] = (),
@@ -189,14 +189,14 @@ def reconstruct(
         At most; fewer where the misfit rests.
     until_noise
         Whether they end, too, where the misfit has come to what noise alone would leave
-        (:func:`wavesim.camera.recorded.noise_misfit`).
+        (:func:`wavesim.sensor.measurement.noise_misfit`).
     scale
         Recorded amplitude for a unit of the model's, where a picture without object has told it. Left out,
         it is fitted in the first iterations: then the transmission is known but for a factor.
     start
         Transmission to start from; 1 if left out. "amplitude": the first `AMPLITUDE_START` iterations seek an
         amplitude object, so that a complex one on a dark ground is found, to which 1 is too far.
-    active_width
+    fill_factor
         Side of a pixel's photosensitive square as a share of the pitch, over which the model takes means; 0
         for amplitudes at points, such as those of a simulated field.
     progress
@@ -227,8 +227,8 @@ def reconstruct(
         If a value or a shape is not usable, planes are in different units, modes are of other wavelengths
         than the illumination, or the disk that holds the scratch files is full.
     """
-    refuse_numbers(kind, tv_weight, iterations, scale, active_width)
-    refuse_others(engine.scene, illumination, recorded, start, modes, rows)
+    validate_numbers(kind, tv_weight, iterations, scale, fill_factor)
+    validate_measurements(engine.scene, illumination, recorded, start, modes, rows)
     scratch = scratch or Scratch()
     unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
     if light_unit != 1.0:
@@ -236,12 +236,12 @@ def reconstruct(
             illumination.values / illumination.values.real.dtype.type(light_unit)
         )
     recorded = in_unit(recorded, unit)
-    model = RecordingModel(
+    model = ForwardModel(
         engine,
         illumination,
         recorded,
         scale and scale * light_unit / unit,
-        active_width,
+        fill_factor,
         scratch,
         modes,
         rows,
@@ -280,33 +280,33 @@ def reconstruct(
     return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stopped)
 
 
-def _beginning(model: RecordingModel, start: Any, kind: Kind, scratch: Scratch) -> Progressed:
+def _beginning(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch) -> SolverState:
     """Where no iteration has been made: at the start, or at 1."""
     is_field = isinstance(start, Field)
     dtype = model.dtype if is_field or kind == "complex" else model.real
     now = scratch.array(model.lit.shape, dtype, "a step")
     np.multiply(start.values if is_field else 1.0, model.lit, out=now, casting="same_kind")
-    return Progressed(now, now, 0.0, (), model.scale if model.knows_scale else None, 0, 0)
+    return SolverState(now, now, 0.0, (), model.scale if model.knows_scale else None, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
     """Accelerated proximal steps."""
 
-    model: RecordingModel
+    model: ForwardModel
     tv_weight: float
     noise_at_scale_1: float | None
     misfit_of_noise: float | None
     until_noise: bool
     fits_scale: bool
     progress: Callable[[int, float], None] | None
-    keep: Callable[[Progressed], None] | None
+    keep: Callable[[SolverState], None] | None
     sizes: Sizes
     scratch: Scratch
     rounds: int
     bounded: bool
 
-    def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
+    def run(self, state: SolverState, stages: Sequence[tuple[Kind, int]]) -> SolverState:
         """Where it stands after all stages: kinds of object, and iterations at which they end."""
         if state.scale is not None:
             self.model.scale, self.model.knows_scale = state.scale, True
@@ -315,7 +315,7 @@ class _Descent:
                 continue
             if stage > state.stage:
                 now, misfit = state.transmission, state.misfit
-                state = Progressed(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
+                state = SolverState(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
                 del now
             while len(state.misfit) < until and self.stop(state) is None:
                 state = self._stepped(state, kind)
@@ -325,7 +325,7 @@ class _Descent:
                     self.keep(state)
         return state
 
-    def _stepped(self, state: Progressed, kind: Kind) -> Progressed:
+    def _stepped(self, state: SolverState, kind: Kind) -> SolverState:
         self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         far = self._is_far(state)
@@ -342,11 +342,11 @@ class _Descent:
         np.subtract(after, now, out=ahead)
         ahead *= steps / (steps + FRICTION)
         ahead += after
-        return Progressed(
+        return SolverState(
             after, ahead, steps + 1.0, (*state.misfit, misfit), self.model.scale, state.stage, state.began
         )
 
-    def _is_far(self, state: Progressed) -> bool:
+    def _is_far(self, state: SolverState) -> bool:
         """Whether the misfit was more than noise leaves, as far as that is known.
 
         Where planes do not share a field behind the lens, they cannot go down the misfit together by itself.
@@ -371,7 +371,7 @@ class _Descent:
         weight = TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale
         return weight * max(misfit / self.misfit_of_noise, 1.0)
 
-    def stop(self, state: Progressed) -> Stop | None:
+    def stop(self, state: SolverState) -> Stop | None:
         """Why no more iterations are to be made; None where some are."""
         if len(state.misfit) - state.began == 0:
             return None

@@ -8,32 +8,32 @@ from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 from lensdesign.errors import TransferLensError
-from wavesim.camera.recorded import noise_misfit
-from wavesim.camera.windows import LEAST_DIVERSITY
-from wavesim.evaluation.plane_residuals import PlaneResidual
-from wavesim.evaluation.verdicts import (
+from wavesim.fields.field import Field, Grid
+from wavesim.metrics.goodness_of_fit import (
     FEW,
     LIMIT,
     MODEL_ERROR,
     Finding,
+    GoodnessOfFit,
     Trial,
     Undetected,
-    Verdict,
     plane_verdicts,
     verdict,
 )
-from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.doubts.guesses import smooth_phase_waves
-from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
-from wavesim.reconstruction.doubts.orientation import misoriented
-from wavesim.reconstruction.doubts.score_test import ScoreTest, score_test
-from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.metrics.plane_residuals import PlaneResidual
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
+from wavesim.reconstruction.diagnostics.guesses import smooth_phase_waves
+from wavesim.reconstruction.diagnostics.held_out import is_given, maps_of_all
+from wavesim.reconstruction.diagnostics.orientation import misoriented
+from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found import Array
-from wavesim.reconstruction.frames_case import FramesCase
 from wavesim.reconstruction.from_object import Reconstructed
+from wavesim.reconstruction.problem import ReconstructionProblem
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import ReconstructionSettings
+from wavesim.sensor.measurement import noise_misfit
+from wavesim.sensor.windows import LEAST_DIVERSITY
 
 FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
 """A more accurate engine has an error smaller by `FINER`, by `LEAST_FINER` at least, and never below
@@ -74,12 +74,12 @@ class MethodResult(NamedTuple):
 
 
 def judge_result(
-    case: FramesCase,
+    case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine_on: EngineOn,
     found: MethodResult,
     progress: Progress,
-) -> Verdict:
+) -> GoodnessOfFit:
     """Whether the planes are explained; where they are not, what helps is tried, except on a whole field."""
     residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
     known = [
@@ -90,7 +90,7 @@ def judge_result(
     given, maps = [plane for plane, _ in known], [error for _, error in known]
     findings = misoriented(given, maps)
 
-    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> Verdict:
+    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> GoodnessOfFit:
         return verdict(
             residuals,
             trials,
@@ -130,7 +130,7 @@ def judge_result(
                     findings.append(Finding(test.cause, test.explanation, test.chi_square))
         if not first.within:
             progress("what may differ")
-            trials = Doubts(
+            trials = CauseTrials(
                 engine=engine,
                 light=case.light,
                 recorded=case.given,
@@ -138,7 +138,7 @@ def judge_result(
                 kind=settings.kind,
                 tv_weight=settings.tv_weight,
                 scale=settings.scale,
-                active_width=settings.active_width,
+                fill_factor=settings.fill_factor,
                 diversity=case.diversity,
                 modes=case.modes,
                 stops=stop_search(case, settings, engine, progress),
@@ -148,7 +148,7 @@ def judge_result(
 
 
 def _score_test(
-    case: FramesCase,
+    case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine: Engine,
     found: MethodResult,
@@ -165,7 +165,7 @@ def _score_test(
             settings.kind,
             scale=found.of_method["scale"],
             fits_scale=settings.scale is None,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             model_error=found.model_error,
             progress=progress,
         )
@@ -174,7 +174,7 @@ def _score_test(
 
 
 def stop_search(
-    case: FramesCase, settings: ReconstructionSettings, engine: Engine, progress: Progress
+    case: ReconstructionProblem, settings: ReconstructionSettings, engine: Engine, progress: Progress
 ) -> StopSearch:
     """The search for another field stop than the one that was assumed."""
     grid = case.patch.grid
@@ -185,7 +185,7 @@ def stop_search(
         grid.pitch_mm * min(grid.shape) if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
-        settings.active_width,
+        settings.fill_factor,
         case.modes,
         progress,
     )
@@ -205,7 +205,7 @@ def _ramp(transmission: Field) -> list[Finding]:
 
 
 def _residuals(
-    case: FramesCase, maps: Sequence[Array], engine_errors: Sequence[Array | None]
+    case: ReconstructionProblem, maps: Sequence[Array], engine_errors: Sequence[Array | None]
 ) -> list[PlaneResidual]:
     planes = []
     errors = engine_errors or [None] * len(maps)
@@ -218,7 +218,7 @@ def _residuals(
     return planes
 
 
-def is_engine_limited(case: FramesCase, maps: Sequence[Array], misfit: float) -> bool:
+def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit: float) -> bool:
     """Whether residuals exceed the noise, and by no more than the engine's predicted error."""
     if excess_of(case, maps) <= 1.0:
         return False
@@ -226,7 +226,9 @@ def is_engine_limited(case: FramesCase, maps: Sequence[Array], misfit: float) ->
     return case.predicted_error > excess
 
 
-def may_be_brighter(case: FramesCase, settings: ReconstructionSettings, found: Reconstructed) -> bool:
+def may_be_brighter(
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
+) -> bool:
     """Whether an amplitude object, whose upper limit of 1 may be too low, rests above the noise."""
     if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
         return False
@@ -235,19 +237,21 @@ def may_be_brighter(case: FramesCase, settings: ReconstructionSettings, found: R
     return excess_of(case, found.residual_maps) > 1.0
 
 
-def may_be_stagnated(case: FramesCase, settings: ReconstructionSettings, found: Reconstructed) -> bool:
+def may_be_stagnated(
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
+) -> bool:
     """Whether the search for an amplitude object rests above the noise, perhaps in a local minimum."""
     if settings.kind != "amplitude" or isinstance(case.engine, Tiled) or found.stopped_because != "rest":
         return False
     return len(found.residual_maps) == len(case.recorded) and excess_of(case, found.residual_maps) > 1.0
 
 
-def excess_of(case: FramesCase, maps: Sequence[Array]) -> float:
+def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
     """Largest residuals of all planes, over those that count as explained."""
     return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))
 
 
-def more_accurate_case(case: FramesCase, progress: Progress) -> FramesCase | None:
+def more_accurate_case(case: ReconstructionProblem, progress: Progress) -> ReconstructionProblem | None:
     """The case with a more accurate engine; None where there is none that is worth it."""
     if isinstance(case.engine, Tiled) or case.predicted_error <= FINEST:
         return None
@@ -263,19 +267,19 @@ def more_accurate_case(case: FramesCase, progress: Progress) -> FramesCase | Non
 
 
 def engine_errors(
-    finer: FramesCase,
-    case: FramesCase,
+    finer: ReconstructionProblem,
+    case: ReconstructionProblem,
     settings: ReconstructionSettings,
     found: Reconstructed,
     maps: Sequence[Array],
 ) -> tuple[Array, ...]:
     """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
-    more = maps_of_all(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    more = maps_of_all(finer.engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
 
 def starts_needed(
-    case: FramesCase, settings: ReconstructionSettings, found: Reconstructed
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> ReconstructionSettings:
     """Settings with a second start where iterations rest and planes may not determine a complex object."""
     if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):

@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.reconstruction.retrieval.steps import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
 from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.fourier.panels import bytes_of_panels
-from wavesim.runtime.inventory import Inventory, Listed, named, need_of, work
+from wavesim.runtime.inventory import ArrayGroup, Inventory, named, need_of, work
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, Need
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
+from wavesim.targets.patch import LIGHT_BYTES
 
 LIGHT_OF_MODE_BYTES = 56
 """For each sample of the object, while light of one direction is made, in double precision."""
@@ -138,24 +138,26 @@ def given_arrays(
     """What is reconstructed from: `backgrounds` planes have one; `truth`: with a true object, to compare."""
     source, behind, held, stated = sizes.source, sizes.behind, AFTER_MOVING, sizes.planes * with_sigma
     return (
-        Listed("the illumination", source, sizes.dtype, held, lies="scratch"),
-        Listed("the recorded amplitudes", behind, sizes.real, held, sizes.planes, lies="scratch"),
-        Listed("the standard deviations", behind, sizes.real, held, stated, lies="scratch"),
-        Listed("the backgrounds", behind, sizes.real, held, backgrounds, lies="scratch"),
-        Listed("the true object", source, sizes.dtype, held, int(truth), lies="scratch"),
+        ArrayGroup("the illumination", source, sizes.dtype, held, lies="scratch"),
+        ArrayGroup("the recorded amplitudes", behind, sizes.real, held, sizes.planes, lies="scratch"),
+        ArrayGroup("the standard deviations", behind, sizes.real, held, stated, lies="scratch"),
+        ArrayGroup("the backgrounds", behind, sizes.real, held, backgrounds, lies="scratch"),
+        ArrayGroup("the true object", source, sizes.dtype, held, int(truth), lies="scratch"),
     )
 
 
-def step_array(sizes: Sizes, kind: Kind, during: Phase = ITERATING & ~Phase.SEEING, count: int = 2) -> Listed:
+def step_array(
+    sizes: Sizes, kind: Kind, during: Phase = ITERATING & ~Phase.SEEING, count: int = 2
+) -> ArrayGroup:
     """The object after a step, and the point from which the next one goes; `kind` of object: as sought."""
     dtype = sizes.real if kind == "amplitude" else sizes.dtype
-    return Listed("a step", sizes.source, dtype, during, count, lies="scratch")
+    return ArrayGroup("a step", sizes.source, dtype, during, count, lies="scratch")
 
 
 def descent_arrays(
-    sizes: Sizes, kind: Kind, active_width: float, modes: int = 1, tilted: bool = False
+    sizes: Sizes, kind: Kind, fill_factor: float, modes: int = 1, tilted: bool = False
 ) -> Inventory:
-    """What :func:`wavesim.reconstruct` holds beside what it is given; `kind`, `active_width`: as of it.
+    """What :func:`wavesim.reconstruct` holds beside what it is given; `kind`, `fill_factor`: as of it.
 
     `modes` are those of the light of a wide source; `tilted`: the sensor is.
     """
@@ -163,39 +165,39 @@ def descent_arrays(
     step = step_array(sizes, kind)
     through_lens = Phase.STARTING | Phase.LENS | Phase.BACK | Phase.ENDING
     common: Inventory = (
-        Listed("where there is light", source, bool, DESCENDING),
-        Listed("ways to planes", quarter, dtype, DESCENDING, sizes.far),
+        ArrayGroup("where there is light", source, bool, DESCENDING),
+        ArrayGroup("ways to planes", quarter, dtype, DESCENDING, sizes.far),
         work("the engine's work", sizes.engine_bytes, through_lens),
-        Listed("noise at the exit", behind, dtype, Phase.DRAWING_NOISE, 1 + int(sizes.planes > 1)),
-        Listed("a way back", quarter, dtype, Phase.DRAWING_NOISE, int(sizes.far > 0)),
-        Listed("the sum of noise at the exit", behind, dtype, Phase.STARTING),
-        Listed("noise in the object", source, dtype, STARTING),
+        ArrayGroup("noise at the exit", behind, dtype, Phase.DRAWING_NOISE, 1 + int(sizes.planes > 1)),
+        ArrayGroup("a way back", quarter, dtype, Phase.DRAWING_NOISE, int(sizes.far > 0)),
+        ArrayGroup("the sum of noise at the exit", behind, dtype, Phase.STARTING),
+        ArrayGroup("noise in the object", source, dtype, STARTING),
         step,
         step_array(sizes, kind, Phase.SEEING, 1),
-        Listed("the field in the object", source, dtype, Phase.LENS),
-        Listed("the field at the exit", behind, dtype, Phase.LENS),
-        Listed("the change at the exit", behind, dtype, Phase.BACK),
-        Listed("the change of the object", source, dtype, Phase.BACK),
-        Listed("the object, smoothed, as it was, and its flow", source, step.dtype, Phase.SMOOTHING, 4),
-        Listed("the object, smoothed", source, step.dtype, Phase.STEPPING),
+        ArrayGroup("the field in the object", source, dtype, Phase.LENS),
+        ArrayGroup("the field at the exit", behind, dtype, Phase.LENS),
+        ArrayGroup("the change at the exit", behind, dtype, Phase.BACK),
+        ArrayGroup("the change of the object", source, dtype, Phase.BACK),
+        ArrayGroup("the object, smoothed, as it was, and its flow", source, step.dtype, Phase.SMOOTHING, 4),
+        ArrayGroup("the object, smoothed", source, step.dtype, Phase.STEPPING),
         step_array(sizes, kind, Phase.STEPPING, 1),
         step_array(sizes, kind, Phase.ACCELERATING, 2),
         step_array(sizes, kind, Phase.ENDING, 1),
-        Listed("residual maps", behind, real, Phase.ENDING, sizes.planes),
+        ArrayGroup("residual maps", behind, real, Phase.ENDING, sizes.planes),
     )
     if tilted:
         common += _of_a_tilt(sizes)
     if modes > 1:
         return common + _of_modes(sizes, modes)
-    return common + (_of_pixels(sizes) if active_width > 0.0 else _of_points(sizes))
+    return common + (_of_pixels(sizes) if fill_factor > 0.0 else _of_points(sizes))
 
 
 def _of_a_tilt(sizes: Sizes) -> Inventory:
     """While the sensor is tilted."""
     ways = TILTED_WAYS * sizes.planes
     return (
-        Listed("ways to parallel planes", sizes.quarter, sizes.dtype, DESCENDING, ways),
-        Listed("fields on parallel planes", sizes.behind, sizes.dtype, SEEN, TILTED_FIELDS),
+        ArrayGroup("ways to parallel planes", sizes.quarter, sizes.dtype, DESCENDING, ways),
+        ArrayGroup("fields on parallel planes", sizes.behind, sizes.dtype, SEEN, TILTED_FIELDS),
     )
 
 
@@ -204,14 +206,14 @@ def _of_modes(sizes: Sizes, modes: int) -> Inventory:
     behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
     all_through = Phase.LENS | SEEN | Phase.BACK
     return (
-        Listed("spectra of modes at the exit", behind, dtype, all_through, modes),
-        Listed("what rounds have changed of modes", behind, dtype, PLANES | Phase.BACK, modes),
-        Listed("means over pixels", behind, real, all_through, sizes.planes),
+        ArrayGroup("spectra of modes at the exit", behind, dtype, all_through, modes),
+        ArrayGroup("what rounds have changed of modes", behind, dtype, PLANES | Phase.BACK, modes),
+        ArrayGroup("means over pixels", behind, real, all_through, sizes.planes),
         work("light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.source), Phase.LENS | Phase.BACK),
-        Listed("the change of the object so far", sizes.source, dtype, PLANES | Phase.BACK),
-        Listed("rows through pixels and their edges", behind, dtype, SEEN, 2),
-        Listed("means along rows, and over pixels", behind, real, Phase.SEEING | Phase.ENDING, 3),
-        Listed("what planes have changed", behind, dtype, Phase.CHANGING),
+        ArrayGroup("the change of the object so far", sizes.source, dtype, PLANES | Phase.BACK),
+        ArrayGroup("rows through pixels and their edges", behind, dtype, SEEN, 2),
+        ArrayGroup("means along rows, and over pixels", behind, real, Phase.SEEING | Phase.ENDING, 3),
+        ArrayGroup("what planes have changed", behind, dtype, Phase.CHANGING),
     )
 
 
@@ -219,12 +221,12 @@ def _of_pixels(sizes: Sizes) -> Inventory:
     """While planes are seen by pixels that integrate."""
     behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
     return (
-        Listed("the spectrum at the exit", behind, dtype, SEEN),
-        Listed("rows through pixels and their edges", behind, dtype, SEEN, 2),
-        Listed("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
-        Listed("means over pixels", behind, real, Phase.SEEING),
-        Listed("what rounds before have changed", behind, dtype, Phase.CHANGING),
-        Listed("what planes have changed", behind, dtype, Phase.CHANGING),
+        ArrayGroup("the spectrum at the exit", behind, dtype, SEEN),
+        ArrayGroup("rows through pixels and their edges", behind, dtype, SEEN, 2),
+        ArrayGroup("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
+        ArrayGroup("means over pixels", behind, real, Phase.SEEING),
+        ArrayGroup("what rounds before have changed", behind, dtype, Phase.CHANGING),
+        ArrayGroup("what planes have changed", behind, dtype, Phase.CHANGING),
         work("rows of bands, and beside them", bytes_of_bands(behind, dtype), Phase.CHANGING),
         work("columns at work", bytes_of_columns(behind[0], dtype), ITERATING | Phase.ENDING),
     )
@@ -236,14 +238,14 @@ def _of_points(sizes: Sizes) -> Inventory:
     far, near = sizes.far, sizes.planes - sizes.far
     changed_before = int(near > 0 and sizes.planes > 1) + int(far > 1)
     return (
-        Listed("the field at the exit, seen", behind, dtype, SEEN),
-        Listed("the spectrum at the exit", behind, dtype, SEEN, int(far > 0)),
-        Listed("the field on a plane", behind, dtype, SEEN),
-        Listed("squares of its parts", behind, real, Phase.SEEING, 2),
-        Listed("a square of its parts", behind, real, Phase.ENDING),
-        Listed("a way back", sizes.quarter, dtype, Phase.CHANGING, int(far > 0)),
-        Listed("what rounds before have changed", behind, dtype, Phase.CHANGING),
-        Listed("what planes before have changed", behind, dtype, Phase.CHANGING, changed_before),
+        ArrayGroup("the field at the exit, seen", behind, dtype, SEEN),
+        ArrayGroup("the spectrum at the exit", behind, dtype, SEEN, int(far > 0)),
+        ArrayGroup("the field on a plane", behind, dtype, SEEN),
+        ArrayGroup("squares of its parts", behind, real, Phase.SEEING, 2),
+        ArrayGroup("a square of its parts", behind, real, Phase.ENDING),
+        ArrayGroup("a way back", sizes.quarter, dtype, Phase.CHANGING, int(far > 0)),
+        ArrayGroup("what rounds before have changed", behind, dtype, Phase.CHANGING),
+        ArrayGroup("what planes before have changed", behind, dtype, Phase.CHANGING, changed_before),
     )
 
 
@@ -252,7 +254,7 @@ def reconstruction_bytes(
     distances_mm: Sequence[float],
     *,
     kind: Kind = "complex",
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     with_sigma: bool = True,
     modes: int = 1,
     tilted: bool = False,
@@ -265,7 +267,7 @@ def reconstruction_bytes(
         As of :func:`wavesim.reconstruct`.
     distances_mm
         Of the recorded planes, from the engine's exit grid.
-    kind, active_width
+    kind, fill_factor
         As of :func:`wavesim.reconstruct`.
     with_sigma
         Whether recorded amplitudes come with standard deviations.
@@ -280,7 +282,7 @@ def reconstruction_bytes(
         Illumination, recorded arrays and last steps are those that can lie in files.
     """
     sizes = Sizes.of(engine, distances_mm)
-    own = descent_arrays(sizes, kind, active_width, modes, tilted)
+    own = descent_arrays(sizes, kind, fill_factor, modes, tilted)
     return need_of(given_arrays(sizes, with_sigma=with_sigma) + own)
 
 
@@ -291,11 +293,11 @@ def retrieval_arrays(sizes: Sizes, masked: bool = True) -> Inventory:
     blocks = plane[0] // rows_of_block(plane, np.dtype(dtype).itemsize, with_neighbours=True)
     on_plane, way = (bytes_of_panels((rows, plane[1]), dtype) for rows in (plane[0], plane[0] // 2 + 1))
     return (
-        Listed("the field sought, and the one before", behind, dtype, passing, 2),
+        ArrayGroup("the field sought, and the one before", behind, dtype, passing, 2),
         work("fields on planes", sizes.far * on_plane, passing),
         work("ways to planes", sizes.far * way, passing),
-        Listed("pixels that are known", behind, bool, passing, sizes.planes * masked),
-        Listed("rows beside blocks", behind[-1:], dtype, passing, 2 * blocks),
+        ArrayGroup("pixels that are known", behind, bool, passing, sizes.planes * masked),
+        ArrayGroup("rows beside blocks", behind[-1:], dtype, passing, 2 * blocks),
         work("blocks", (os.cpu_count() or 1) * bytes_at_work(plane, dtype), passing),
     )
 
@@ -321,7 +323,7 @@ def run_arrays(
     *,
     method: str,
     kind: Kind,
-    active_width: float,
+    fill_factor: float,
     frames_bytes: int,
     shown: tuple[int, ...],
     carried: int,
@@ -334,7 +336,7 @@ def run_arrays(
 
     Parameters
     ----------
-    engine, distances_mm, kind, active_width
+    engine, distances_mm, kind, fill_factor
         As of :func:`reconstruction_bytes`; amplitudes are of float32 and come with standard deviations.
     method
         "object" or "paper".
@@ -352,7 +354,7 @@ def run_arrays(
         As of :func:`reconstruction_bytes`.
     """
     sizes, of_object = Sizes.of(engine, distances_mm), method == "object"
-    own = descent_arrays(sizes, kind, active_width, modes, tilted) if of_object else _paper_arrays(sizes)
+    own = descent_arrays(sizes, kind, fill_factor, modes, tilted) if of_object else _paper_arrays(sizes)
     given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
     source = math.prod(sizes.source)
     before = (
@@ -365,7 +367,7 @@ def run_arrays(
     # A new checkpoint is written before the earlier one goes.
     passing = ("the field sought, and the one before", Phase.PASSING)
     state, kept = ("a step", ITERATING) if of_object else passing
-    files = (Listed("checkpoints", (named(own, state).bytes_of_all,), np.uint8, kept, 2, lies="file"),)
+    files = (ArrayGroup("checkpoints", (named(own, state).bytes_of_all,), np.uint8, kept, 2, lies="file"),)
     return before + given + own + files + _results(sizes, method, shown, carried, truth)
 
 
@@ -374,8 +376,10 @@ def _paper_arrays(sizes: Sizes) -> Inventory:
     lifted = Phase.LENS | Phase.PASSING
     return (
         work("the engine's work", sizes.engine_bytes, Phase.LENS),
-        Listed("the field at the exit", sizes.behind, sizes.dtype, Phase.LENS, 2),
-        Listed("amplitudes above the noise", sizes.behind, sizes.real, lifted, sizes.planes, lies="scratch"),
+        ArrayGroup("the field at the exit", sizes.behind, sizes.dtype, Phase.LENS, 2),
+        ArrayGroup(
+            "amplitudes above the noise", sizes.behind, sizes.real, lifted, sizes.planes, lies="scratch"
+        ),
         *retrieval_arrays(sizes),
     )
 
@@ -388,10 +392,10 @@ def _results(sizes: Sizes, method: str, shown: tuple[int, ...], carried: int, tr
     compared = COMPLEX64 * part + max(PSNR_BYTES * part, SIMILARITY_BYTES * block)
     drawn = PICTURE_BYTES + SCREEN_BYTES * min(part, SCREEN) + max(DRAWN_BYTES * part, PLANE_BYTES * behind)
     return (
-        Listed("maps of residuals", sizes.behind, sizes.real, RESULTS, sizes.planes),
-        Listed("what was found", sizes.source if of_object else sizes.behind, dtype, RESULTS),
-        Listed("the part that is shown", shown, dtype, RESULTS, int(carried > 0 or not of_object)),
-        Listed("a field that the lens passes", shown, dtype, Phase.JUDGING, 2 * truth, lies="scratch"),
+        ArrayGroup("maps of residuals", sizes.behind, sizes.real, RESULTS, sizes.planes),
+        ArrayGroup("what was found", sizes.source if of_object else sizes.behind, dtype, RESULTS),
+        ArrayGroup("the part that is shown", shown, dtype, RESULTS, int(carried > 0 or not of_object)),
+        ArrayGroup("a field that the lens passes", shown, dtype, Phase.JUDGING, 2 * truth, lies="scratch"),
         work("fields, and what the lens passes of them", truth * judged, Phase.JUDGING),
         work("a comparison", truth * compared, Phase.COMPARING),
         work("sharpness", REFOCUSED_BYTES * min(carried, MOST_JUDGED**2), Phase.SHARPNESS),

@@ -18,9 +18,9 @@ from scipy.linalg import svdvals
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from wavesim.fields.angular_spectrum import AngularSpectrum
 from wavesim.fields.field import Field
-from wavesim.fields.free_space import SameSamples
-from wavesim.fields.passage import propagate
+from wavesim.fields.propagator import propagate
 
 PADDING = 2
 """Times the field's samples, so that what leaves one side stays off the other."""
@@ -161,7 +161,7 @@ def _carrier(field: Field) -> Callable[[float], NDArray[np.complexfloating]]:
 
     def carried(distance_mm: float) -> NDArray[np.complexfloating]:
         there = wide.at(grid.z_mm + distance_mm)
-        way = SameSamples(wide, there, field.wavelength_um, field.index, padded, band_limit=True)
+        way = AngularSpectrum(wide, there, field.wavelength_um, field.index, padded, band_limit=True)
         values = scipy.fft.ifftn(spectrum * way.factor(spectrum.dtype), workers=-1, overwrite_x=True)
         return np.asarray(values[: shape[0], : shape[1]])
 

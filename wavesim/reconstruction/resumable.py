@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import (
     LIT,
@@ -24,10 +23,11 @@ from wavesim.reconstruction.from_field import (
     residual_and_map,
     retrieve,
 )
-from wavesim.reconstruction.from_object import Progressed
+from wavesim.reconstruction.from_object import SolverState
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
+from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit
 
 KEEP_SECONDS = 20.0
 """Between two iterations that are kept, at least."""
@@ -45,7 +45,7 @@ modulus, and pixels that noise has made 0 would destroy their neighbours."""
 Progress = Callable[[int, float], None]
 
 
-def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed | None:
+def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> SolverState | None:
     """Where an earlier run of :func:`wavesim.reconstruct` was cut off, if it was, for its `resume`.
 
     To be given away in the call: no name may hold its arrays to the end.
@@ -53,7 +53,7 @@ def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed
     kept = checkpoint.load() if checkpoint else None
     if kept is None:
         return None
-    return Progressed(
+    return SolverState(
         scratch.moved(kept.pop("transmission"), "a step"),
         scratch.moved(kept.pop("ahead"), "a step"),
         float(kept["momentum"]),
@@ -67,7 +67,7 @@ def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed
 def retrieve_resumably(
     engine: Engine,
     illumination: Field,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     checkpoint: Checkpoint | None = None,
     *,
     iterations: int = 500,
@@ -145,7 +145,7 @@ def keeper(checkpoint: Checkpoint | None, share: float = math.inf) -> Callable[[
         return None
     last, pause = time.monotonic(), KEEP_SECONDS
 
-    def keep(state: Progressed | RetrievalState) -> None:
+    def keep(state: SolverState | RetrievalState) -> None:
         nonlocal last, pause
         began = time.monotonic()
         if began - last < pause:
@@ -157,7 +157,7 @@ def keeper(checkpoint: Checkpoint | None, share: float = math.inf) -> Callable[[
     return keep
 
 
-def _prepared(recorded: Sequence[Recorded], scratch: Scratch) -> tuple[list[Recorded], np.float32]:
+def _prepared(recorded: Sequence[Measurement], scratch: Scratch) -> tuple[list[Measurement], np.float32]:
     """Amplitudes for Appendix A, none of them darker than noise, and what they were multiplied by.
 
     Of standard deviations it asks only whether they are finite: they stay as they are.

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_object import reconstruct
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
+from wavesim.sensor.measurement import Measurement
 
 Array = NDArray[np.floating[Any]]
 
@@ -44,7 +44,7 @@ LEAST = 0.1
 def found_width(
     engine: Engine,
     light: Field,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     settings: ReconstructionSettings,
     tell: Callable[[str], None],
 ) -> tuple[float, Field]:
@@ -73,12 +73,12 @@ def found_width(
             iterations=ITERATIONS,
             scale=settings.scale,
             start=start,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             modes=modes,
         )
         start = found.transmission
         wide, point = (
-            RecordingModel(engine, light, recorded, found.scale, settings.active_width, modes=of)
+            ForwardModel(engine, light, recorded, found.scale, settings.fill_factor, modes=of)
             for of in (modes, ())
         )
         ratio = washed_out(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
@@ -98,8 +98,8 @@ def coherent_deg(light: Field) -> float:
 
 
 def washed_out(
-    recorded: Sequence[Recorded],
-    model: RecordingModel,
+    recorded: Sequence[Measurement],
+    model: ForwardModel,
     wide: Sequence[Array],
     point: Sequence[Array],
 ) -> float:

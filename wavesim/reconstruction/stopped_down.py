@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.scaling import stopped_down
-from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import border_of, moved, row_spans
 from wavesim.rays.ray_bundles import open_pupil
 from wavesim.scene.scene import Scene
+from wavesim.sensor.measurement import Measurement
 
 ITERATIONS, ROUNDS = 4, 2
 """On half of the samples, and rounds behind the lens in each; more of them win nothing on all."""
@@ -40,15 +40,15 @@ LIT = 1e-3
 """Of the brightest amplitude, from which on an object sample counts as lit."""
 
 
-class StoppedDown(NamedTuple):
+class CoarseProblem(NamedTuple):
     """A smaller problem: from half of the object's samples to the middle of the pixels."""
 
     scene: Scene
     light: Field
-    recorded: list[Recorded]
+    recorded: list[Measurement]
 
 
-def stopped_down_problem(scene: Scene, light: Field, recorded: Sequence[Recorded]) -> StoppedDown | None:
+def coarse_problem(scene: Scene, light: Field, recorded: Sequence[Measurement]) -> CoarseProblem | None:
     """What light of low angles tells of an object; None where that saves little.
 
     Parameters
@@ -84,7 +84,7 @@ def stopped_down_problem(scene: Scene, light: Field, recorded: Sequence[Recorded
         for plane, rim in zip(recorded, rims, strict=True)
     ]
     known = [plane for plane in cut if plane.sigma is not None and np.isfinite(plane.sigma).any()]
-    return StoppedDown(replace(narrow, exit_grid=window), half, known) if known else None
+    return CoarseProblem(replace(narrow, exit_grid=window), half, known) if known else None
 
 
 def _window(axis: Array, low: float, high: float) -> slice:
@@ -131,7 +131,7 @@ def _about(light: Field) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in points[farthest]]
 
 
-def _rim(scene: Scene, point_mm: tuple[float, float], plane: Recorded) -> Array:
+def _rim(scene: Scene, point_mm: tuple[float, float], plane: Measurement) -> Array:
     """Where an object point's light ends on a plane, (y, x) of the pixels' grid."""
     z_mm = scene.exit_grid.z_mm + plane.distance_mm
     rim = border_of(scene, point_mm, open_pupil(scene, point_mm, z_mm, ARMS), z_mm)
@@ -139,12 +139,12 @@ def _rim(scene: Scene, point_mm: tuple[float, float], plane: Recorded) -> Array:
 
 
 def _told(
-    plane: Recorded,
+    plane: Measurement,
     rims: Sequence[Array],
     axes: tuple[Array, Array],
     window: tuple[slice, slice],
     margin_mm: float,
-) -> Recorded:
+) -> Measurement:
     """A plane's window; only pixels that no light of higher angles reaches tell anything."""
     inner = [moved(rim, -margin_mm) for rim in rims]
     spans = np.stack([row_spans(rim, axes) for rim in inner])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy import empty, sqrt
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit
 from wavesim.runtime.threads import THREADS, for_blocks
 
 Values = NDArray[np.inexact[Any]]
@@ -32,7 +32,7 @@ SAMPLES_PER_THREAD = 2**15
 """At least: with fewer, threads wait for each other longer than they work."""
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 
 
 @_jit

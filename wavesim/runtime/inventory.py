@@ -16,7 +16,7 @@ from wavesim.runtime.memory import Need
 
 
 @dataclass(frozen=True)
-class Listed:
+class ArrayGroup:
     """Arrays of one kind.
 
     Attributes
@@ -49,12 +49,12 @@ class Listed:
         return self.count * math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
 
-def work(name: str, count_bytes: float, during: Flag) -> Listed:
+def work(name: str, count_bytes: float, during: Flag) -> ArrayGroup:
     """Memory that something works in which is known, or was measured, as a whole."""
-    return Listed(name, (round(count_bytes),), np.uint8, during)
+    return ArrayGroup(name, (round(count_bytes),), np.uint8, during)
 
 
-Inventory = tuple[Listed, ...]
+Inventory = tuple[ArrayGroup, ...]
 """All arrays of a run. Lines of one name, for several phases, are of arrays of one shape and type."""
 
 
@@ -73,6 +73,6 @@ def need_of(arrays: Inventory) -> Need:
     return reduce(operator.or_, (need_during(arrays, phase) for phase in phases), Need(0, 0))
 
 
-def named(arrays: Inventory, name: str) -> Listed:
+def named(arrays: Inventory, name: str) -> ArrayGroup:
     """The first line of a name."""
     return next(one for one in arrays if one.name == name)

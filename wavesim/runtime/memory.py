@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lensdesign.common.memory import USABLE_FRACTION, MemoryLimitError, available_bytes
-from lensdesign.errors import refuse_not_positive
+from lensdesign.errors import validate_positive
 
 COMPLEX64, COMPLEX128, FLOAT32, FLOAT64 = 8, 16, 4, 8
 """Bytes of a sample."""
@@ -62,7 +62,7 @@ def memory_limit(memory_gb: float | None) -> float:
     """
     if memory_gb is None:
         return USABLE_FRACTION * available_bytes()
-    refuse_not_positive("--memory-gb", memory_gb)
+    validate_positive("--memory-gb", memory_gb)
     return 1e9 * memory_gb
 
 

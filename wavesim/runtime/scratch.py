@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.errors import InputError
-from wavesim.runtime.inventory import Listed
+from wavesim.runtime.inventory import ArrayGroup
 
 WRITTEN = 2**20
 """Bytes at a time, where a system cannot reserve a file's room at once."""
@@ -74,7 +74,7 @@ class Scratch:
         weakref.finalize(flat, self._count, in_file, -size).atexit = False
         return flat.view(dtype).reshape(shape)
 
-    def make(self, one: Listed) -> NDArray[Any]:
+    def make(self, one: ArrayGroup) -> NDArray[Any]:
         """One of the arrays listed, of zeros.
 
         Raises

@@ -1,5 +1,5 @@
 from .bench import Bench, LightErrors
-from .engine import Cost, Engine, Neglected, Tiled
+from .engine import Cost, Engine, ErrorTerm, Tiled
 from .light import Light
 from .patches import patch_scene
 from .placement import Placement
@@ -17,11 +17,11 @@ __all__ = [
     "CalibrationSettings",
     "Cost",
     "Engine",
+    "ErrorTerm",
     "FrameSetSettings",
     "ImageSettings",
     "Light",
     "LightErrors",
-    "Neglected",
     "Placement",
     "ReconstructionSettings",
     "Scene",

@@ -31,7 +31,7 @@ class LightErrors:
     Attributes
     ----------
     tilt_deg : (x, y)
-        Of its direction, as of :func:`wavesim.objects.illumination.plane_wave`.
+        Of its direction, as of :func:`wavesim.targets.illumination.plane_wave`.
     amplitude : mapping
         Change of the relative amplitude, 1 + sum of c P_i(x) P_j(y), by (i, j); x and y go from -1 to 1 over
         the patch.

@@ -59,7 +59,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Neglected:
+class ErrorTerm:
     """Something that an engine leaves out, and how much that may matter.
 
     Attributes
@@ -78,7 +78,7 @@ class Neglected:
     at_rim: bool = False
 
 
-def upper_bound(parts: Iterable[Neglected]) -> float:
+def upper_bound(parts: Iterable[ErrorTerm]) -> float:
     """Of the exit field's relative L2 error, from all that is neglected; infinite where it is not known.
 
     Parts are taken as independent, so that squares add, and taken `SAFETY` times over, since estimates
@@ -149,7 +149,7 @@ class Engine(ABC):
         """What it will take; does no work of the size of the scene."""
 
     @abstractmethod
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         """What is left out, the worst first."""
 
     @abstractmethod
@@ -162,14 +162,14 @@ class Engine(ABC):
             told = f"{self.name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
         return sha256(told.encode()).hexdigest()
 
-    def rim_light(self, light: Light) -> float:
+    def edge_illumination(self, light: Light) -> float:
         """Amplitude of light at the aperture's rim, over that of light which fills the aperture evenly.
 
         Of engines that err at the rim; 1 for others.
         """
         return 1.0
 
-    def neglected_of(self, light: Light | None = None) -> tuple[Neglected, ...]:
+    def neglected_of(self, light: Light | None = None) -> tuple[ErrorTerm, ...]:
         """What is left out of the light of one object, the worst first; left out, of all directions alike.
 
         Raises
@@ -180,8 +180,8 @@ class Engine(ABC):
         parts = self.neglected()
         if light is None:
             return parts
-        light.refuse_beside(self.scene)
-        share = self.rim_light(light) if any(part.at_rim for part in parts) else 1.0
+        light.validate_same_scene(self.scene)
+        share = self.edge_illumination(light) if any(part.at_rim for part in parts) else 1.0
         own = (replace(p, relative_error=share * p.relative_error) if p.at_rim else p for p in parts)
         return tuple(sorted(own, key=lambda part: -part.relative_error))
 
@@ -276,7 +276,7 @@ class Tiled(Engine):
         sums
             Where the fields of parts on their own grids are kept, by number; those that it holds are not
             computed again. A dict keeps them in memory,
-            :class:`wavesim.engines.whole_field.kept.KeptTiles` in files.
+            :class:`wavesim.engines.whole_field.tile_store.TileStore` in files.
 
         Yields
         ------

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 from lensdesign.errors import InputError
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.ghosts import ghost_system
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.ghosts import ghost_system
 from wavesim.scene.scene import Scene
 
 BAND_SHARE = 0.5

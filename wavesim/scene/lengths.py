@@ -26,7 +26,7 @@ ABSOLUTE_UM = {"wavelength_um": WAVELENGTH_UM, "pixel_pitch_um": PIXEL_PITCH_UM}
 """Lengths that are plausible or not whatever the lens."""
 
 
-def refuse_doubtful_lengths(
+def validate_lengths(
     lens: Lens, settings: Section | Mapping[str, Any], wavelength_um: float | None = None
 ) -> None:
     """Refuse lengths that no setting has and that another unit would explain.

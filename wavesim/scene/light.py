@@ -39,7 +39,7 @@ class Light:
         field = self.field
         return replace(self, field=Field(scene.object_grid, field.values, scene.wavelength_um, field.index))
 
-    def refuse_beside(self, scene: Scene) -> None:
+    def validate_same_scene(self, scene: Scene) -> None:
         """Refuse a scene whose light this is not.
 
         Raises

@@ -7,7 +7,7 @@ import math
 import scipy.fft
 
 from lensdesign.analysis.spread import footprint, largest_spread
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import InputError, SamplingError, validate_positive
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Grid
@@ -69,7 +69,7 @@ def patch_scene(
     _refuse(lens, patch_mm, field_mm)
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
-    refuse_not_positive("object_pitch_um", object_pitch_um)
+    validate_positive("object_pitch_um", object_pitch_um)
     pitch = 1e-3 * object_pitch_um
     if not patch_mm >= 2.0 * pitch:
         raise InputError(
@@ -122,7 +122,7 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)
 
 
-def refuse_wider_than_field(lens: Lens, patch_mm: float) -> None:
+def validate_within_field(lens: Lens, patch_mm: float) -> None:
     """Refuse a patch that the design's field does not hold.
 
     Raises
@@ -140,7 +140,7 @@ def refuse_wider_than_field(lens: Lens, patch_mm: float) -> None:
 
 
 def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:
-    refuse_wider_than_field(lens, patch_mm)
+    validate_within_field(lens, patch_mm)
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(
             f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"

@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from lensdesign.errors import InputError, refuse_not_positive, refuse_other
+from lensdesign.errors import InputError, validate_choice, validate_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.fields.field import Grid
 from wavesim.scene.placement import Placement
 
@@ -68,7 +68,7 @@ class Scene:
                 f"exit grid at z = {self.exit_grid.z_mm:g} mm: must not lie in front of the exit vertex, "
                 f"z >= {exit_vertex:g} mm"
             )
-        refuse_other("coating", self.coating, ("ideal", "bare"))
+        validate_choice("coating", self.coating, ("ideal", "bare"))
         if self.system.trials is not None:
             raise InputError("a scene is that of one lens: the perturbations hold many trials")
 
@@ -128,5 +128,5 @@ def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
         If it is not finite and above 0.
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    refuse_not_positive("wavelength_um", wavelength)
+    validate_positive("wavelength_um", wavelength)
     return wavelength

@@ -12,7 +12,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
 
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
@@ -226,11 +234,19 @@ class CameraSettings(Settings):
     full_well_electrons: float = Field(10_000.0, alias="full_well", ge=1.0, le=1e9, description="Electrons.")
     read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, le=1e9, description="Electrons.")
     bits: int = Field(12, ge=1, le=16, description="Of a count.")
-    brightest_share: float = Field(0.8, ge=1e-6, le=1e6, description="Of full well, in the brightest pixel.")
-    exposures: Numbers = Field(
-        (1.0,), description="Of each plane, as multiples of what gives the brightest share."
+    peak_fill: float = Field(
+        0.8,
+        validation_alias=AliasChoices("peak_fill", "brightest_share"),
+        ge=1e-6,
+        le=1e6,
+        description="Fraction of full well that the brightest pixel receives in exposure 1.",
     )
-    active_width: float = Field(1.0, description="Of a pixel, as a share of the pitch.")
+    exposures: Numbers = Field((1.0,), description="Exposure times of each plane; 1 gives the peak fill.")
+    fill_factor: float = Field(
+        1.0,
+        validation_alias=AliasChoices("fill_factor", "active_width"),
+        description="Linear fill factor of a pixel (0 to 1).",
+    )
     stage_error_mm: Numbers = Field((0.0,), description="Of all planes, or of each.")
     shift_um: Pair = Field((0.0, 0.0), description="x,y of the sensor from plane to plane.")
 
@@ -301,7 +317,13 @@ class FramedSettings(EngineSettings, PatchSettings):
         "stated", description="stated, or find: position and diameter from the frames; what is given stays."
     )
     scale: float | None = Field(None, description="object: recorded amplitude of 1; left out: fitted.")
-    active_width: float = Field(1.0, ge=0.0, le=1.0, description="Of a pixel, as a share of the pitch.")
+    fill_factor: float = Field(
+        1.0,
+        validation_alias=AliasChoices("fill_factor", "active_width"),
+        ge=0.0,
+        le=1.0,
+        description="Linear fill factor of a pixel (0 to 1).",
+    )
 
     @field_validator("field_stop")
     @classmethod

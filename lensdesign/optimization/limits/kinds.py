@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.specification.specification import Specification
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,14 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import OutOfTime, no_deadline
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.asked.choices import bases_of
-from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
-from lensdesign.optimization.asked.specification import Specification, refuse_impossible
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.kinds import Kind, kinds_of
 from lensdesign.optimization.local_search import Budget, Found, dense_rays, search_from, starts_of
+from lensdesign.optimization.operands.operand import KEPT
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
-from lensdesign.optimization.rows.row import KEPT
+from lensdesign.optimization.specification.choices import bases_of
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
+from lensdesign.optimization.specification.specification import Specification, validate_possible
 
 RESOLUTION = 5e-4
 """Relative step to which a limit is found."""
@@ -362,7 +362,7 @@ class _LimitSearch:
     def _problem(self, value: float, glasses: str) -> DesignProblem | None:
         try:
             asked = self.kind.changed(self.specification, value)
-            refuse_impossible(asked)
+            validate_possible(asked)
             return DesignProblem(asked, dict(bases_of(asked))[glasses])
         except (DesignError, ValueError):
             return None  # a numerical aperture above 1, say, or more than the etendue bound allows

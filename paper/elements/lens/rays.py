@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from lensdesign import Lens
 from lensdesign.analysis import rms_spot_diameter, spread_limit_sine
 from lensdesign.analysis.arrival import arrival_angles
-from lensdesign.pictures.layout import layout_figure
-from lensdesign.pictures.plots import spot_figure
-from lensdesign.tracing import compile_system, trace_compiled
-from lensdesign.tracing.paths import FIELD_SHARES
+from lensdesign.plots.layout import layout_figure
+from lensdesign.plots.plots import spot_figure
+from lensdesign.raytrace import compile_system, trace_compiled
+from lensdesign.raytrace.paths import FIELD_SHARES
 from paper.element import Element, Made, Number, Work
 from paper.style import BLUE, INK, ORANGE, RED, styled_figure
 

@@ -6,7 +6,7 @@ import math
 
 from lensdesign import get_material, trace
 from lensdesign.analysis import first_order
-from lensdesign.tracing import launch
+from lensdesign.raytrace import launch
 from paper.element import Element, Made, Number, Work
 
 

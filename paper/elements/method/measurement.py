@@ -9,16 +9,16 @@ import numpy as np
 
 from lensdesign import Lens
 from lensdesign.analysis import footprint
-from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
 from paper.drawing import arrow, bare, box, dimension, draw_glass, draw_rays, label, plane_line
 from paper.element import Element, Made, Number, Work
 from paper.elements.results.retrieval import PAPER_ITERATIONS, SECONDS, SETTINGS
 from paper.style import GREEN, ORANGE, panel, styled_figure
 from paper.twin import retrieved, twin
 from wavesim import ImageSettings, ReconstructionSettings, propagate
-from wavesim.camera import diversity
-from wavesim.objects import object_patch
 from wavesim.reconstruction.from_field import FEEDBACK, TV_STEP
+from wavesim.sensor import diversity
+from wavesim.targets import object_patch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -42,7 +42,7 @@ def figure_11(work: Work) -> Made:
         "rim of the exit surface, in glass, so that no further step is needed. The engine's adjoint is "
         "exact to rounding (dot-product test), and takes the same planes forward. Its working grid, fine "
         "enough for light of NA 0.5 in glass everywhere, stands in for Bluestein's method of Appendix B, "
-        "which free space uses (`wavesim.fields.passage`) where pitches differ."
+        "which free space uses (`wavesim.fields.propagator`) where pitches differ."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"

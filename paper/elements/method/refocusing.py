@@ -11,9 +11,9 @@ from lensdesign import scaled
 from paper.element import Budget, Element, Made, Number, Work
 from paper.style import BLUE, RED, styled_figure
 from wavesim import Field, Grid, Scene, engine_for, refocus_field
-from wavesim.objects import field_stop, usaf_chart, usaf_elements_within
 from wavesim.reconstruction import Refocusing
 from wavesim.scene.patches import exit_grid
+from wavesim.targets import field_stop, usaf_chart, usaf_elements_within
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -37,7 +37,7 @@ def equation_b1(work: Work) -> Made:
         "The method is the same, the identity as printed is not one: π[l x² + f²/l − (l x − f)²/l] is 2π f "
         "x, and that is what the code has. Free space takes it wherever window or pitch change."
     )
-    command = "python -m pytest tests/wavesim/fields/test_windowed.py"
+    command = "python -m pytest tests/wavesim/fields/test_chirp_z.py"
     return Made(numbers, (command,), difference)
 
 

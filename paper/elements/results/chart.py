@@ -21,9 +21,9 @@ from wavesim import (
     propagate,
     reconstruct_frames,
 )
-from wavesim.objects.region import around
-from wavesim.objects.usaf import UsafElement, chart_outline, usaf_line_width_um
 from wavesim.reconstruction.refocusing import Refocusing
+from wavesim.targets.region import around
+from wavesim.targets.usaf import UsafElement, chart_outline, usaf_line_width_um
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,10 +11,10 @@ from paper.element import Budget, Element, Made, Number, Work
 from paper.shots import BRACKET
 from paper.style import styled_figure
 from wavesim import FoundObject, ReconstructionSettings, image, read_frames, reconstruct_frames
-from wavesim.camera.frames import write_frame
 from wavesim.fields.files import write_field
-from wavesim.objects.region import holds
-from wavesim.objects.usaf import usaf_line_width_um
+from wavesim.sensor.frames import write_frame
+from wavesim.targets.region import holds
+from wavesim.targets.usaf import usaf_line_width_um
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

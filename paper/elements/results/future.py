@@ -14,7 +14,7 @@ from paper.element import DESIGNS, PAPER_DESIGN, Budget, Element, Made, Number, 
 from paper.shots import BRACKET, ENGINE_ERROR, SEED, Shot, shot
 from paper.twin import MARGIN, OBJECT_PITCH_UM, STOP_SHARE
 from wavesim import calibrate_frames, engine_for, image, reconstruct_frames
-from wavesim.evaluation import resolve
+from wavesim.metrics import resolve
 
 PLASTIC = "phone_lens.toml"
 """One moulded asphere, for three wavelengths."""

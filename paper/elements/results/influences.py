@@ -23,7 +23,7 @@ from wavesim import (
     refocus,
     resolve,
 )
-from wavesim.evaluation.metrics import RESOLVED_CONTRAST
+from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.pupil import line_pair_image, remove_shift
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign import Lens
-from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
 from paper.drawing import arrow, bare, dimension, draw_glass, draw_rays, label, plane_line
 from paper.element import Element, Made, Number, Work
 from paper.elements.results.retrieval import SECONDS, SETTINGS

@@ -12,10 +12,10 @@ from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.shots import BRACKET, ONE, Shot, finest, shot, told
 from paper.style import styled_figure
-from wavesim import Engine, Field, Recorded, engine_for, propagate
-from wavesim.camera.sensor import light_on_pixels
-from wavesim.objects.usaf import usaf_line_width_um
+from wavesim import Engine, Field, Measurement, engine_for, propagate
 from wavesim.reconstruction.resumable import retrieve_resumably
+from wavesim.sensor.sensor import light_on_pixels
+from wavesim.targets.usaf import usaf_line_width_um
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +41,7 @@ class _Taken(NamedTuple):
     said: str
     exposures: tuple[float, ...]
     planes: int
-    active_width: float = 1.0
+    fill_factor: float = 1.0
     rounds: int = 1
 
 
@@ -61,7 +61,7 @@ def the_papers_way(work: Work) -> Made:
     for kind in np.linspace(0, len(TAKEN) - 1, int(work.settings["kinds"])).astype(int):
         taken = TAKEN[kind]
         work.tell(taken.said)
-        one = shot(scale, "chart", taken.exposures, taken.planes, active_width=taken.active_width)
+        one = shot(scale, "chart", taken.exposures, taken.planes, fill_factor=taken.fill_factor)
         found = one.object_of(_retrieved(one, iterations, taken.rounds))
         numbers += _of(taken.said, one, found)
         drawn[taken.said] = one, found
@@ -101,12 +101,12 @@ def _retrieved(one: Shot, iterations: int, rounds: int) -> Field:
     return found
 
 
-def _at_points(one: Shot, plane: Recorded, found: Field) -> Recorded:
+def _at_points(one: Shot, plane: Measurement, found: Field) -> Measurement:
     """An amplitude in the middles of pixels, from its mean over them."""
     there = propagate(found, plane.distance_mm, check=False) if plane.distance_mm else found
     down, across = there.grid.shape
     sensor = one.lens.sensor.model_copy(update={"pixels": (across, down)})
-    mean = light_on_pixels(there, sensor, active_width=1.0)
+    mean = light_on_pixels(there, sensor, fill_factor=1.0)
     ratio = np.sqrt(np.abs(there.values) ** 2 / np.maximum(mean, 1e-30))
     ratio = np.clip(ratio, 1.0 / MOST_RATIO, MOST_RATIO)
     return replace(plane, amplitude=np.asarray(plane.amplitude * ratio, plane.amplitude.dtype))
@@ -114,7 +114,7 @@ def _at_points(one: Shot, plane: Recorded, found: Field) -> Recorded:
 
 def _best_field(iterations: int) -> tuple[Shot, Field]:
     """What Appendix A finds of the best frames, on the twin whose lens is cut into slices."""
-    one = shot(SLICED_TWIN, "chart", BRACKET, 4, active_width=0.0)
+    one = shot(SLICED_TWIN, "chart", BRACKET, 4, fill_factor=0.0)
     return one, _retrieved(one, iterations, 1)
 
 

@@ -12,9 +12,9 @@ from paper.shots import BRACKET, retrieved_of, shot
 from paper.style import SERIES, panel, styled_figure
 from paper.twin import STARTS, Start, Twin, retrieved, twin
 from wavesim.fields.field import Field
-from wavesim.objects.region import around, cut_field
-from wavesim.objects.usaf import chart_outline, usaf_line_width_um
 from wavesim.reconstruction import Retrieved
+from wavesim.targets.region import around, cut_field
+from wavesim.targets.usaf import chart_outline, usaf_line_width_um
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

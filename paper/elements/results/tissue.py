@@ -13,7 +13,7 @@ from paper.microscope import Objective
 from paper.shots import BRACKET, Shot, shot
 from paper.style import RED, faint_panel, panel, styled_figure
 from wavesim import Field, Grid, ReconstructionSettings, propagate, reconstruct_frames
-from wavesim.objects.region import cut_field
+from wavesim.targets.region import cut_field
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

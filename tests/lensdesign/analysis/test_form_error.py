@@ -17,10 +17,10 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.form_error import Removed, form_errors, pv_rms_waves
 from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
-from lensdesign.fabrication.mesh.mesh import write_mesh
 from lensdesign.lens.figure import figure_from_grid, figure_from_zernike
-from lensdesign.pictures.figures import figure_map
-from lensdesign.pictures.plots import draw_all
+from lensdesign.manufacture.mesh.mesh import write_mesh
+from lensdesign.plots.figures import figure_map
+from lensdesign.plots.plots import draw_all
 
 WAVE_UM = 0.6328
 SEMI_MM = 8.26
@@ -122,8 +122,8 @@ def test_a_map_is_drawn_of_every_measured_surface(
 ) -> None:
     lens = measured(paper_lens).with_surface(0, figure=None)
     for name in ("layout_figure", "spot_figure", "incidence_figure", "spread_figure"):
-        monkeypatch.setattr(f"lensdesign.pictures.plots.{name}", lambda lens: figure_map(lens, 1))
-    monkeypatch.setattr("lensdesign.pictures.plots.render_lens", lambda lens, path: None)
+        monkeypatch.setattr(f"lensdesign.plots.plots.{name}", lambda lens: figure_map(lens, 1))
+    monkeypatch.setattr("lensdesign.plots.plots.render_lens", lambda lens, path: None)
     names = [path.name for path in draw_all(lens, tmp_path)]
     charts = ["layout.png", "spots.png", "incidence.png", "spread.png"]
     assert names == [*charts, "surface_2_figure.png", "view3d.png"]

@@ -17,11 +17,11 @@ from lensdesign.analysis.outline import (
     highest_ground_mm,
 )
 from lensdesign.errors import InputError
-from lensdesign.fabrication.drawing.nominal import stated_lens
-from lensdesign.fabrication.drawing.sheets import DrawingOptions, drawing_as_stated, element_tolerances
-from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
+from lensdesign.manufacture.drawing.nominal import stated_lens
+from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_stated, element_tolerances
+from lensdesign.manufacture.mesh.mesh import lens_mesh
 
 
 @pytest.mark.parametrize(

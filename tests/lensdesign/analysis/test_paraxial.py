@@ -11,7 +11,7 @@ from random_lenses import lenses, numbers, signed
 
 from lensdesign import Lens, ObjectSpace, Sensor, Surface
 from lensdesign.analysis.paraxial import first_order
-from lensdesign.tracing.rays import trace
+from lensdesign.raytrace.rays import trace
 
 
 def singlet(r1: float | None, r2: float | None, thickness: float, n: float) -> Lens:

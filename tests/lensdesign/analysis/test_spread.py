@@ -22,8 +22,8 @@ from lensdesign.analysis.spread import (
     rms_spot_diameter,
     throughput,
 )
-from lensdesign.tracing.bundles import launch
-from lensdesign.tracing.rays import RayTrace, trace
+from lensdesign.raytrace.bundles import launch
+from lensdesign.raytrace.rays import RayTrace, trace
 
 DISTANCE, STOP, FIELD, GAP = 10.0, 3.0, 2.0, 4.0
 NOMINAL = Pose()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign import InputError
-from lensdesign.common.tables import read_list, read_number, read_table, refuse_comma_pairs
+from lensdesign.common.tables import read_list, read_number, read_table, validate_no_comma_pairs
 
 
 @given(st.floats(allow_infinity=True, allow_nan=False))
@@ -107,6 +107,6 @@ def test_grids_of_decimal_commas(rows, is_refused):
     lines = [(text, f"g.csv, line {n}") for n, text in enumerate(rows, start=1)]
     if is_refused:
         with pytest.raises(InputError, match=r"g\.csv, line 1: .*decimal comma"):
-            refuse_comma_pairs(lines)
+            validate_no_comma_pairs(lines)
     else:
-        refuse_comma_pairs(lines)
+        validate_no_comma_pairs(lines)

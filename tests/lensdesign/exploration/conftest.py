@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from places import DESIGNS
 
-from lensdesign.exploration import Exploration, Explored, axes_of
+from lensdesign.exploration import Exploration, ExploredPoint, axes_of
 from lensdesign.optimization import Specification, load_specification
 
 OVER = "thickness,spread"
@@ -34,5 +34,5 @@ def specification(spec_path: Path) -> Specification:
 
 
 @pytest.fixture(scope="session")
-def explored(specification: Specification) -> list[Explored]:
+def explored(specification: Specification) -> list[ExploredPoint]:
     return Exploration(specification, axes_of(OVER, specification), lenses=4).run()

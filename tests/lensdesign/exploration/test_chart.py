@@ -6,13 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-from lensdesign.exploration import Explored, axes_of
+from lensdesign.exploration import ExploredPoint, axes_of
 from lensdesign.exploration.chart import COLORS, front_page, write_charts
 from lensdesign.exploration.front import MOST_GLASSES
 from lensdesign.optimization import Specification
 
 
-def test_each_lens_tells_its_name_and_values(specification: Specification, explored: list[Explored]) -> None:
+def test_each_lens_tells_its_name_and_values(
+    specification: Specification, explored: list[ExploredPoint]
+) -> None:
     axes = axes_of("thickness,spread", specification)
     hostile = replace(explored[0], key="<script>alert(1)</script>", glasses="<b>")
     page = front_page([hostile, *explored[1:]], axes)
@@ -27,7 +29,7 @@ def test_each_lens_tells_its_name_and_values(specification: Specification, explo
 
 
 def test_a_picture_and_a_page_are_written(
-    tmp_path: Path, specification: Specification, explored: list[Explored]
+    tmp_path: Path, specification: Specification, explored: list[ExploredPoint]
 ) -> None:
     files = write_charts(tmp_path, explored, axes_of("thickness,spread", specification))
     assert [file.name for file in files] == ["front.png", "front.html"]

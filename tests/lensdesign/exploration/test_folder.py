@@ -10,7 +10,7 @@ import pytest
 
 from lensdesign import load_design
 from lensdesign.errors import InputError
-from lensdesign.exploration import Explored, axes_of
+from lensdesign.exploration import ExploredPoint, axes_of
 from lensdesign.exploration.folder import ENDS, FRONT, folder_for
 from lensdesign.optimization import Specification
 
@@ -18,7 +18,7 @@ OVER = "thickness,spread"
 
 
 @pytest.fixture
-def filled(tmp_path: Path, specification: Specification, explored: list[Explored]) -> Path:
+def filled(tmp_path: Path, specification: Specification, explored: list[ExploredPoint]) -> Path:
     folder = folder_for(tmp_path / "front", specification, axes_of(OVER, specification), 4)
     assert folder.begin() == {}
     for one in explored:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign.errors import DesignError
-from lensdesign.exploration import Axis, Exploration, Explored, axes_of, front_of
+from lensdesign.exploration import Axis, Exploration, ExploredPoint, axes_of, front_of
 from lensdesign.exploration.objectives import OBJECTIVES
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization import Specification, check_against
@@ -20,7 +20,7 @@ AXES = (Axis(OBJECTIVES["thickness"]), Axis(OBJECTIVES["yield"]))
 def test_each_lens_is_on_the_front_or_behind_one_that_is(values: list[tuple[float, float]]) -> None:
     lens = Lens.model_construct()
     all_of = [
-        Explored(str(k), "glass", {"thickness_mm": a, "yield": b}, (), lens)
+        ExploredPoint(str(k), "glass", {"thickness_mm": a, "yield": b}, (), lens)
         for k, (a, b) in enumerate(values)
     ]
     front = front_of(all_of, AXES)
@@ -38,10 +38,10 @@ def test_each_lens_is_on_the_front_or_behind_one_that_is(values: list[tuple[floa
 
 
 def test_lenses_that_were_not_found_stand_on_no_front() -> None:
-    assert front_of([Explored("a", "glass", {}, (), None)], AXES) == []
+    assert front_of([ExploredPoint("a", "glass", {}, (), None)], AXES) == []
 
 
-def test_a_thinner_lens_spreads_more(specification: Specification, explored: list[Explored]) -> None:
+def test_a_thinner_lens_spreads_more(specification: Specification, explored: list[ExploredPoint]) -> None:
     """And each keeps every constraint, by a check of its own."""
     front = front_of(explored, axes_of("thickness,spread", specification))
     assert len(front) >= 3
@@ -54,9 +54,11 @@ def test_a_thinner_lens_spreads_more(specification: Specification, explored: lis
         assert check_against(one.lens, specification).feasible
 
 
-def test_what_is_known_is_not_sought_again(specification: Specification, explored: list[Explored]) -> None:
+def test_what_is_known_is_not_sought_again(
+    specification: Specification, explored: list[ExploredPoint]
+) -> None:
     known = {one.key: one for one in explored}
-    kept: list[Explored] = []
+    kept: list[ExploredPoint] = []
     axes = axes_of("thickness,spread", specification)
     again = Exploration(specification, axes, 4, known, kept.append).run()
     assert [one.key for one in again] == [one.key for one in explored]

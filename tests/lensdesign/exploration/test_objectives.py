@@ -8,7 +8,7 @@ from lensdesign.errors import InputError
 from lensdesign.exploration import axes_of
 from lensdesign.exploration.objectives import OBJECTIVES
 from lensdesign.optimization import Specification
-from lensdesign.optimization.asked.sections import Constraints, Tolerances
+from lensdesign.optimization.specification.sections import Constraints, Tolerances
 
 
 @pytest.mark.parametrize(

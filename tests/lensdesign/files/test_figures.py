@@ -18,9 +18,9 @@ from lensdesign import DesignError, InputError, Lens, load_design, save_design, 
 from lensdesign.common.input_files import files_from
 from lensdesign.files.figures import read_figure_grid, surface_figure, write_figure_grid
 from lensdesign.lens.figure import figure_from_zernike
-from lensdesign.optimization.asked.specification import load_specification
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.gradients import gradient_trace
+from lensdesign.optimization.specification.specification import load_specification
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.gradients import gradient_trace
 
 SEEDS = st.integers(0, 2**32 - 1)
 

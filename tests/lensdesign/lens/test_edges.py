@@ -15,9 +15,6 @@ from random_lenses import numbers
 
 from lensdesign.analysis.check import check_design, edge_thickness_mm
 from lensdesign.errors import DesignError, InputError
-from lensdesign.fabrication.drawing.sheets import lens_drawing
-from lensdesign.fabrication.mesh.mesh import lens_mesh
-from lensdesign.fabrication.step.writing import write_step
 from lensdesign.files.design import load_design, save_design
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.edges import Edge, Flange
@@ -25,6 +22,9 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.scaling import scaled
 from lensdesign.lens.solid import closed_elements
+from lensdesign.manufacture.drawing.sheets import lens_drawing
+from lensdesign.manufacture.mesh.mesh import lens_mesh
+from lensdesign.manufacture.step.writing import write_step
 
 FLANGE = Flange(semi_diameter_mm=13.0, distance_mm=2.0, thickness_mm=1.2)
 MOULDED = Edge(

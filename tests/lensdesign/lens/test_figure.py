@@ -19,10 +19,10 @@ from lensdesign.analysis.spread import largest_spread
 from lensdesign.errors import InputError
 from lensdesign.lens import SurfaceFigure, figure_from_grid, figure_from_zernike
 from lensdesign.lens.zernikes import HIGHEST_INDEX, zernike
-from lensdesign.tracing.bundles import launch
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.rays import trace_compiled
-from lensdesign.tracing.status import Status
+from lensdesign.raytrace.bundles import launch
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.rays import trace_compiled
+from lensdesign.raytrace.status import Status
 
 SEEDS = st.integers(0, 2**32 - 1)
 SEMI_MM = 4.0

@@ -10,7 +10,7 @@ from lensdesign.analysis.spread import largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled, stopped_down
-from lensdesign.tracing.bundles import launch, pupil_hexapolar
+from lensdesign.raytrace.bundles import launch, pupil_hexapolar
 
 PAPER = load_design("designs/paper_singlet.toml")
 ASPHERIC = PAPER.replaced(surfaces=(PAPER.surfaces[0].replaced(asphere=(1e-6, -2e-9)), PAPER.surfaces[1]))

@@ -10,7 +10,7 @@ import pytest
 
 from lensdesign.errors import InputError
 from lensdesign.lens.zernikes import HIGHEST_INDEX, HIGHEST_ORDER, zernike, zernike_orders
-from lensdesign.tracing.bundles import pupil_rings
+from lensdesign.raytrace.bundles import pupil_rings
 
 RHO, THETA = np.random.default_rng(3).random((2, 500)) * [[1.0], [2.0 * math.pi]]
 

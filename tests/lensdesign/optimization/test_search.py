@@ -14,14 +14,14 @@ from lensdesign.analysis.outline import drawn_outline
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result, search
-from lensdesign.optimization.asked.sections import Constraints, FieldSpread, Settings
-from lensdesign.optimization.asked.specification import Specification, load_specification
-from lensdesign.optimization.asked.variables import VariableRange
-from lensdesign.optimization.limits.reach import Reach
+from lensdesign.optimization.limits.feasibility import FeasibilityLimit
+from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
-from lensdesign.optimization.result import Tried
-from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
+from lensdesign.optimization.result import GlassChoiceResult
 from lensdesign.optimization.search import optimize
+from lensdesign.optimization.specification.sections import Constraints, FieldSpread, Settings
+from lensdesign.optimization.specification.specification import Specification, load_specification
+from lensdesign.optimization.specification.variables import VariableRange
 from lensdesign.optimization.worst_rays import worse_rays
 
 GOALS = ("smallest spread", "thinnest lens", "smallest aperture", "shortest track")
@@ -257,7 +257,7 @@ def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
 @pytest.fixture
 def no_reach(monkeypatch):
     """Without a search for what can be met: it has tests of its own, and takes longer than the one before."""
-    monkeypatch.setattr(result, "largest_that_can", lambda *_: Reach())
+    monkeypatch.setattr(result, "feasibility_limit", lambda *_: FeasibilityLimit())
 
 
 @pytest.mark.usefixtures("no_reach")
@@ -369,7 +369,11 @@ def test_what_was_not_tried_is_named(thinnest, monkeypatch):
     tries = search._try
 
     def late(glass, problem, *arguments):
-        return tries(glass, problem, *arguments) if glass == "N-BK7" else Tried(glass, (), "max_seconds")
+        return (
+            tries(glass, problem, *arguments)
+            if glass == "N-BK7"
+            else GlassChoiceResult(glass, (), "max_seconds")
+        )
 
     monkeypatch.setattr(search, "_try", late)
     settings = thinnest.optimize.replaced(max_seconds=60.0)

@@ -13,7 +13,7 @@ from places import DESIGNS
 
 from lensdesign import check_design, load_design
 from studio.model.bench import Workbench
-from studio.model.document import Aside
+from studio.model.document import Autosave
 from studio.model.whatif import WhatIf
 
 RADIUS = "surface.1.radius_mm"
@@ -22,7 +22,7 @@ RADIUS = "surface.1.radius_mm"
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Workbench]:
     file = Path(shutil.copy(DESIGNS / "paper_singlet.toml", tmp_path / "lens.toml"))
-    made = Workbench(file, "", Aside(file, tmp_path / "aside"))
+    made = Workbench(file, "", Autosave(file, tmp_path / "aside"))
     yield made
     made.close()
 
@@ -73,7 +73,7 @@ def test_saving_is_asked_for(bench: Workbench) -> None:
 def test_edits_outlive_the_process(bench: Workbench, tmp_path: Path) -> None:
     bench.edit(RADIUS, "number", "-12.2")
     wait(lambda: bool(bench.aside and bench.aside.read().get("tables")))
-    again = Workbench(bench.document.path, "", Aside(bench.document.path, tmp_path / "aside"))
+    again = Workbench(bench.document.path, "", Autosave(bench.document.path, tmp_path / "aside"))
     assert again.lens == bench.lens
     assert not again.is_saved
 

@@ -11,7 +11,7 @@ from places import DESIGNS
 
 from lensdesign import load_design
 from lensdesign.errors import InputError
-from studio.model.document import Aside, opened, tables_text
+from studio.model.document import Autosave, opened, tables_text
 from studio.model.editing import Editing, with_value
 
 
@@ -56,10 +56,10 @@ def test_another_name_must_be_free(file: Path, tmp_path: Path) -> None:
 
 def test_edits_of_the_last_session_come_back_and_can_be_undone(file: Path, tmp_path: Path) -> None:
     document, editing = opened(file)
-    aside = Aside(file, tmp_path / "aside")
+    aside = Autosave(file, tmp_path / "aside")
     aside.keep(tables=tables_text(edited(editing).now.tables), digest=document.digest)
     assert aside.file.stat().st_mode & 0o077 == 0
-    back = Aside(file, tmp_path / "aside").restored(document, editing)
+    back = Autosave(file, tmp_path / "aside").restored(document, editing)
     assert back.lens.surfaces[1].radius_mm == -12.5
     assert back.undone().lens == editing.lens
 
@@ -69,20 +69,20 @@ def test_edits_of_the_last_session_come_back_and_can_be_undone(file: Path, tmp_p
 )
 def test_what_cannot_be_used_is_not(file: Path, tmp_path: Path, content: str) -> None:
     document, editing = opened(file)
-    aside = Aside(file, tmp_path)
+    aside = Autosave(file, tmp_path)
     aside.file.write_text(content.replace("DIGEST", document.digest))
     assert aside.restored(document, editing) is editing
 
 
 def test_edits_of_another_file_do_not_come_back(file: Path, tmp_path: Path) -> None:
     document, editing = opened(file)
-    aside = Aside(file, tmp_path / "aside")
+    aside = Autosave(file, tmp_path / "aside")
     aside.keep(tables=tables_text(edited(editing).now.tables), digest="of another")
     assert aside.restored(document, editing) is editing
 
 
 def test_two_threads_may_keep_at_one_time(file: Path, tmp_path: Path) -> None:
-    aside = Aside(file, tmp_path / "aside")
+    aside = Autosave(file, tmp_path / "aside")
     with ThreadPoolExecutor(4) as threads:
         list(threads.map(lambda k: aside.keep(**{f"value{k}": k}), range(200)))
     assert len(aside.read()) == 200

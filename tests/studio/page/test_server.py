@@ -192,6 +192,7 @@ def test_sessions_go_when_pages_are_closed() -> None:
     from studio.page.server import server_of
 
     held: list[int] = []
+    opened: list[bool] = []
 
     async def opened_and_left() -> None:
         with socket.socket() as free:
@@ -203,7 +204,7 @@ def test_sessions_go_when_pages_are_closed() -> None:
         turn = asyncio.get_running_loop().run_in_executor
         for _ in range(3):
             assert await turn(None, asked, f"http://127.0.0.1:{port}/{'a' * 32}/", "") == 200
-        held.append(len(server.get_sessions()))
+            opened.append(bool(server.get_sessions()))
         for _ in range(600):
             await asyncio.sleep(0.5)
             if not server.get_sessions():
@@ -213,7 +214,8 @@ def test_sessions_go_when_pages_are_closed() -> None:
         bench.close()
 
     asyncio.run(opened_and_left())
-    assert held == [3, 0, 0]
+    assert opened == [True, True, True]  # on a busy machine the first may end before the last begins
+    assert held == [0, 0]
 
 
 @needs_browser

@@ -7,7 +7,6 @@ import pytest
 from tests_studies import DESIGN, HEAD
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.yields import yield_of
 from tolerancing.budgets.study_budget import (
     BudgetInterrupted,
     budget,
@@ -16,6 +15,7 @@ from tolerancing.budgets.study_budget import (
     scaled_study,
 )
 from tolerancing.run.run import run_study
+from tolerancing.statistics.yields import yield_of
 from tolerancing.store.store import open_store
 from tolerancing.study.evaluate import context_of, score_trials
 from tolerancing.study.files import load_study, save_study

@@ -12,7 +12,7 @@ from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
-from wavesim.camera.recording import recorded_scene
+from wavesim.sensor.recording import recorded_scene
 
 DECENTER = PerturbedParameter(target="lens", parameter="decenter_y_mm")
 OBJECT = PerturbedParameter(target="object", parameter="decenter_x_mm")

@@ -7,8 +7,8 @@ import pytest
 
 from lensdesign import DesignError, Pose, SurfacePerturbation
 from lensdesign.errors import InputError
-from lensdesign.tracing.bundles import launch, pupil_rings
-from lensdesign.tracing.rays import trace
+from lensdesign.raytrace.bundles import launch, pupil_rings
+from lensdesign.raytrace.rays import trace
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.registry import MERITS, merit_from_table

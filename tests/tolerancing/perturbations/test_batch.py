@@ -9,13 +9,13 @@ from lensdesign import Pose, SurfacePerturbation, trace
 from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.lens.poses import SURFACE_DELTAS
 from lensdesign.lens.surface import Surface
-from lensdesign.tracing.bundles import pupil_rings
+from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.merits.arrival import arriving_rays
 from tolerancing.merits.pupil import Strehl
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.distributions import Normal, Uniform
 from tolerancing.perturbations.parameters import LENS_PARAMETERS, Perturbation, PerturbedParameter
-from tolerancing.study.evaluate import realise
+from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
 SCATTER = (
@@ -45,34 +45,34 @@ def one(target, parameter, *values):
 @given(seed=st.integers(0, 2**70), trials=st.lists(st.integers(0, 10**6), min_size=1, max_size=6))
 def test_a_trial_depends_on_seed_and_number_alone(seed, trials):
     study = study_of(seed=seed)
-    together = realise(study, trials).values
-    alone = [realise(study, [trial]).values[0] for trial in trials]
+    together = sample_perturbations(study, trials).values
+    alone = [sample_perturbations(study, [trial]).values[0] for trial in trials]
     assert np.array_equal(together, alone)
 
 
 def test_streams_are_those_of_seed_sequences():
     draws = np.random.default_rng(np.random.SeedSequence(11, spawn_key=(5,))).random(3)
-    drawn = realise(study_of(seed=11), [5]).values[0]
+    drawn = sample_perturbations(study_of(seed=11), [5]).values[0]
     expected = [p.distribution.quantile(np.array([u]))[0] for p, u in zip(SCATTER, draws, strict=True)]
     assert drawn.tolist() == expected
 
 
 def test_seeds_trials_and_perturbations_are_uncorrelated():
-    a = realise(study_of(seed=1), range(3000)).values
-    b = realise(study_of(seed=2), range(3000)).values
+    a = sample_perturbations(study_of(seed=1), range(3000)).values
+    b = sample_perturbations(study_of(seed=2), range(3000)).values
     columns = np.column_stack([a, b, a[np.arange(1, 3001) % 3000]])
     off_diagonal = np.corrcoef(columns.T) - np.eye(9)
     assert np.abs(off_diagonal).max() < 4.0 / np.sqrt(3000)
 
 
 def test_a_perturbation_added_at_the_end_leaves_the_others_as_they_were():
-    fewer = realise(study_of(SCATTER[:2], seed=4), range(9)).values
-    assert np.array_equal(fewer, realise(study_of(seed=4), range(9)).values[:, :2])
+    fewer = sample_perturbations(study_of(SCATTER[:2], seed=4), range(9)).values
+    assert np.array_equal(fewer, sample_perturbations(study_of(seed=4), range(9)).values[:, :2])
 
 
 def test_groups_move_together_and_correlations_show():
     grouped = tuple(p.model_copy(update={"group": "cell"}) for p in SCATTER[:2]) + SCATTER[2:]
-    values = realise(study_of(grouped), range(200)).values
+    values = sample_perturbations(study_of(grouped), range(200)).values
     ranks = np.argsort(np.argsort(values, axis=0), axis=0)
     assert np.array_equal(ranks[:, 0], ranks[:, 1])
     assert not np.array_equal(ranks[:, 0], ranks[:, 2])
@@ -84,13 +84,13 @@ def test_groups_move_together_and_correlations_show():
             "correlation": ({"names": ("lens_tilt_x", "surface_2_conic"), "coefficient": 0.9},),
         }
     )
-    correlated = realise(study, range(2000)).values
+    correlated = sample_perturbations(study, range(2000)).values
     assert np.corrcoef(correlated.T)[0, 2] == pytest.approx(0.9, abs=0.02)
     assert abs(np.corrcoef(correlated.T)[0, 1]) < 0.08
 
 
 def test_batch_becomes_poses_and_surface_perturbations(paper_lens):
-    batch = realise(study_of(pivot_z_mm=4.5), range(4))
+    batch = sample_perturbations(study_of(pivot_z_mm=4.5), range(4))
     tilt, radius, conic = batch.values.T
     assert batch.poses().tilt_x_deg.tolist() == tilt.tolist()
     assert batch.poses().pivot_z_mm == 4.5

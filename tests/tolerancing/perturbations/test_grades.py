@@ -11,7 +11,7 @@ from random_lenses import lenses
 
 from lensdesign import DesignError, InputError, Lens, load_design
 from lensdesign.analysis.spread import largest_spread
-from lensdesign.fabrication.drawing.tolerances import GENERAL
+from lensdesign.manufacture.drawing.tolerances import GENERAL
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.distributions import DISTRIBUTIONS
 from tolerancing.perturbations.grades import COMMENT_COLUMN, GRADES, starting_study

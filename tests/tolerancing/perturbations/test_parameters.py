@@ -4,8 +4,8 @@ import pytest
 import tomli_w
 
 from lensdesign import DesignError
-from lensdesign.fabrication.drawing.assumed import load_tolerances
 from lensdesign.lens.lens import Lens
+from lensdesign.manufacture.drawing.assumed import load_tolerances
 from tolerancing.perturbations.distributions import Normal
 from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 from tolerancing.perturbations.parameters import PerturbedParameter, perturbation_from_table

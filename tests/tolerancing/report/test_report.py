@@ -12,10 +12,10 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import InputError
-from tolerancing.analysis.summary import summarize
 from tolerancing.report.blocks import Heading, number_text, percent_text
 from tolerancing.report.report import report_data, report_of, write_report
 from tolerancing.run.run import run_study
+from tolerancing.statistics.summary import summarize
 from tolerancing.store.store import create_store, open_store
 from tolerancing.study.files import load_study
 
@@ -204,7 +204,7 @@ def test_the_theme_s_button_stands_beside_what_scrolls(full):
 
 def test_field_heights_have_their_own_colours_in_both_themes(full):
     _, _, text, _ = full
-    from lensdesign.tracing.paths import FIELD_COLORS
+    from lensdesign.raytrace.paths import FIELD_COLORS
 
     for number, colour in enumerate(FIELD_COLORS, start=1):
         assert f"stroke:var(--field-{number})" in text.replace(" ", "")
@@ -293,13 +293,13 @@ def test_the_pdf_says_the_same(full):
 
 
 def test_fidelity_says_what_both_levels_say(full):
-    from tolerancing.analysis.control_variates import Chosen, Seconds, combined_mean
+    from tolerancing.statistics.control_variates import Seconds, TrialChoice, combined_mean
 
     _, store, _, page = full
     dear, results = store.dear(), store.trials()
     worst = np.array([why == "worst" for why in dear.chosen])
     numbers = np.array(dear.trials)
-    chosen = Chosen(numbers[worst], numbers[~worst])
+    chosen = TrialChoice(numbers[worst], numbers[~worst])
     scores = np.concatenate([dear.scores[worst, 0], dear.scores[~worst, 0]])
     seconds = Seconds(results.seconds.mean(), dear.seconds.mean())
     found = combined_mean(results.scores[:, 1], chosen, scores, seconds)

@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tolerancing.analysis.scorer import kurtosis
-from tolerancing.analysis.summary import summary_of
 from tolerancing.merits.rays import LargestSpread
 from tolerancing.perturbations.distributions import Normal, Uniform
 from tolerancing.report.blocks import (
@@ -36,6 +34,8 @@ from tolerancing.report.pdf.tables import broken_lines
 from tolerancing.report.report import report_of
 from tolerancing.report.sections.series import series_section
 from tolerancing.report.sections.trials import SCALES, pictured_trials, scale_section, score_text
+from tolerancing.statistics.scorer import kurtosis
+from tolerancing.statistics.summary import summary_of
 from tolerancing.study.files import load_study
 from tolerancing.study.results import Picture, StepResults, TrialResults
 from tolerancing.study.sweep import SENSITIVITY, STEPS

@@ -7,7 +7,7 @@ from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.tasks import Task
 from tolerancing.study.files import load_study
 from wavesim.engines.slices import cost as slices_cost
-from wavesim.evaluation import resolving
+from wavesim.metrics import resolving
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def ticking(monkeypatch):
         return score
 
     monkeypatch.setattr(estimate, "score_trials", takes(1.0))
-    monkeypatch.setattr(estimate, "score_dear", takes(10.0))
+    monkeypatch.setattr(estimate, "score_high_fidelity", takes(10.0))
     monkeypatch.setattr(estimate.time, "perf_counter", lambda: now[0])
 
 

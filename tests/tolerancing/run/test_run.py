@@ -15,7 +15,7 @@ import tolerancing.run.run as module
 from lensdesign import InputError
 from tolerancing.merits.rays import LargestSpread
 from tolerancing.run.run import RunError, run_study
-from tolerancing.run.tasks import Task, chosen_trials, dear_counts
+from tolerancing.run.tasks import Task, chosen_trials, high_fidelity_counts
 from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study
 
@@ -241,7 +241,7 @@ def test_dear_merits_wait_for_all_trials_and_follow_more_trials(full, tmp_path):
 )
 def test_shares_of_trials_for_the_dear_merits(full, shares, trials, counts):
     fidelity = full.study.fidelity.model_copy(update={"worst_share": shares[0], "random_share": shares[1]})
-    assert dear_counts(full.study.model_copy(update={"fidelity": fidelity}), trials) == counts
+    assert high_fidelity_counts(full.study.model_copy(update={"fidelity": fidelity}), trials) == counts
 
 
 def test_two_runs_on_one_store_share_the_work(rays, tmp_path):

@@ -13,7 +13,7 @@ from lensdesign import InputError
 from tolerancing.store.export import write_steps, write_trials
 from tolerancing.store.store import create_store, open_store
 from tolerancing.study.files import load_study
-from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 
 DEAR = """
 [[merit]]
@@ -49,7 +49,7 @@ def some_trials():
 
 def some_dear():
     scores, seconds = np.array([[0.5], [np.nan]]), np.array([1.0, 2.0])
-    return DearResults((4, 9), ("worst", "random"), scores, ("", "=lost"), seconds)
+    return HighFidelityResults((4, 9), ("worst", "random"), scores, ("", "=lost"), seconds)
 
 
 def some_steps():

@@ -15,7 +15,7 @@ import tolerancing.store.store as module
 from lensdesign import InputError
 from tolerancing.store.store import create_store, open_store
 from tolerancing.study.files import load_study
-from tolerancing.study.results import DearResults, Picture, StepResults, TrialResults
+from tolerancing.study.results import HighFidelityResults, Picture, StepResults, TrialResults
 
 DEAR = """
 [[merit]]
@@ -142,12 +142,12 @@ def test_columns_are_readable_by_other_programs(path):
 
 
 def test_the_record_of_a_trial_tells_all_that_is_known_of_it(path):
-    dear = DearResults((1,), ("worst",), np.array([[0.25]]), ("",), np.array([3.0]))
+    dear = HighFidelityResults((1,), ("worst",), np.array([[0.25]]), ("",), np.array([3.0]))
     with open_store(path) as store:
         store.add(some_trials(0, 2), dear)
         assert store.dear().trials == (1,)
-        assert not store.lacks_dear(1)
-        assert store.lacks_dear(0)
+        assert not store.lacks_high_fidelity(1)
+        assert store.lacks_high_fidelity(0)
         back = store.dear()
         version = store.record().toolkit_version
     assert (back.trials, back.chosen, back.scores.tolist(), back.seconds.tolist()) == (

@@ -12,9 +12,9 @@ from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 from typer.testing import CliRunner
 
 from lensdesign import InputError
-from tolerancing.analysis.trial import single_trial
 from tolerancing.cli.commands import app
 from tolerancing.run.run import run_study
+from tolerancing.statistics.trial import single_trial
 from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study
 

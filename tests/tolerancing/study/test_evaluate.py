@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tolerancing.study.evaluate import context_of, decide_levels, realise
+from tolerancing.study.evaluate import context_of, decide_levels, sample_perturbations
 from tolerancing.study.files import load_study
 
 CONTRAST = """
@@ -37,7 +37,7 @@ def test_levels_without_a_choice_are_what_they_are(study_with):
 def test_auto_takes_the_pupil_where_it_agrees_with_waves(study_with):
     loaded = study_with(sigma=0.002)
     assert decide_levels(loaded.lens, loaded.study)["contrast"] == "pupil"
-    context, batch = context_of(loaded.lens, loaded.study), realise(loaded.study, range(6))
+    context, batch = context_of(loaded.lens, loaded.study), sample_perturbations(loaded.study, range(6))
     scores = [
         loaded.study.with_levels({"contrast": level}).merits[-1].scores(context, batch)
         for level in ("pupil", "wave")
@@ -47,7 +47,7 @@ def test_auto_takes_the_pupil_where_it_agrees_with_waves(study_with):
 
 def test_auto_takes_waves_where_the_pupil_does_not_agree(study_with):
     loaded = study_with("field_mm = [0.0, 1.2]\n\n[fidelity]\nlargest_difference = 0.001", sigma=0.05)
-    context, batch = context_of(loaded.lens, loaded.study), realise(loaded.study, range(6))
+    context, batch = context_of(loaded.lens, loaded.study), sample_perturbations(loaded.study, range(6))
     scores = [
         loaded.study.with_levels({"contrast": level}).merits[-1].scores(context, batch)
         for level in ("pupil", "wave")
@@ -68,8 +68,8 @@ def test_noise_is_that_of_the_trial(study_with):
     loaded = study_with("electrons = 10.0\npatch_um = 12.0")
     merit = loaded.study.merits[-1]
     context = context_of(loaded.lens, loaded.study)
-    together = merit.scores(context, realise(loaded.study, range(3)))
-    alone = [merit.scores(context, realise(loaded.study, [trial]))[0] for trial in range(3)]
+    together = merit.scores(context, sample_perturbations(loaded.study, range(3)))
+    alone = [merit.scores(context, sample_perturbations(loaded.study, [trial]))[0] for trial in range(3)]
     assert together.tolist() == alone
     quiet = loaded.study.with_levels({}).merits[-1].model_copy(update={"electrons": None})
-    assert np.all(quiet.scores(context, realise(loaded.study, range(3))) != together)
+    assert np.all(quiet.scores(context, sample_perturbations(loaded.study, range(3))) != together)

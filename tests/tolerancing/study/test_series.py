@@ -165,7 +165,7 @@ def test_a_sweep_scores_the_dear_merit_that_it_names_itself(write_study, full_st
     number = [part.label for part in loaded.study.series].index("of_dear")
     context = context_of(loaded.lens, loaded.study)
     steps = [score_step(context, loaded.study, number, step) for step in range(2)]
-    (dear,) = loaded.study.dear_merits
+    (dear,) = loaded.study.high_fidelity_merits
     expected = dear.scores(context, context.perturbed(loaded.study.perturbations[:1], np.array([[0.02]])))
     assert steps[1].scores == {"refined": expected[0]}
     assert steps[1].scores["refined"] > steps[0].scores["refined"] + 0.01

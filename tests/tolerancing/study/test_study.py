@@ -9,15 +9,15 @@ import tomli_w
 from places import GOLDEN
 
 from lensdesign import InputError
-from tolerancing.analysis.limits import inverse
 from tolerancing.cli.commands import main
 from tolerancing.perturbations.distributions import Empirical
+from tolerancing.prediction import predict_study
 from tolerancing.run.run import run_study
 from tolerancing.run.tasks import all_tasks
 from tolerancing.run.workers import StudyParcel, work_in_cluster
+from tolerancing.statistics.limits import inverse
 from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study, study_from_tables
-from tolerancing.wavefronts import predict_study
 
 TABLES = {
     "title": "measured",

@@ -13,14 +13,14 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.estimation import calibrate
-from wavesim.camera.mounting import light_on, values_of
-from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.mounting import light_on, values_of
 
 TRUE = Placement(Pose(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0))
 RIGID = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")
@@ -38,17 +38,17 @@ class Bench:
     scene: Scene
     light: Field
     known: Field
-    recorded: list[Recorded]
+    recorded: list[Measurement]
 
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
     scene, light, bars, _ = bars_under_stop()
     known = Field(scene.object_grid, bars.astype(np.complex64), 0.532)
-    blank = [Recorded(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = RecordingModel(tiles(placed_scene(scene, TRUE)), light_on(light, TRUE), blank, 1.0)
+    blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    model = ForwardModel(tiles(placed_scene(scene, TRUE)), light_on(light, TRUE), blank, 1.0)
     seen = [
-        Recorded(plane.distance_mm, amplitude.astype(np.float32))
+        Measurement(plane.distance_mm, amplitude.astype(np.float32))
         for plane, amplitude in zip(blank, model.amplitudes(known.values), strict=True)
     ]
     return Bench(scene, light, known, seen)
@@ -59,7 +59,7 @@ def found_values(found: Calibrated) -> np.ndarray:
 
 
 def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
-    brighter = [Recorded(p.distance_mm, 3.0 * p.amplitude) for p in bench.recorded]
+    brighter = [Measurement(p.distance_mm, 3.0 * p.amplitude) for p in bench.recorded]
     found = calibrate(bench.scene, bench.light, brighter, known=bench.known, make=tiles)
     assert found_values(found) == pytest.approx(values_of(TRUE, RIGID), rel=0.03)
     assert found.misfit < 0.05 * found.misfit_before

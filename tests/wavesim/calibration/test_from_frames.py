@@ -17,11 +17,11 @@ from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.joint.some_pixels import SomePixels
-from wavesim.camera.frames import Frame
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_frames import reconstruct_frames
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
+from wavesim.sensor.frames import Frame
 
 TRUE = {
     "light_tilt_x_deg": 0.5,
@@ -116,7 +116,7 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0, 1000.0), **small).frames
     taken: list[int] = []
 
-    def spied(self: SomePixels, *given: Any) -> RecordingModel:
+    def spied(self: SomePixels, *given: Any) -> ForwardModel:
         taken.append(self.recorded[0].amplitude.shape[0])
         return model(self, *given)
 

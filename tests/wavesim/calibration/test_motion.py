@@ -9,9 +9,9 @@ import pytest
 
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.motion import motion
-from wavesim.camera.mounting import values_of, with_values
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.placement import Placement
+from wavesim.sensor.mounting import values_of, with_values
 
 
 def plane_wave(grid: Grid, direction: np.ndarray) -> np.ndarray:

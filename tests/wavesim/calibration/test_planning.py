@@ -19,11 +19,11 @@ from wavesim.calibration.planning import (
     plan_frames,
     random_objects,
 )
-from wavesim.camera.imaging import image
-from wavesim.camera.windows import diversity, footprint_mm
-from wavesim.objects.patch import object_patch
 from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.scene.settings import ITERATIONS, Kind, PlanSettings
+from wavesim.sensor.imaging import image
+from wavesim.sensor.windows import diversity, footprint_mm
+from wavesim.targets.patch import object_patch
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
 

@@ -8,13 +8,13 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.response import mounting_response
-from wavesim.camera.mounting import light_on, parameter_names, planes_at, values_of, with_values
-from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.mounting import light_on, parameter_names, planes_at, values_of, with_values
 
 NAMES = parameter_names(2)
 STEPS = dict.fromkeys(NAMES, 5e-5) | {"tilt_x_deg": 0.01, "tilt_y_deg": 0.01, "working_distance_mm": 2e-4}
@@ -34,15 +34,18 @@ class Bench:
         self.light = Field(grid, stop.astype(np.complex64), 0.532)
         bars = 0.5 * (1.0 + np.sign(np.sin(2e3 * np.pi * grid.x_mm / 3.0)))
         self.transmission = np.broadcast_to(bars, grid.shape).astype(np.complex64)
-        self.recorded = [Recorded(0.0, np.ones(exit_grid.shape)), Recorded(0.6, np.ones(exit_grid.shape))]
+        self.recorded = [
+            Measurement(0.0, np.ones(exit_grid.shape)),
+            Measurement(0.6, np.ones(exit_grid.shape)),
+        ]
 
-    def model(self, mounting: Placement, active_width: float = 0.0) -> RecordingModel:
+    def model(self, mounting: Placement, fill_factor: float = 0.0) -> ForwardModel:
         engine = engine_for(placed_scene(self.scene, mounting), "eikonal", error=0.3)
         planes = planes_at(self.recorded, mounting)
-        return RecordingModel(engine, light_on(self.light, mounting), planes, 1.0, active_width)
+        return ForwardModel(engine, light_on(self.light, mounting), planes, 1.0, fill_factor)
 
-    def response(self, mounting: Placement, active_width: float = 0.0, **settings: float) -> np.ndarray:
-        model = self.model(mounting, active_width)
+    def response(self, mounting: Placement, fill_factor: float = 0.0, **settings: float) -> np.ndarray:
+        model = self.model(mounting, fill_factor)
         return mounting_response(model, self.transmission, mounting, (), **settings).residual
 
 
@@ -51,16 +54,16 @@ def bench() -> Bench:
     return Bench()
 
 
-@pytest.mark.parametrize(("blur_pixels", "active_width"), [(0.0, 0.0), (4.0, 1.0)])
-def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, active_width: float) -> None:
+@pytest.mark.parametrize(("blur_pixels", "fill_factor"), [(0.0, 0.0), (4.0, 1.0)])
+def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, fill_factor: float) -> None:
     """Light near the aperture's edge, which moves with the lens but not in the generator, is what differs."""
     found = mounting_response(
-        bench.model(HERE, active_width), bench.transmission, HERE, NAMES, blur_pixels=blur_pixels
+        bench.model(HERE, fill_factor), bench.transmission, HERE, NAMES, blur_pixels=blur_pixels
     )
     for name, change in zip(NAMES, found.changes, strict=True):
         value, step = values_of(HERE, [name])[0], STEPS[name]
         up, down = (
-            bench.response(with_values(HERE, [name], [value + s]), active_width, blur_pixels=blur_pixels)
+            bench.response(with_values(HERE, [name], [value + s]), fill_factor, blur_pixels=blur_pixels)
             for s in (step, -step)
         )
         numeric = (down - up) / (2.0 * step)  # the residual falls as the model grows
@@ -87,7 +90,7 @@ def test_unknown_pixels_do_not_count(bench: Bench) -> None:
         sigma, amplitude = np.ones(plane.amplitude.shape), plane.amplitude.copy()
         sigma[100:110, 100:110] = np.inf
         amplitude[100:110, 100:110] = 1e3
-        spoilt.append(Recorded(plane.distance_mm, amplitude, sigma))
-    masked = RecordingModel(model.engine, model.illumination, planes_at(spoilt, HERE), 1.0, 0.0)
+        spoilt.append(Measurement(plane.distance_mm, amplitude, sigma))
+    masked = ForwardModel(model.engine, model.illumination, planes_at(spoilt, HERE), 1.0, 0.0)
     after = mounting_response(masked, bench.transmission, HERE, NAMES[:1], blur_pixels=2.0)
     assert after.misfit == pytest.approx(before.misfit, rel=0.02)

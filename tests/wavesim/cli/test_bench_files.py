@@ -13,11 +13,11 @@ from wavesim_command import ENDED, run_wavesim
 
 from lensdesign import InputError, load_design, save_design, scaled
 from wavesim import image
-from wavesim.calibration.joint.search import JointSearch, Stand, Told
-from wavesim.camera.frames import write_frame
+from wavesim.calibration.joint.search import JointSearch, SearchState, Told
 from wavesim.cli.bench_files import read_priors
 from wavesim.fields.files import write_field
 from wavesim.scene.bench import Bench, LightErrors
+from wavesim.sensor.frames import write_frame
 
 Command = Callable[..., tuple[object, str, str]]
 
@@ -121,13 +121,13 @@ def test_an_interrupted_search_of_the_light_goes_on(
 ) -> None:
     whole, began = JointSearch.run, []
 
-    def cut_off(search: JointSearch, stand: Stand) -> Told:
+    def cut_off(search: JointSearch, stand: SearchState) -> Told:
         began.append(len(stand.trail))
         if len(began) > 1:
             raise KeyboardInterrupt
         keep = search.keep
 
-        def kept(stand: Stand) -> None:
+        def kept(stand: SearchState) -> None:
             keep(stand)  # type: ignore[misc]
             raise KeyboardInterrupt
 

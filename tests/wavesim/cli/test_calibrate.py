@@ -14,10 +14,10 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration import bench_search
 from wavesim.calibration.calibrated import field_stop_of, read_calibration
-from wavesim.calibration.joint.search import JointSearch, Stand, Told
+from wavesim.calibration.joint.search import JointSearch, SearchState, Told
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import from_frames
-from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.scene.bench import Bench
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
@@ -69,7 +69,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     )
     figures = []
     # Frames that the nominal lens does not explain are said not to be; what else might has tests of its own.
-    monkeypatch.setattr(Doubts, "trials", lambda _: [])
+    monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
     for ended, options in ((1, ()), (0, ("--calibration", tmp_path / "calibration.json"))):
         code, out, err = run_wavesim(
             monkeypatch, capsys, "reconstruct", *quick, *options, "-o", tmp_path / "out", "--json"
@@ -93,11 +93,11 @@ def test_an_interrupted_search_goes_on(
     command = (*frames_and_design(data), "--parameters", "rigid", "--iterations", 3, "--scale", 1)
     whole, began = JointSearch.run, []
 
-    def cut_off(search: JointSearch, stand: Stand) -> Told:
+    def cut_off(search: JointSearch, stand: SearchState) -> Told:
         began.append(len(stand.trail))
         keep = search.keep
 
-        def kept(stand: Stand) -> None:
+        def kept(stand: SearchState) -> None:
             keep(stand)  # type: ignore[misc]
             raise KeyboardInterrupt
 
@@ -109,7 +109,7 @@ def test_an_interrupted_search_goes_on(
     assert "interrupted after" in err
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.npz"]
 
-    def watched(search: JointSearch, stand: Stand) -> Told:
+    def watched(search: JointSearch, stand: SearchState) -> Told:
         began.append(len(stand.trail))
         return whole(search, stand)
 
@@ -130,7 +130,7 @@ def test_both_in_one_run(
     given: list[object] = []
     searched = JointSearch.run
 
-    def one_step(search: JointSearch, stand: Stand) -> Told:
+    def one_step(search: JointSearch, stand: SearchState) -> Told:
         return searched(replace(search, most_benches=2), stand)
 
     def few(*asked: object) -> tuple[object, ...]:

@@ -9,9 +9,9 @@ import pytest
 from wavesim_command import run_wavesim
 
 from lensdesign import load_design, save_design, scaled
-from wavesim.camera.exposures import estimate_intensity
-from wavesim.camera.frames import read_frame
-from wavesim.objects.patch import make_target, object_patch
+from wavesim.sensor.exposures import estimate_intensity
+from wavesim.sensor.frames import read_frame
+from wavesim.targets.patch import make_target, object_patch
 
 
 @pytest.fixture(scope="module")

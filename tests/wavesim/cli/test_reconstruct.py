@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 from wavesim_command import ENDED, PLANES_MM, frames_and_design, run_wavesim
 
-from wavesim.camera.frames import Frame, read_frame, write_frame
+from wavesim.reconstruction import forward_model, resumable
 from wavesim.reconstruction import from_object as reconstruction
-from wavesim.reconstruction import recording_model, resumable
 from wavesim.reconstruction.retrieval import steps as retrieval_steps
+from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 
 def run(
@@ -87,7 +87,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "whole")
     assert code in ENDED, err
 
-    step = {"object": recording_model.RecordingModel, "paper": retrieval_steps.Passes}[method], "step"
+    step = {"object": forward_model.ForwardModel, "paper": retrieval_steps.Passes}[method], "step"
     call: Any = getattr(*step)
     taken: list[int] = []
 

@@ -16,8 +16,8 @@ from wavesim_command import run_wavesim
 
 from wavesim import Field, Frame, FrameSettings, Grid, write_frame
 from wavesim.fields.files import write_field
-from wavesim.pictures import page as zoom_page
-from wavesim.pictures.pyramid import write_pyramid
+from wavesim.plots import page as zoom_page
+from wavesim.plots.pyramid import write_pyramid
 
 Command = Callable[..., tuple[object, str, str]]
 PITCH_UM, SIDE = 0.4, 300

@@ -13,15 +13,15 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import choose, engine_for, predict, predictions
 from wavesim.engines.registry import ENGINES
-from wavesim.evaluation.comparison import compare, lens_case, reference_for, variants
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.objects.patch import object_patch
-from wavesim.pictures.comparisons import comparison_figure
-from wavesim.scene.engine import SAFETY, Cost, Engine, Neglected
+from wavesim.metrics.comparison import compare, lens_case, reference_for, variants
+from wavesim.plots.comparisons import comparison_figure
+from wavesim.scene.engine import SAFETY, Cost, Engine, ErrorTerm
 from wavesim.scene.light import Light
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Scene
+from wavesim.targets.patch import object_patch
 
 PAPER = load_design("designs/paper_singlet.toml")
 TWIN = scaled(PAPER, 1 / 16)
@@ -172,8 +172,8 @@ class Mirror(Engine):
     def cost(self) -> Cost:
         return Cost(1e-9, 0.0, 8)
 
-    def neglected(self) -> tuple[Neglected, ...]:
-        return (Neglected("the lens", 0.1 * self.share),)
+    def neglected(self) -> tuple[ErrorTerm, ...]:
+        return (ErrorTerm("the lens", 0.1 * self.share),)
 
     def settings(self) -> dict[str, Any]:
         return {"share": self.share}

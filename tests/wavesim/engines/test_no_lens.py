@@ -10,9 +10,9 @@ from engine_checks import dot_product_mismatch, peak_bytes
 
 from lensdesign import Lens
 from lensdesign.errors import SamplingError
+from wavesim.analytic.beam import Beam
 from wavesim.engines.no_lens import NoLens
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.oracles.beam import Beam
 from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532

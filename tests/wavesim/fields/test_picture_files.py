@@ -10,10 +10,10 @@ import tifffile
 from PIL import Image, ImageOps
 
 from lensdesign.errors import InputError
-from wavesim.camera.frames import read_frame
-from wavesim.camera.pixels.maps import read_map
 from wavesim.fields.picture_files import PictureFile, upright
-from wavesim.objects.targets import read_grey
+from wavesim.sensor.frames import read_frame
+from wavesim.sensor.pixels.maps import read_map
+from wavesim.targets.patterns import read_grey
 
 GOLDEN = Path("tests/golden/files")
 STATED = {

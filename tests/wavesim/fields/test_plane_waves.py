@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
+from wavesim.fields.plane_waves import TransferFunction, fft_frequencies, transfer
 
 
 @pytest.mark.parametrize("shape", [(6, 5), (1, 8), (7,), (8,)])
@@ -19,7 +19,7 @@ def test_a_quarter_of_the_factor_is_the_whole(
     random = np.random.default_rng(3)
     spectrum = random.random(shape) + 1j * random.random(shape)
     factor = transfer(fft_frequencies(shape, pitch_mm), 0.532, 1.0, distance_mm)
-    way = PlaneWay(Grid(shape, pitch_mm, 1.0), 0.532, distance_mm, np.complex128)
+    way = TransferFunction(Grid(shape, pitch_mm, 1.0), 0.532, distance_mm, np.complex128)
     np.testing.assert_allclose(spectrum * way, spectrum * factor, atol=1e-12)
     np.testing.assert_allclose(way.times(spectrum.copy(), back=True), spectrum * factor.conj(), atol=1e-12)
     assert way.factor.size <= (1 + shape[0] // 2) * (1 + shape[-1] // 2)
@@ -27,5 +27,5 @@ def test_a_quarter_of_the_factor_is_the_whole(
 
 
 def test_no_distance_is_no_way() -> None:
-    assert PlaneWay(Grid((6, 5), 3.2e-3, 1.0), 0.532, 0.0, np.complex64).is_none
-    assert not PlaneWay(Grid((6, 5), 2e-4, 1.0), 0.532, 0.0, np.complex64).is_none
+    assert TransferFunction(Grid((6, 5), 3.2e-3, 1.0), 0.532, 0.0, np.complex64).is_none
+    assert not TransferFunction(Grid((6, 5), 2e-4, 1.0), 0.532, 0.0, np.complex64).is_none

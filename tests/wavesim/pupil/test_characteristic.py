@@ -22,9 +22,9 @@ from lensdesign import (
     SurfacePerturbation,
     load_design,
 )
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.rays import RayTrace, trace, trace_compiled
-from lensdesign.tracing.status import Status
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.rays import RayTrace, trace, trace_compiled
+from lensdesign.raytrace.status import Status
 from wavesim.pupil.characteristic import PupilSampler, point_characteristic
 from wavesim.pupil.pupil import ReconstructionPupil, refocus, rms_waves
 from wavesim.pupil.ray_aiming import RayAimError

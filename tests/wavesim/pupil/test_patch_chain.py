@@ -15,7 +15,6 @@ from lensdesign import InputError, Pose, SurfacePerturbation, load_design, scale
 from lensdesign.errors import SamplingError
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid, Orientation, correlation
-from wavesim.objects.targets import band_limit
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast
 from wavesim.pupil.patch_chain import PatchChain, chain_contrast
@@ -26,6 +25,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.patches import exit_grid
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
+from wavesim.targets.patterns import band_limit
 
 Values = NDArray[np.complex128]
 

@@ -12,7 +12,7 @@ from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.passage import Passage
+from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.rays import edges
 from wavesim.rays.edges import Edge, fresnel_edge, light_edge
 from wavesim.rays.ray_bundles import open_pupil
@@ -47,7 +47,7 @@ def through_the_hole(scene: Scene, place: tuple[int, ...]) -> np.ndarray:
     wave = (1e3 / WAVELENGTH_UM) ** (0.5 * d) * np.exp(1j * (k * r - 0.25 * math.pi * d)) * FRONT_MM
     wave *= scene.object_grid.cell / r ** (1.0 + 0.5 * d)
     cut = np.where(from_axis <= STOP_MM**2, wave, 0.0)
-    return np.asarray(Passage(hole, scene.exit_grid, WAVELENGTH_UM, 1.0).forward(cut))
+    return np.asarray(FreeSpacePropagator(hole, scene.exit_grid, WAVELENGTH_UM, 1.0).forward(cut))
 
 
 def test_fresnel_integral() -> None:

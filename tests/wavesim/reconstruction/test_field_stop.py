@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.camera.imaging import Imaged, image
 from wavesim.fields.field import Field
-from wavesim.objects.illumination import field_stop
-from wavesim.objects.patch import object_patch
 from wavesim.reconstruction.found import FoundObject
 from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.sensor.imaging import Imaged, image
+from wavesim.targets.illumination import field_stop
+from wavesim.targets.patch import object_patch
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
 STOP_MM, AT_MM = 0.014, (0.006, -0.004)

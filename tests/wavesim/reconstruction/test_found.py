@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
-from wavesim.camera.imaging import image
 from wavesim.cli.reconstruct import _figures
 from wavesim.fields.field import Field
-from wavesim.objects.patch import object_patch, usaf_elements_of
-from wavesim.objects.usaf import usaf_chart
 from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.sensor.imaging import image
+from wavesim.targets.patch import object_patch, usaf_elements_of
+from wavesim.targets.usaf import usaf_chart
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.fields.passage import propagate
 from wavesim.fields.plane_waves import fft_frequencies, transfer
+from wavesim.fields.propagator import propagate
 from wavesim.reconstruction.from_field import (
     FEEDBACK,
     WATCHED,
@@ -24,6 +23,7 @@ from wavesim.reconstruction.from_field import (
     stagnation,
 )
 from wavesim.reconstruction.retrieval import steps as retrieval_steps
+from wavesim.sensor.measurement import Measurement
 
 GRID = Grid((96, 96), 4e-3, 0.0)
 WAVELENGTH = 0.532
@@ -41,9 +41,9 @@ def truth(seed: int = 3) -> Field:
     return Field(GRID, 40.0 * values, WAVELENGTH)
 
 
-def recorded(field: Field, distances: tuple[float, ...] = DISTANCES) -> list[Recorded]:
+def recorded(field: Field, distances: tuple[float, ...] = DISTANCES) -> list[Measurement]:
     pad = tuple(2 * n for n in GRID.shape)
-    return [Recorded(d, np.abs(propagate(field, d, pad=pad, check=False).values)) for d in distances]
+    return [Measurement(d, np.abs(propagate(field, d, pad=pad, check=False).values)) for d in distances]
 
 
 def off(field: Field) -> Field:
@@ -71,7 +71,7 @@ def test_a_good_start_ends_at_the_truth() -> None:
 def test_the_truth_stays() -> None:
     field = truth()
     wrapped = [
-        Recorded(d, np.abs(propagate(field, d, pad=GRID.shape, band_limit=False, check=False).values))
+        Measurement(d, np.abs(propagate(field, d, pad=GRID.shape, band_limit=False, check=False).values))
         for d in DISTANCES
     ]
     found = retrieve(GRID, WAVELENGTH, wrapped, field, iterations=20, tv_step=0.0)
@@ -111,7 +111,7 @@ def test_the_printed_equations_literally() -> None:
 
 def test_single_precision_stays_single() -> None:
     field = truth()
-    planes = [Recorded(p.distance_mm, p.amplitude.astype(np.float32)) for p in recorded(field)]
+    planes = [Measurement(p.distance_mm, p.amplitude.astype(np.float32)) for p in recorded(field)]
     found = retrieve(GRID, WAVELENGTH, planes, off(field), iterations=10, tv_step=0.0)
     double = retrieve(GRID, WAVELENGTH, recorded(field), off(field), iterations=10, tv_step=0.0)
     assert found.field.values.dtype == np.complex64
@@ -136,8 +136,8 @@ def test_correlation_and_residual() -> None:
     assert amplitude_correlation(x, -x) == pytest.approx(-1.0)
     assert amplitude_correlation(x, np.ones_like(x)) == 0.0
     field = truth()
-    assert residual(field, Recorded(0.0, np.abs(field.values))) < 1e-12
-    assert residual(field, Recorded(0.0, 2.0 * np.abs(field.values))) == pytest.approx(0.5)
+    assert residual(field, Measurement(0.0, np.abs(field.values))) < 1e-12
+    assert residual(field, Measurement(0.0, 2.0 * np.abs(field.values))) == pytest.approx(0.5)
 
 
 def test_stagnation_is_seen() -> None:
@@ -158,25 +158,25 @@ def test_progress_is_told() -> None:
     ("change", "message"),
     [
         ({"recorded": []}, "two at least"),
-        ({"recorded": [Recorded(1.0, np.ones((3, 3)))] * 2}, "shape"),
-        ({"recorded": [Recorded(1.0, np.ones(GRID.shape))] * 2}, "same distance_mm"),
-        ({"recorded": [Recorded(d, np.full(GRID.shape, np.nan)) for d in DISTANCES]}, "finite"),
-        ({"recorded": [Recorded(d, -np.ones(GRID.shape)) for d in DISTANCES]}, "not negative"),
+        ({"recorded": [Measurement(1.0, np.ones((3, 3)))] * 2}, "shape"),
+        ({"recorded": [Measurement(1.0, np.ones(GRID.shape))] * 2}, "same distance_mm"),
+        ({"recorded": [Measurement(d, np.full(GRID.shape, np.nan)) for d in DISTANCES]}, "finite"),
+        ({"recorded": [Measurement(d, -np.ones(GRID.shape)) for d in DISTANCES]}, "not negative"),
         (
-            {"recorded": [Recorded(d, np.ones(GRID.shape), shift_mm=(0.0, d)) for d in DISTANCES]},
+            {"recorded": [Measurement(d, np.ones(GRID.shape), shift_mm=(0.0, d)) for d in DISTANCES]},
             "neither shifts nor backgrounds",
         ),
-        ({"recorded": [Recorded(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "all dark"),
-        ({"recorded": [Recorded(d, np.ones(GRID.shape)) for d in (1.0, np.inf)]}, "distance_mm = inf"),
+        ({"recorded": [Measurement(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "all dark"),
+        ({"recorded": [Measurement(d, np.ones(GRID.shape)) for d in (1.0, np.inf)]}, "distance_mm = inf"),
         ({"iterations": 0}, "iterations = 0"),
         ({"tv_step": -1.0}, "tv_step = -1.0"),
         ({"feedback": (np.nan, 0.0)}, "feedback"),
         (
-            {"recorded": [Recorded(p.distance_mm, 0.01 * p.amplitude) for p in recorded(truth())]},
+            {"recorded": [Measurement(p.distance_mm, 0.01 * p.amplitude) for p in recorded(truth())]},
             "destroy plane 1",
         ),
         (
-            {"recorded": [Recorded(p.distance_mm, 1e30 * p.amplitude) for p in recorded(truth())]},
+            {"recorded": [Measurement(p.distance_mm, 1e30 * p.amplitude) for p in recorded(truth())]},
             r"plane 1: amplitudes reach .*e\+3\d",
         ),
         ({"start": "guess"}, "start = 'guess'"),
@@ -196,8 +196,8 @@ def test_pixels_that_are_not_known_are_left_as_they_are() -> None:
     spoiled, masked = [], []
     for plane in recorded(field):
         wrong = np.where(dead, 4.0 * plane.amplitude.max(), plane.amplitude)
-        spoiled.append(Recorded(plane.distance_mm, wrong))
-        masked.append(Recorded(plane.distance_mm, wrong, np.where(dead, np.inf, 1.0)))
+        spoiled.append(Measurement(plane.distance_mm, wrong))
+        masked.append(Measurement(plane.distance_mm, wrong, np.where(dead, np.inf, 1.0)))
     found = [
         retrieve(GRID, WAVELENGTH, planes, off(field), iterations=150, tv_step=0.0)
         for planes in (spoiled, masked)
@@ -211,7 +211,7 @@ def test_pixels_that_are_not_known_are_left_as_they_are() -> None:
 
 
 def plainly(
-    grid: Grid, planes: list[Recorded], start: np.ndarray, iterations: int, step: float
+    grid: Grid, planes: list[Measurement], start: np.ndarray, iterations: int, step: float
 ) -> tuple[np.ndarray, list[float], list[float]]:
     """Appendix A by whole arrays: what is compiled and done in blocks elsewhere."""
     now, before, (a, b) = start, start, FEEDBACK
@@ -258,7 +258,7 @@ def test_blocks_and_compiled_loops_do_what_whole_arrays_do(
     rng, grid = np.random.default_rng(9), Grid(shape, 4e-3, 0.0)
     start = 64.0 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     planes = [
-        Recorded(
+        Measurement(
             d,
             60.0 + 9.0 * rng.random(shape),
             np.where(rng.random(shape) < 0.1, np.inf, 1.0) if masked else None,
@@ -277,7 +277,7 @@ def test_waves_that_decay_are_left_out_in_the_plane_sought_too() -> None:
     grid = Grid((40, 40), 2e-4, 0.0)
     rng = np.random.default_rng(2)
     start = 64.0 * (rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape))
-    planes = [Recorded(d, 60.0 + 9.0 * rng.random(grid.shape)) for d in (0.0, 0.01)]
+    planes = [Measurement(d, 60.0 + 9.0 * rng.random(grid.shape)) for d in (0.0, 0.01)]
     found = retrieve(grid, WAVELENGTH, planes, Field(grid, start, WAVELENGTH), iterations=4)
     wanted = plainly(grid, planes, start, 4, 0.05)[0]
     np.testing.assert_allclose(found.field.values, wanted, atol=1e-8 * np.abs(wanted).max())
@@ -286,7 +286,7 @@ def test_waves_that_decay_are_left_out_in_the_plane_sought_too() -> None:
 def test_single_precision_errs_by_rounding_alone() -> None:
     field = truth()
     planes = recorded(field, (0.0, 3.0))
-    single = [Recorded(p.distance_mm, p.amplitude.astype(np.float32)) for p in planes]
+    single = [Measurement(p.distance_mm, p.amplitude.astype(np.float32)) for p in planes]
     wanted, met, left = plainly(GRID, planes, off(field).values, 10, 0.0)
     found = retrieve(GRID, WAVELENGTH, single, off(field), iterations=10, tv_step=0.0)
     assert found.field.values.dtype == np.complex64
@@ -347,7 +347,7 @@ def test_arguments_stay_as_they_were() -> None:
 def test_what_is_left_on_a_plane() -> None:
     field, (plane, *_) = truth(), recorded(truth())
     there = propagate(field, plane.distance_mm, pad=GRID.shape, band_limit=False, check=False)
-    brighter = Recorded(plane.distance_mm, 1.1 * np.abs(there.values))
+    brighter = Measurement(plane.distance_mm, 1.1 * np.abs(there.values))
     figure, left = residual_and_map(field, brighter)
     assert figure == pytest.approx(0.1 / 1.1) == residual(field, brighter)
     np.testing.assert_allclose(left, np.abs(there.values) - brighter.amplitude, atol=1e-9 * 40.0)

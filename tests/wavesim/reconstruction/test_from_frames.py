@@ -9,8 +9,8 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.camera.imaging import Imaged, image
 from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.sensor.imaging import Imaged, image
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
 

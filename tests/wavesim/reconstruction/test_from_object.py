@@ -11,18 +11,18 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded, noise_misfit, recorded_intensity
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction import from_object
-from wavesim.reconstruction.from_object import AT_NOISE, EARLY_GAIN, Progressed, reconstruct
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.reconstruction.from_object import AT_NOISE, EARLY_GAIN, SolverState, reconstruct
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind
+from wavesim.sensor.measurement import Measurement, noise_misfit, recorded_intensity
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Case:
     engine: Engine
     illumination: Field
     transmission: np.ndarray
-    recorded: list[Recorded]
+    recorded: list[Measurement]
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,9 @@ def case() -> Case:
     planes = []
     for distance in (0.0, 0.6):
         way = transfer(fft_frequencies(exit_grid.shape, 3.2e-3), 0.532, 1.0, distance)
-        planes.append(Recorded(distance, np.abs(np.fft.ifft2(np.fft.fft2(at_exit) * way)).astype(np.float32)))
+        planes.append(
+            Measurement(distance, np.abs(np.fft.ifft2(np.fft.fft2(at_exit) * way)).astype(np.float32))
+        )
     return Case(engine, lit, transmission, planes)
 
 
@@ -116,7 +118,7 @@ def test_one_plane_is_worse_than_two(case: Case) -> None:
 
 
 def test_the_scale_is_found(case: Case) -> None:
-    louder = [Recorded(p.distance_mm, 7.0 * p.amplitude) for p in case.recorded]
+    louder = [Measurement(p.distance_mm, 7.0 * p.amplitude) for p in case.recorded]
     found = reconstruct(
         case.engine, case.illumination, louder, kind="amplitude", tv_weight=0.02, iterations=30
     )
@@ -176,7 +178,7 @@ def test_progress_and_early_stop(case: Case) -> None:
     assert len(found.misfit) < 60
 
 
-def noisy(case: Case, electrons: float, seed: int = 4) -> list[Recorded]:
+def noisy(case: Case, electrons: float, seed: int = 4) -> list[Measurement]:
     """Point samples with shot noise, and their standard deviations."""
     random = np.random.default_rng(seed)
     gain = electrons / max(float(p.amplitude.max()) ** 2 for p in case.recorded)
@@ -233,7 +235,7 @@ def test_even_standard_deviations_change_nothing(case: Case) -> None:
 @pytest.mark.parametrize("electrons", [1e4, 4e4])
 def test_the_total_variation_weight_by_the_noise_is_near_the_best(case: Case, electrons: float) -> None:
     recorded = noisy(case, electrons)
-    noise = RecordingModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+    noise = ForwardModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
 
     def reached(weight: float | str) -> float:
         return score(
@@ -277,7 +279,7 @@ def test_what_is_not_explained_counts_as_noise(case: Case) -> None:
     recorded = noisy(case, 1e6)
     settings: dict[str, Any] = {"kind": "amplitude", "iterations": 1, "scale": 1.0}
     surer = [replace(p, sigma=0.1 * p.sigma) for p in recorded]
-    noise = RecordingModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+    noise = ForwardModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
     first = reconstruct(case.engine, case.illumination, recorded, **settings).misfit[0]
     over = first / noise_misfit(recorded)
     assert over > 2.0
@@ -300,10 +302,10 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
 
     monkeypatch.setattr(PixelMeans, "carried", counted)
     louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in noisy(case, 1e6)]
-    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "active_width": 1.0, "rounds": 3}
+    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "fill_factor": 1.0, "rounds": 3}
     found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
     assert len(passes) == len(louder) * (1 + 4 * 3)
-    model = RecordingModel(case.engine, case.illumination, louder, None, 1.0)
+    model = ForwardModel(case.engine, case.illumination, louder, None, 1.0)
     model.fits_scale = True
     model.amplitudes(found.transmission.values)
     assert found.scale == pytest.approx(model.scale, rel=0.02)
@@ -385,7 +387,7 @@ def test_an_amplitude_start_within_the_iterations(case: Case) -> None:
 @pytest.mark.parametrize("start", [None, "amplitude"])
 def test_every_kept_iteration_leads_to_the_same_end(case: Case, start: str | None) -> None:
     """Whether or not arrays lie in files; what is kept is not changed by what comes after."""
-    kept: list[Progressed] = []
+    kept: list[SolverState] = []
     settings: dict[str, Any] = {"tv_weight": 0.02, "iterations": 16, "start": start}
     whole = reconstruct(case.engine, case.illumination, case.recorded, keep=kept.append, **settings)
     assert len(kept) == len(whole.misfit)
@@ -397,11 +399,11 @@ def test_every_kept_iteration_leads_to_the_same_end(case: Case, start: str | Non
     assert np.iscomplexobj(kept[-1].ahead)
 
 
-@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("complex", 0.0)])
-def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, active_width: float) -> None:
+@pytest.mark.parametrize(("kind", "fill_factor"), [("amplitude", 1.0), ("complex", 0.0)])
+def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, fill_factor: float) -> None:
     room, used = Scratch(tmp_path, 0.0), []
     quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-3)) for p in case.recorded]
-    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "active_width": active_width}
+    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "fill_factor": fill_factor}
     settings |= {"iterations": 4, "keep": lambda _: used.append(room.bytes_in_files)}
     in_files, in_memory = (
         reconstruct(case.engine, case.illumination, quiet, scratch=scratch, **settings)
@@ -419,22 +421,25 @@ def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind,
     ("change", "message"),
     [
         ({"recorded": []}, "one plane at least"),
-        ({"recorded": [Recorded(0.0, np.ones((3, 3)))]}, "shape"),
-        ({"recorded": [Recorded(0.0, np.zeros((216, 216)))]}, "all dark"),
-        ({"recorded": [Recorded(0.0, np.full((216, 216), np.nan))]}, "finite"),
-        ({"recorded": [Recorded(np.nan, np.ones((216, 216)))]}, "distance_mm = nan"),
+        ({"recorded": [Measurement(0.0, np.ones((3, 3)))]}, "shape"),
+        ({"recorded": [Measurement(0.0, np.zeros((216, 216)))]}, "all dark"),
+        ({"recorded": [Measurement(0.0, np.full((216, 216), np.nan))]}, "finite"),
+        ({"recorded": [Measurement(np.nan, np.ones((216, 216)))]}, "distance_mm = nan"),
         ({"kind": "phase"}, "kind = 'phase'"),
         ({"tv_weight": -1.0}, "tv_weight"),
         ({"iterations": 0}, "iterations = 0"),
         ({"scale": 0.0}, "scale = 0.0"),
-        ({"active_width": 2.5}, "active_width = 2.5"),
+        ({"fill_factor": 2.5}, "fill_factor = 2.5"),
         ({"tv_weight": "auto"}, "needs sigma"),
         ({"tv_weight": "strong"}, "tv_weight = 'strong'"),
         ({"start": "random"}, "start = 'random'"),
         ({"start": Field(Grid((3, 3), 1.0, 0.0), np.ones((3, 3)), 0.532)}, "start: its shape"),
-        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.zeros((216, 216)))]}, "sigma must be above 0"),
-        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.ones(3))]}, "sigma must be above 0"),
-        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.full((216, 216), np.inf))]}, "not known"),
+        (
+            {"recorded": [Measurement(0.0, np.ones((216, 216)), np.zeros((216, 216)))]},
+            "sigma must be above 0",
+        ),
+        ({"recorded": [Measurement(0.0, np.ones((216, 216)), np.ones(3))]}, "sigma must be above 0"),
+        ({"recorded": [Measurement(0.0, np.ones((216, 216)), np.full((216, 216), np.inf))]}, "not known"),
     ],
 )
 def test_refused(case: Case, change: dict, message: str) -> None:

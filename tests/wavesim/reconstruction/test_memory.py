@@ -19,12 +19,11 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design
-from wavesim.camera.recorded import Recorded
-from wavesim.evaluation import passed
-from wavesim.evaluation.judgement import truth_metrics
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import LIGHT_BYTES, Patch, make_illumination
-from wavesim.reconstruction import from_object, recording_model
+from wavesim.metrics import transmitted_band
+from wavesim.metrics.judgement import truth_metrics
+from wavesim.reconstruction import forward_model, from_object
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_field import retrieve
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.memory import (
@@ -44,7 +43,6 @@ from wavesim.reconstruction.memory import (
     run_arrays,
 )
 from wavesim.reconstruction.recording import bands, pixel_means, planes
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
@@ -56,6 +54,8 @@ from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import Source
+from wavesim.sensor.measurement import Measurement
+from wavesim.targets.patch import LIGHT_BYTES, Patch, make_illumination
 
 SHAPE = (4000, 300)
 """Many rows: what goes in blocks of rows is to be small beside all."""
@@ -89,7 +89,7 @@ class Nothing(Engine):
 
 def arrays_of(
     engine: Engine, distances_mm: tuple[float, ...], with_sigma: bool, room: Scratch
-) -> tuple[Field, list[Recorded]]:
+) -> tuple[Field, list[Measurement]]:
     """Light and recorded planes, in files or in memory."""
     grid, random = engine.scene.object_grid, np.random.default_rng(1)
     light = Field(grid, room.moved(np.ones(grid.shape, np.complex64)), 0.532)
@@ -98,19 +98,19 @@ def arrays_of(
         return room.moved(np.float32(size) * (random.random(grid.shape, np.float32) + np.float32(1.0)))
 
     # So little noise that the misfit is far above it, where steps take most.
-    return light, [Recorded(d, noise(1.0), noise(1e-3) if with_sigma else None) for d in distances_mm]
+    return light, [Measurement(d, noise(1.0), noise(1e-3) if with_sigma else None) for d in distances_mm]
 
 
 STEPS = {
-    (RecordingModel, "noise_of_step"): (STARTING, Phase.READING),
-    (RecordingModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
-    (RecordingModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
+    (ForwardModel, "noise_of_step"): (STARTING, Phase.READING),
+    (ForwardModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
+    (ForwardModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
     (planes.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
-    (planes.FieldBehind, "replace"): (Phase.CHANGING, Phase.CHANGING),
-    (RecordingModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
+    (planes.ExitField, "replace"): (Phase.CHANGING, Phase.CHANGING),
+    (ForwardModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
     (from_object, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
     (Scratch, "make"): (STEPPING, STEPPING),
-    (RecordingModel, "amplitudes"): (Phase.ENDING, Phase.ENDING),
+    (ForwardModel, "amplitudes"): (Phase.ENDING, Phase.ENDING),
 }
 """What begins a phase, and the one that follows on its end."""
 
@@ -160,7 +160,7 @@ def each_keeps_rooms_for_columns(count: int) -> None:
     blocks.for_blocks(one, blocks.THREADS, 1)
 
 
-@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("amplitude", 0.0), ("complex", 0.0)])
+@pytest.mark.parametrize(("kind", "fill_factor"), [("amplitude", 1.0), ("amplitude", 0.0), ("complex", 0.0)])
 @pytest.mark.parametrize(
     ("distances_mm", "with_sigma"), [((0.0,), True), ((0.0, 20.0), True), ((5.0, 9.0, 20.0), False)]
 )
@@ -169,13 +169,13 @@ def test_each_phase_holds_what_is_listed(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     kind: Kind,
-    active_width: float,
+    fill_factor: float,
     distances_mm: tuple[float, ...],
     with_sigma: bool,
     in_files: bool,
 ) -> None:
     for place, name, value in (
-        (recording_model, "ROWS", 2),
+        (forward_model, "ROWS", 2),
         (planes, "ROWS", 2),
         (pixel_means, "COLUMNS", 4),
         (bands, "BAND", 400),
@@ -185,7 +185,7 @@ def test_each_phase_holds_what_is_listed(
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
     shape = 700, 600
     engine = Nothing(shape)
-    settings: dict[str, Any] = {"kind": kind, "active_width": active_width, "iterations": 2}
+    settings: dict[str, Any] = {"kind": kind, "fill_factor": fill_factor, "iterations": 2}
     settings["tv_weight"] = "auto" if with_sigma else 0.02
     # Compiled loops take memory once, as they are compiled or loaded. Some are reached at this size alone.
     first = Nothing(shape)
@@ -198,10 +198,10 @@ def test_each_phase_holds_what_is_listed(
         reconstruct(engine, light, recorded, scratch=room, **settings)
     del peaks[Phase.READING]
     sizes = Sizes.of(engine, distances_mm)
-    arrays = given_arrays(sizes, with_sigma=with_sigma) + descent_arrays(sizes, kind, active_width)
+    arrays = given_arrays(sizes, with_sigma=with_sigma) + descent_arrays(sizes, kind, fill_factor)
     assert [one.bytes_of_all for one in arrays if one.name == "columns at work"] == [
         bytes_of_columns(shape[0], np.complex64)
-    ] * (active_width > 0.0)
+    ] * (fill_factor > 0.0)
     arrays = tuple(one for one in arrays if one.name != "columns at work")
     told = {}
     for phase in peaks:
@@ -219,13 +219,13 @@ def test_memory_of_a_wide_source_and_a_tilted_sensor_is_told_beforehand(
     engine, distances_mm = Nothing((150, 160)), (0.0, 20.0)
     modes = Source(width_deg).modes(0.532, rings=1)[:4]
     expected = reconstruction_bytes(
-        engine, distances_mm, active_width=1.0, modes=len(modes), tilted=any(tilt_deg)
+        engine, distances_mm, fill_factor=1.0, modes=len(modes), tilted=any(tilt_deg)
     ).most_bytes
 
     def run(one: Nothing) -> None:
         light, recorded = arrays_of(one, distances_mm, True, Scratch())
         tilted = [replace(plane, tilt_deg=tilt_deg) for plane in recorded]
-        reconstruct(one, light, tilted, active_width=1.0, iterations=2, tv_weight="auto", modes=modes)
+        reconstruct(one, light, tilted, fill_factor=1.0, iterations=2, tv_weight="auto", modes=modes)
 
     run(Nothing((8, 8)))
     tracemalloc.start()
@@ -250,15 +250,15 @@ from wavesim.runtime.scratch import Scratch
 def run(shape, room):
     engine = Nothing(shape)
     light, recorded = arrays_of(engine, (0.0, 20.0), True, room)
-    settings = dict(kind="amplitude", active_width=1.0, tv_weight="auto", iterations=2)
+    settings = dict(kind="amplitude", fill_factor=1.0, tv_weight="auto", iterations=2)
     reconstruct(engine, light, recorded, scratch=room, **settings)
-    return reconstruction_bytes(engine, (0.0, 20.0), kind="amplitude", active_width=1.0)
+    return reconstruction_bytes(engine, (0.0, 20.0), kind="amplitude", fill_factor=1.0)
 
 run((64, 64), Scratch())  # compiles and loads all
 status = pathlib.Path("/proc/self/status").read_text()
 used = 1024 * int(status.split("VmData:")[1].split()[0])
 shape = (1100, 1200)
-told = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", active_width=1.0)
+told = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", fill_factor=1.0)
 limit = (told.least_bytes + told.most_bytes) // 2
 resource.setrlimit(resource.RLIMIT_DATA, (used + limit, used + limit))
 room = Scratch() if {in_memory} else Scratch(pathlib.Path({folder!r}), 0.3 * limit - 0.3 * told.least_bytes)
@@ -296,7 +296,7 @@ def engine() -> Nothing:
 
 def told(engine: Any, during: Phase, **settings: Any) -> tuple[float, float]:
     """Most and least bytes for each sample in some phases, the process itself left out."""
-    usual = {"method": "object", "kind": "amplitude", "active_width": 1.0, "frames_bytes": 0}
+    usual = {"method": "object", "kind": "amplitude", "fill_factor": 1.0, "frames_bytes": 0}
     usual |= {"shown": engine.scene.object_grid.shape, "carried": 0, "truth": False}
     arrays = run_arrays(engine, (0.0, 20.0), **(usual | settings))
     need = need_of(tuple(replace(one, during=one.during & during) for one in arrays))
@@ -335,7 +335,7 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
     engine: Nothing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(blocks, "BLOCK", 256)  # a whole field has many blocks
-    monkeypatch.setattr(passed, "BLOCK_ZONES", 0.5)  # each of which is small
+    monkeypatch.setattr(transmitted_band, "BLOCK_ZONES", 0.5)  # each of which is small
     grid = engine.scene.object_grid
     fields = [
         Field(grid, (noise(seed) + 1j * noise(seed + 1)).astype(np.complex64), 0.532) for seed in (1, 3)
@@ -367,12 +367,12 @@ def test_what_is_told_at_the_end_is_what_is_still_held(engine: Nothing) -> None:
 def test_the_paper_s_way_takes_what_is_told(engine: Nothing) -> None:
     grid = engine.scene.object_grid
     light = Field(grid, np.ones(SHAPE, np.complex64), 0.532)
-    given = [Recorded(distance, 64.0 * noise(seed), noise(3)) for seed, distance in enumerate((0.0, 20.0))]
+    given = [Measurement(distance, 64.0 * noise(seed), noise(3)) for seed, distance in enumerate((0.0, 20.0))]
     small = Nothing((8, 8))
     retrieve_resumably(
         small,
         Field(small.scene.object_grid, np.ones((8, 8), np.complex64), 0.532),
-        [Recorded(one.distance_mm, one.amplitude[:8, :8], one.sigma[:8, :8]) for one in given],
+        [Measurement(one.distance_mm, one.amplitude[:8, :8], one.sigma[:8, :8]) for one in given],
         iterations=1,
     )
     taken = peak(lambda: retrieve_resumably(engine, light, given, iterations=2)) + 8.0 + 16.0
@@ -390,9 +390,12 @@ def test_appendix_a_takes_what_is_listed(distances: tuple[float, ...], masked: b
     sigma = np.ones(shape, np.float32)
     sigma[5, 7] = np.inf
     given = [
-        Recorded(d, 60.0 + rng.random(shape, dtype=np.float32), sigma if masked else None) for d in distances
+        Measurement(d, 60.0 + rng.random(shape, dtype=np.float32), sigma if masked else None)
+        for d in distances
     ]
-    retrieve(Grid((8, 8), 3.2e-3, 0.0), 0.532, [Recorded(d, np.ones((8, 8))) for d in (0.0, 1.0)], tv_step=0)
+    retrieve(
+        Grid((8, 8), 3.2e-3, 0.0), 0.532, [Measurement(d, np.ones((8, 8))) for d in (0.0, 1.0)], tv_step=0
+    )
     tracemalloc.start()
     retrieve(grid, 0.532, given, iterations=3)
     peak = tracemalloc.get_traced_memory()[1]

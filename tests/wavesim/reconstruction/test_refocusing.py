@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.passage import propagate
+from wavesim.fields.propagator import propagate
 from wavesim.reconstruction import refocusing
 from wavesim.reconstruction.refocusing import refocus_field, svfg
 

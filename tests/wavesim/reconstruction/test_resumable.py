@@ -7,7 +7,6 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import load_design, scaled
-from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
@@ -15,6 +14,7 @@ from wavesim.reconstruction.from_field import RetrievalState
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.scene import Scene
+from wavesim.sensor.measurement import Measurement
 
 DESIGN = DESIGNS / "paper_singlet.toml"
 
@@ -59,7 +59,7 @@ def test_it_goes_on_from_what_was_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
     light = Field(grid, (np.sqrt(grid.radius_squared_mm2()) < 0.013).astype(np.complex64), 0.532)
     modelled = np.abs(engine.forward(light).values)
-    planes = [Recorded(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]
+    planes = [Measurement(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]
     checkpoint = Checkpoint(tmp_path / "checkpoint.npz", "key")
     whole, maps = retrieve_resumably(engine, light, planes, iterations=5)
     monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
@@ -93,8 +93,8 @@ def test_amplitudes_of_any_unit_are_retrieved(unit: float) -> None:
     )
     light = Field(grid, np.ones(grid.shape, np.complex64), 0.532)
     modelled = np.abs(engine.forward(light).values)
-    planes = [Recorded(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]
-    scaled_planes = [Recorded(p.distance_mm, p.amplitude * np.float32(unit)) for p in planes]
+    planes = [Measurement(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]
+    scaled_planes = [Measurement(p.distance_mm, p.amplitude * np.float32(unit)) for p in planes]
     expected, maps = retrieve_resumably(engine, light, planes, iterations=3, start="uniform")
     found, scaled_maps = retrieve_resumably(engine, light, scaled_planes, iterations=3, start="uniform")
     assert found.residuals == pytest.approx(expected.residuals, rel=1e-5)

@@ -15,31 +15,31 @@ import pytest
 
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.illumination import field_stop
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction.from_object import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.resumable import keeper, progress_kept
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.scene import Scene
+from wavesim.sensor.measurement import Measurement
+from wavesim.targets.illumination import field_stop
 
 
 @pytest.fixture(scope="module")
-def taken(paper_lens: Lens) -> tuple[Any, Field, list[Recorded]]:
+def taken(paper_lens: Lens) -> tuple[Any, Field, list[Measurement]]:
     """Engine, light and one recorded plane."""
     lens = scaled(paper_lens, 1 / 32)
     grid = Grid((48, 48), 4.2e-4, lens.object_z_mm)
     behind = Grid((90, 90), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
     engine = engine_for(Scene(lens, grid, behind, 0.532), "eikonal", error=0.3)
     light = Field(grid, field_stop(grid, "disc", 0.019).astype(np.complex64), 0.532)
-    return engine, light, [Recorded(0.0, np.abs(engine.forward(light).values).astype(np.float32))]
+    return engine, light, [Measurement(0.0, np.abs(engine.forward(light).values).astype(np.float32))]
 
 
 def resumably(
-    taken: tuple[Any, Field, list[Recorded]],
+    taken: tuple[Any, Field, list[Measurement]],
     checkpoint: Checkpoint,
     progress: Callable[[int, float], None],
     scratch: Scratch | None = None,
@@ -59,7 +59,7 @@ def resumably(
     )
 
 
-def cut_off(taken: tuple[Any, Field, list[Recorded]], checkpoint: Checkpoint) -> None:
+def cut_off(taken: tuple[Any, Field, list[Measurement]], checkpoint: Checkpoint) -> None:
     def stop(number: int, misfit: float) -> None:
         if number == 2:
             raise KeyboardInterrupt
@@ -69,7 +69,7 @@ def cut_off(taken: tuple[Any, Field, list[Recorded]], checkpoint: Checkpoint) ->
 
 
 def test_what_was_kept_is_let_go_of_after_an_iteration(
-    taken: tuple[Any, Field, list[Recorded]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    taken: tuple[Any, Field, list[Measurement]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
     checkpoint = Checkpoint(tmp_path / "checkpoint.npz", "key")
@@ -78,9 +78,9 @@ def test_what_was_kept_is_let_go_of_after_an_iteration(
     assert checkpoint.kept
     read: list[weakref.ref] = []
 
-    def watched(*values: Any) -> Progressed:
+    def watched(*values: Any) -> SolverState:
         read.extend(weakref.ref(values[i]) for i in (0, 1))
-        return Progressed(*values)
+        return SolverState(*values)
 
     monkeypatch.setattr(resumable, "Progressed", watched)
     alive: list[int] = []

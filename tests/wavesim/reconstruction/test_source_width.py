@@ -9,14 +9,14 @@ import pytest
 import scipy.fft
 
 from lensdesign import load_design
-from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.source_width import coherent_deg, found_width, washed_out
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
+from wavesim.sensor.measurement import Measurement, recorded_intensity
 
 SAMPLES, PITCH_MM, DISTANCES_MM, ELECTRONS = 64, 0.42e-3, (0.0, 0.17), 1e6
 
@@ -59,15 +59,15 @@ def lit_by(engine: Engine) -> Field:
     return Field(grid, stop.astype(np.complex64), 0.532)
 
 
-def planes_in(engine: Engine, light: Field, width_deg: float) -> list[Recorded]:
+def planes_in(engine: Engine, light: Field, width_deg: float) -> list[Measurement]:
     """Of random blocks, with shot noise; 30 directions."""
     random = np.random.default_rng(3)
     blocks = np.kron(random.random((16, 16)) > 0.4, np.ones((4, 4)))
-    blank = [Recorded(distance, np.ones(blocks.shape, np.float32)) for distance in DISTANCES_MM]
+    blank = [Measurement(distance, np.ones(blocks.shape, np.float32)) for distance in DISTANCES_MM]
     modes = Source(width_deg).modes(0.532, 3, 10)
     planes = []
     for made, plane in zip(
-        RecordingModel(engine, light, blank, 1.0, 1.0, modes=modes).amplitudes(blocks), blank, strict=True
+        ForwardModel(engine, light, blank, 1.0, 1.0, modes=modes).amplitudes(blocks), blank, strict=True
     ):
         gain = ELECTRONS / float(made.max()) ** 2
         counts = random.poisson(gain * made.astype(float) ** 2)
@@ -98,6 +98,6 @@ def test_planes_tell_how_much_they_are_washed_out() -> None:
     wide = [np.sqrt(one**2 + 1e-3 * random.standard_normal(shape)) for one in point]
     for ratio in (0.0, 0.7, 1.0, 1.6):
         seen = [np.sqrt(p**2 + ratio * (w**2 - p**2)) for p, w in zip(point, wide, strict=True)]
-        recorded = [Recorded(d, one) for d, one in zip(DISTANCES_MM, seen, strict=True)]
-        model = RecordingModel(engine, light, recorded, 1.0)
+        recorded = [Measurement(d, one) for d, one in zip(DISTANCES_MM, seen, strict=True)]
+        model = ForwardModel(engine, light, recorded, 1.0)
         assert washed_out(recorded, model, wide, point) == pytest.approx(ratio, abs=2e-3)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from lensdesign import load_design, scaled
 from wavesim import Field, Grid, Scene, engine_for, image, reconstruct_frames
-from wavesim.camera.recorded import Recorded
-from wavesim.reconstruction.stopped_down import on_all_samples, stopped_down_problem
+from wavesim.reconstruction.stopped_down import coarse_problem, on_all_samples
+from wavesim.sensor.measurement import Measurement
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
 WAVELENGTH_UM = 0.532
@@ -29,12 +29,12 @@ def light() -> Field:
     return Field(SCENE.object_grid, (radius2 < 0.09**2).astype(np.complex64), WAVELENGTH_UM)
 
 
-def plane(scene: Scene, values: np.ndarray, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Recorded:
+def plane(scene: Scene, values: np.ndarray, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Measurement:
     exit_field = engine_for(scene, "eikonal", error=0.02).forward(
         Field(scene.object_grid, values, WAVELENGTH_UM)
     )
     amplitude = np.abs(exit_field.values).astype(np.float32)
-    return Recorded(0.0, amplitude, np.full_like(amplitude, 1e-3), shift_mm)
+    return Measurement(0.0, amplitude, np.full_like(amplitude, 1e-3), shift_mm)
 
 
 def test_known_pixels_see_what_they_see_of_the_whole_lens() -> None:
@@ -42,7 +42,7 @@ def test_known_pixels_see_what_they_see_of_the_whole_lens() -> None:
     smooth = 0.6 + 0.4 * np.cos(2 * np.pi * y / 0.02) * np.sin(2 * np.pi * x / 0.03)
     values = (light().values * smooth).astype(np.complex64)
     recorded = plane(SCENE, values)
-    small = stopped_down_problem(SCENE, light(), [recorded])
+    small = coarse_problem(SCENE, light(), [recorded])
     assert small is not None
     assert small.scene.object_grid.shape == (240, 240)
     assert small.scene.exit_grid.size < 0.65 * SCENE.exit_grid.size
@@ -61,7 +61,7 @@ def test_known_pixels_follow_a_displaced_sensor() -> None:
     recorded = plane(SCENE, light().values)
     places = []
     for shift in ((0.0, 0.0), (0.064, -0.032)):
-        small = stopped_down_problem(SCENE, light(), [replace(recorded, shift_mm=shift)])
+        small = coarse_problem(SCENE, light(), [replace(recorded, shift_mm=shift)])
         assert small is not None
         grid, known = small.scene.exit_grid, np.isfinite(small.recorded[0].sigma)
         rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
@@ -76,7 +76,7 @@ def test_no_smaller_problem_where_it_saves_little() -> None:
         grid = Grid((480, 480), 1e-3 * pitch_um, LENS.object_z_mm)
         scene = replace(SCENE, object_grid=grid)
         lit = Field(grid, np.ones((480, 480), np.complex64), WAVELENGTH_UM)
-        assert stopped_down_problem(scene, lit, [recorded]) is None
+        assert coarse_problem(scene, lit, [recorded]) is None
 
 
 @given(st.integers(2, 9), st.integers(2, 9), st.booleans(), st.booleans())

@@ -7,9 +7,9 @@ import pytest
 
 from lensdesign import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.illumination import plane_wave
 from wavesim.scene.bench import Bench, LightErrors, light_mode
 from wavesim.scene.placement import Placement
+from wavesim.targets.illumination import plane_wave
 
 GRID = Grid((40, 48), 5e-4, -1.0)
 LIGHT = Field(GRID, np.ones(GRID.shape, complex), 0.532)

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from lensdesign import InputError, Lens, scaled
-from wavesim.camera.imaging import image
-from wavesim.scene.lengths import refuse_doubtful_lengths
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import FrameSetSettings, ImageSettings, SettingError
+from wavesim.sensor.imaging import image
 
 USUAL: dict[str, Any] = {
     "patch_mm": 0.1,
@@ -48,7 +48,7 @@ def test_usual_settings_pass_with_twins_of_any_size(paper_lens: Lens, scale: flo
     lens = scaled(paper_lens, scale)
     for name, value in USUAL.items():
         size = scale if name.endswith("_mm") else 1.0  # lengths that scale with the lens
-        refuse_doubtful_lengths(lens, {name: times(value, size)})
+        validate_lengths(lens, {name: times(value, size)})
 
 
 def times(value: Any, factor: float) -> Any:
@@ -89,12 +89,12 @@ def times(value: Any, factor: float) -> Any:
 )
 def test_another_unit_is_questioned(paper_lens: Lens, name: str, value: Any, meant: str) -> None:
     with pytest.raises(SettingError, match=rf"^{name} = .*; {meant} may be meant$"):
-        refuse_doubtful_lengths(paper_lens, {name: value})
+        validate_lengths(paper_lens, {name: value})
 
 
 def test_perturbed_surfaces_are_judged_by_their_parameter(paper_lens: Lens) -> None:
     with pytest.raises(SettingError, match=r"perturb: surface 1: radius_mm = 50: .*0\.05 mm"):
-        refuse_doubtful_lengths(paper_lens, ImageSettings(perturb="surface 1: radius_mm=50"))
+        validate_lengths(paper_lens, ImageSettings(perturb="surface 1: radius_mm=50"))
 
 
 def test_settings_are_refused_before_anything_is_computed(paper_lens: Lens) -> None:

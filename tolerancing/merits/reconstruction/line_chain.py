@@ -24,13 +24,13 @@ from tolerancing.merits.reconstruction.retrieval import (
     pixel_amplitude,
     retrieve_on_line,
 )
-from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.passage import Passage
+from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.placement import NOMINAL, Placement
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement
 
 if TYPE_CHECKING:
     from wavesim import Frame
@@ -132,7 +132,7 @@ class LineChain:
 
     def recorded(
         self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
-    ) -> list[Recorded]:
+    ) -> list[Measurement]:
         """Amplitudes that the pixels record behind a perturbed system, on every plane.
 
         Parameters
@@ -147,7 +147,7 @@ class LineChain:
             Seed of the noise.
         """
         from wavesim import propagate
-        from wavesim.camera.mounting import light_on
+        from wavesim.sensor.mounting import light_on
 
         nominal = replace(self.scene, exit_grid=self._sensor_grid(0, system))
         settings = {"slices": self.imaging_slices, "compensation": "oblique"}
@@ -164,12 +164,12 @@ class LineChain:
         if not all(np.any(amplitude > 0.0) for _, amplitude in planes):
             raise InputError("no light falls on the sensor: the region's light lies beside it")
         if electrons is None:
-            return [Recorded(*plane) for plane in planes]
+            return [Measurement(*plane) for plane in planes]
         return self._with_noise(planes, electrons, bits, noise)
 
     def reconstructed(
         self,
-        planes: Sequence[Recorded],
+        planes: Sequence[Measurement],
         engine: ReconstructionEngine,
         *,
         model: Placement = NOMINAL,
@@ -220,7 +220,7 @@ class LineChain:
         else:
             operator = _engine(self._model_scene(model), engine.name, engine.settings)
         light = self._light(placed_scene(self.scene, model))
-        to_operator = Passage(
+        to_operator = FreeSpacePropagator(
             light.grid.at(light.grid.z_mm + 1e-3 * refocus_um),
             operator.scene.object_grid,
             light.wavelength_um,
@@ -266,10 +266,10 @@ class LineChain:
         count = SAMPLES_PER_PIXEL * sensor.pixels[1]
         return Grid((count,), pitch, z_mm, (0.0, system.sensor_shift_mm[1]))
 
-    def _passages(self, system: Placement) -> tuple[Passage | None, ...]:
+    def _passages(self, system: Placement) -> tuple[FreeSpacePropagator | None, ...]:
         first = self._sensor_grid(0, system)
         grids = [self._sensor_grid(number, system) for number in range(len(self.planes_mm))]
-        return tuple(None if g == first else Passage(first, g, self.wavelength_um) for g in grids)
+        return tuple(None if g == first else FreeSpacePropagator(first, g, self.wavelength_um) for g in grids)
 
     def _with_noise(
         self,
@@ -277,12 +277,12 @@ class LineChain:
         electrons: float,
         bits: int,
         noise: np.random.SeedSequence | None,
-    ) -> list[Recorded]:
+    ) -> list[Measurement]:
         """What frames of one exposure tell of amplitudes."""
         from wavesim import Electronics
-        from wavesim.camera import recorded_planes
-        from wavesim.camera.exposures import plane_seeds
-        from wavesim.camera.sensor import frames_of_light
+        from wavesim.sensor import recorded_planes
+        from wavesim.sensor.exposures import plane_seeds
+        from wavesim.sensor.sensor import frames_of_light
 
         full_well = electrons / FULL_WELL_FRACTION
         electronics = Electronics(

@@ -23,7 +23,7 @@ from tolerancing.merits.context import Context, Points
 from tolerancing.merits.line_pairs import NOISE_STREAM
 from tolerancing.merits.reconstruction.objects import ObjectKind, needed_mm
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.perturbations.parameters import PerturbedParameter, refuse_beside_meridian
+from tolerancing.perturbations.parameters import PerturbedParameter, validate_in_meridian
 from wavesim.scene.placement import NOMINAL, Placement
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ class Reconstruction(Merit):
         return self.points
 
     def check_perturbation(self, parameter: PerturbedParameter) -> None:
-        refuse_beside_meridian(parameter)
+        validate_in_meridian(parameter)
 
     def is_compensated(self, compensators: bool) -> bool:
         return False

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.camera.recorded import Recorded, weights_of
 from wavesim.fields.field import Field
-from wavesim.fields.passage import Passage
+from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.scene.engine import Grids
+from wavesim.sensor.measurement import Measurement, weights_of
 
 Weights = NDArray[np.inexact[Any]]
 
@@ -64,8 +64,8 @@ class LineModel:
     """
 
     operator: LineOperator
-    refocus: Passage | None
-    planes: tuple[Passage | None, ...]
+    refocus: FreeSpacePropagator | None
+    planes: tuple[FreeSpacePropagator | None, ...]
     light: Field
 
     def forward(self, transmission: Array) -> Any:
@@ -92,7 +92,7 @@ class LineModel:
 
 
 def retrieve_on_line(
-    model: LineModel, recorded: Sequence[Recorded], *, is_complex: bool, iterations: int
+    model: LineModel, recorded: Sequence[Measurement], *, is_complex: bool, iterations: int
 ) -> tuple[NDArray[Any], tuple[float, ...]]:
     """Find the object on a line behind recorded amplitudes.
 

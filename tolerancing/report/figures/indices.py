@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tolerancing.analysis.indices import VarianceIndices
 from tolerancing.report.figures.style import SERIES, axis_label, merit_label, styled, styled_figure
+from tolerancing.statistics.indices import VarianceIndices
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,10 +10,10 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
-from tolerancing.analysis.trial import SingleTrial
 from tolerancing.merits.line_pairs import LinePairContrast, line_pairs_in_focus
 from tolerancing.merits.pupil import Axis, PupilMerit
 from tolerancing.report.figures.style import figure_format, styled, styled_figure, write_figure
+from tolerancing.statistics.trial import SingleTrial
 from tolerancing.study.study import Study
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.errors import InputError, atomic_path
-from lensdesign.pictures.saving import save_figure
+from lensdesign.plots.saving import save_figure
 from tolerancing.merits.base import Merit
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.perturbations.parameters import PerturbedParameter

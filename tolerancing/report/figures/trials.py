@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from tolerancing.analysis.summary import MeritSummary
-from tolerancing.analysis.yields import Yield
 from tolerancing.merits.base import Merit
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.report.blocks import Panel
@@ -31,6 +29,8 @@ from tolerancing.report.figures.style import (
     styled,
     styled_figure,
 )
+from tolerancing.statistics.summary import MeritSummary
+from tolerancing.statistics.yields import Yield
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

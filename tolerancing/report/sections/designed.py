@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.tables import read_number, read_table
 from lensdesign.errors import InputError
-from tolerancing.analysis.summary import Summary
 from tolerancing.report.blocks import (
     Block,
     FigureBlock,
@@ -27,10 +26,11 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.style import BLUE, GREY, RED, styled, styled_figure
+from tolerancing.statistics.summary import Summary
 
 if TYPE_CHECKING:
-    from tolerancing.wavefronts.prediction import WavefrontPrediction
-    from tolerancing.wavefronts.study_prediction import StudyPrediction
+    from tolerancing.prediction.study_prediction import StudyPrediction
+    from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def _beside(data: ReportData, before: Summary | None) -> list[Block]:
 
 def _prediction(data: ReportData) -> StudyPrediction | None:
     """What is predicted of the lens; None where nothing of the study can be."""
-    from tolerancing.wavefronts.study_prediction import predict_study
+    from tolerancing.prediction.study_prediction import predict_study
 
     try:
         return predict_study(data.lens, data.study)

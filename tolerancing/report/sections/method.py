@@ -10,13 +10,6 @@ import numpy as np
 
 from lensdesign.common.text import duration_text
 from lensdesign.errors import InputError
-from tolerancing.analysis.control_variates import (
-    Chosen,
-    ControlVariateEstimate,
-    Seconds,
-    combined_mean,
-    combined_yield,
-)
 from tolerancing.merits.base import Merit
 from tolerancing.report.blocks import (
     Block,
@@ -32,6 +25,13 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.trials import fidelity_panel
+from tolerancing.statistics.control_variates import (
+    ControlVariateEstimate,
+    Seconds,
+    TrialChoice,
+    combined_mean,
+    combined_yield,
+)
 from tolerancing.store.schema import engine_of
 from tolerancing.study.results import WORST
 
@@ -55,7 +55,7 @@ TEXT_SUFFIXES = (".toml", ".py")
 def fidelity_section(data: ReportData) -> list[Block]:
     """Cheap against dear scores, and what both together say."""
     blocks: list[Block] = [Heading("Fidelity: cheap and dear merits")]
-    merits, dear = data.study.dear_merits, data.dear
+    merits, dear = data.study.high_fidelity_merits, data.dear
     if not merits:
         return [*blocks, Paragraph("All merits are scored in all trials: the study has no dear ones.")]
     if dear is None or not len(dear):
@@ -88,7 +88,7 @@ def _estimates(
     column = [m.label for m in data.study.merits].index(cheap.label)
     c, worst = data.results.scores[:, column], np.array([why == WORST for why in data.dear.chosen])
     first, second = there & worst, there & ~worst
-    chosen = Chosen(places[first].astype(np.intp), places[second].astype(np.intp))
+    chosen = TrialChoice(places[first].astype(np.intp), places[second].astype(np.intp))
     scores = np.concatenate([data.dear.scores[first, k], data.dear.scores[second, k]])
     seconds = Seconds(_mean_seconds(data.results.seconds), _mean_seconds(data.dear.seconds))
     rows = []

@@ -30,7 +30,7 @@ from tolerancing.report.figures.series import (
     slice_panels,
     sweep_panels,
 )
-from tolerancing.study.evaluate import pupils_of, realise
+from tolerancing.study.evaluate import pupils_of, sample_perturbations
 from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.series import LinePairSection, line_pair_picture
 from tolerancing.study.slice_counts import SliceCounts
@@ -236,7 +236,7 @@ def _drawn(
 ) -> list[tuple[float, Picture]]:
     """Contrast and picture of each trial along its worse axis."""
     context = pupils_of(data.lens, data.study)
-    batch = realise(data.study, trials)
+    batch = sample_perturbations(data.study, trials)
     pupils = context.pupils(batch, merit.points[0], merit.wavelength_um, merit.refocus, True)
     orientation = merit.orientation if isinstance(merit, LinePairContrast) else "worse"
     return [line_pair_picture(pupil, width_um, orientation, merit.refocus) for pupil in pupils]

@@ -6,7 +6,6 @@ import numpy as np
 
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.surface import Surface
-from tolerancing.analysis.summary import MeritSummary, Summary
 from tolerancing.report.blocks import (
     Block,
     Cell,
@@ -26,6 +25,7 @@ from tolerancing.report.blocks import (
     table,
 )
 from tolerancing.report.data import ReportData
+from tolerancing.statistics.summary import MeritSummary, Summary
 
 OFFENDERS = 3
 
@@ -190,7 +190,7 @@ def lens_section(data: ReportData) -> list[Block]:
 
 
 def _layout(data: ReportData) -> list[Block]:
-    from lensdesign.pictures.plots import layout_figure
+    from lensdesign.plots.plots import layout_figure
 
     try:
         figure = layout_figure(data.lens)

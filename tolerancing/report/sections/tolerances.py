@@ -6,8 +6,6 @@ from itertools import combinations
 
 import numpy as np
 
-from tolerancing.analysis.parabolas import Sensitivity, compare_with_trials, root_sum_square
-from tolerancing.analysis.summary import mean_and_deviation
 from tolerancing.perturbations.draws import replicates
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import (
@@ -26,6 +24,8 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.trials import bars_panel
+from tolerancing.statistics.quadratic_response import Sensitivity, compare_with_trials, root_sum_square
+from tolerancing.statistics.summary import mean_and_deviation
 
 MOST_BARS = 20
 """Perturbations in a figure of bars; the table has them all."""

@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from tolerancing.analysis.correlation import MOST_TRIALS
-from tolerancing.analysis.response import Response, fit_response
-from tolerancing.analysis.summary import PERCENTILES, MeritSummary, merit_summary
 from tolerancing.merits.base import Merit
 from tolerancing.perturbations.draws import replicates
 from tolerancing.report.blocks import (
@@ -36,6 +33,9 @@ from tolerancing.report.figures.trials import (
     scale_panel,
     scatter_panels,
 )
+from tolerancing.statistics.correlation import MOST_TRIALS
+from tolerancing.statistics.response import Response, fit_response
+from tolerancing.statistics.summary import PERCENTILES, MeritSummary, merit_summary
 
 WORST_TRIALS = 12
 DIGITS = (4, 6, 9, 17)

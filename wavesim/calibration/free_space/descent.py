@@ -1,6 +1,6 @@
 """Field, drift, distances and exposures of a stack in free space, found together.
 
-Steps of :class:`wavesim.reconstruction.recording_model.RecordingModel`, accelerated, with the field held
+Steps of :class:`wavesim.reconstruction.forward_model.ForwardModel`, accelerated, with the field held
 within its band. Now and then the planes' unknowns take a Gauss-Newton step: of the amplitude |v| on a plane,
 the derivatives by its place and distance are Re(conj(v) dv) / |v|.
 """
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from wavesim.calibration.free_space.stack import Array, ComplexArray, Stack
 from wavesim.engines.free_space import FreeSpace
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import PlaneWay
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.fields.plane_waves import TransferFunction
+from wavesim.reconstruction.forward_model import ForwardModel
 
 SOON, OFTEN, SELDOM = 40, 5, 20
 """Iterations in which the planes' unknowns step every so many, and how often they do later."""
@@ -56,7 +56,7 @@ class Planes:
 Tell = Callable[[int, float], None]
 
 
-def as_stated(stack: Stack) -> Planes:
+def at_stated_planes(stack: Stack) -> Planes:
     """Planes where the frames say that they are."""
     count = len(stack.recorded)
     return Planes(stack.distances_mm, np.zeros((count, 2)), np.ones(count))
@@ -82,7 +82,7 @@ def descend(
     """
     now: ComplexArray = np.ones(stack.grid.shape, np.complex64)
     ahead, momentum, misfits = now, 1.0, list[float]()
-    model = recording_model(stack, planes)
+    model = forward_model(stack, planes)
     for number in range(1, iterations + 1):
         change, misfit = model.step(ahead)
         after = stack.limited(ahead + change)
@@ -92,13 +92,13 @@ def descend(
         misfits.append(misfit)
         if calibrates and number % (OFTEN if number <= SOON else SELDOM) == 0:
             planes = _refined(stack, now, planes)
-            model = recording_model(stack, planes)
+            model = forward_model(stack, planes)
         if tell is not None:
             tell(number - 1, misfit)
     return now, planes, misfits
 
 
-def recording_model(stack: Stack, planes: Planes) -> RecordingModel:
+def forward_model(stack: Stack, planes: Planes) -> ForwardModel:
     """From the field on z = 0 to the amplitudes on planes, as the planes are."""
     recorded = [
         replace(
@@ -112,7 +112,7 @@ def recording_model(stack: Stack, planes: Planes) -> RecordingModel:
         )
     ]
     light = Field(stack.grid, np.ones(stack.grid.shape, np.complex64), stack.wavelength_um)
-    return RecordingModel(FreeSpace(stack.grid), light, recorded, 1.0)
+    return ForwardModel(FreeSpace(stack.grid), light, recorded, 1.0)
 
 
 def best_scale(stack: Stack) -> float:
@@ -123,7 +123,7 @@ def best_scale(stack: Stack) -> float:
     """
     from scipy.optimize import minimize_scalar
 
-    stated = as_stated(stack)
+    stated = at_stated_planes(stack)
     tried: dict[float, float] = {}
 
     def misfit(log: float) -> float:
@@ -163,7 +163,7 @@ def _step_of_plane(stack: Stack, field: ComplexArray, planes: Planes, number: in
     """Of x, y, distance (mm) and gain."""
     grid, rows = stack.grid, stack.window
     x, y = planes.shifts_mm[number]
-    way = PlaneWay(
+    way = TransferFunction(
         grid, stack.wavelength_um, float(planes.distances_mm[number]), np.complex64, (float(x), float(y))
     )
     spectrum = way.times(scipy.fft.fft2(field, workers=-1))

@@ -14,15 +14,21 @@ from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError
-from wavesim.calibration.free_space.descent import Planes, as_stated, best_scale, descend, recording_model
+from wavesim.calibration.free_space.descent import (
+    Planes,
+    at_stated_planes,
+    best_scale,
+    descend,
+    forward_model,
+)
 from wavesim.calibration.free_space.stack import Array, ComplexArray, Stack, stack_of
-from wavesim.camera.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
-from wavesim.camera.frames import Frame
-from wavesim.camera.recording import Progress
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.plane_waves import PlaneWay
+from wavesim.fields.plane_waves import TransferFunction
 from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
+from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.recording import Progress
 
 ITERATIONS = 600
 """Planes near to each other tell coarse phases slowly: a real series is better predicted up to there."""
@@ -182,7 +188,7 @@ def reconstruct_free_space(
     ]
     pitch_mm = 1e-3 * of_frames.pixel_pitch_um
     stack = stack_of(recorded, pitch_mm, of_frames.wavelength_um, aperture)
-    planes = as_stated(stack)
+    planes = at_stated_planes(stack)
     if calibrates:
         tell("scale of distances", 0, 0)
         planes = replace(planes, distances_mm=best_scale(stack) * stack.distances_mm)
@@ -213,7 +219,7 @@ def _found(
     pixels: Grid,
 ) -> FreeSpaceField:
     """With z = 0 and x = y = 0 where the lines through distances and shifts of all planes have them."""
-    amplitudes = recording_model(stack, planes).amplitudes(samples)
+    amplitudes = forward_model(stack, planes).amplitudes(samples)
     stated = stack.distances_mm
     scale, farther = np.polyfit(stated, planes.distances_mm, 1)
     drift, beside = np.polyfit(stated, planes.shifts_mm, 1)
@@ -245,5 +251,5 @@ def _found(
 def _carried(
     stack: Stack, samples: ComplexArray, distance_mm: float, place_mm: tuple[float, float]
 ) -> NDArray[Any]:
-    way = PlaneWay(stack.grid, stack.wavelength_um, distance_mm, np.complex64, place_mm)
+    way = TransferFunction(stack.grid, stack.wavelength_um, distance_mm, np.complex64, place_mm)
     return np.asarray(scipy.fft.ifft2(way.times(scipy.fft.fft2(samples, workers=-1)), workers=-1))

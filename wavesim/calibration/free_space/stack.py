@@ -12,8 +12,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Grid
+from wavesim.sensor.measurement import Measurement
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -62,7 +62,7 @@ class Stack:
     """
 
     grid: Grid
-    recorded: tuple[Recorded, ...]
+    recorded: tuple[Measurement, ...]
     window: tuple[slice, slice]
     every: int
     band: NDArray[np.bool_]
@@ -88,7 +88,7 @@ class Stack:
 
 
 def stack_of(
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     pitch_mm: float,
     wavelength_um: float,
     aperture: float | None = None,

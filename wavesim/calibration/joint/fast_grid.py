@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 
-from wavesim.camera.recorded import Recorded
 from wavesim.scene.scene import Scene
+from wavesim.sensor.measurement import Measurement
 
 
-def on_fast_grid(scene: Scene, recorded: Sequence[Recorded]) -> tuple[Scene, tuple[Recorded, ...]]:
+def with_fast_shape(scene: Scene, recorded: Sequence[Measurement]) -> tuple[Scene, tuple[Measurement, ...]]:
     """The same with some more pixels about the middle, of which nothing is known.
 
     A transform of 438 samples (2, 3 and 73) takes three times as long as one of 440.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wavesim.calibration.joint.ray_changes import ON_GRID, Seat, ray_changes
+from wavesim.calibration.joint.ray_changes import ON_GRID, SensorPose, ray_changes
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.operator import Tile, at_once
@@ -28,7 +28,7 @@ class Changed(NamedTuple):
 
     scene: Scene
     step: float
-    seat: Seat = ON_GRID
+    seat: SensorPose = ON_GRID
 
 
 def path_slopes(

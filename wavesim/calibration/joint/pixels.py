@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from wavesim.calibration.joint.lens_changes import Changed, PathSlopes, by_engines, by_rays, path_slopes
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
-from wavesim.camera.mounting import light_on, planes_at
-from wavesim.camera.recorded import Recorded
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.linear.linearised import Linearised, RealArray
-from wavesim.reconstruction.linear.sight import ComplexArray, ThroughSpace
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.linear.measurement_operator import ComplexArray, FreeSpaceMeasurement
 from wavesim.scene.bench import Orders, light_mode
 from wavesim.scene.engine import Engine, Operator
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.mounting import light_on, planes_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Pixels(ABC):
         At nominal distances from the exit grid.
     scale : float or None
         Recorded amplitude for a unit of the model's, where it is known.
-    active_width : float
+    fill_factor : float
         Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
     make : callable
         Makes the engine of a scene.
@@ -73,15 +73,15 @@ class Pixels(ABC):
 
     scene: Scene
     illumination: Field
-    recorded: Sequence[Recorded]
+    recorded: Sequence[Measurement]
     scale: float | None
-    active_width: float
+    fill_factor: float
     make: Callable[[Scene], Engine]
 
     rows: tuple[slice, ...] = ()
 
     @abstractmethod
-    def model(self, unknowns: Unknowns, near: Operator | None = None) -> RecordingModel:
+    def model(self, unknowns: Unknowns, near: Operator | None = None) -> ForwardModel:
         """Of a bench: with an engine of its own, or with that of another bench, turned."""
 
     def columns(
@@ -159,14 +159,14 @@ class Pixels(ABC):
 class AllPixels(Pixels):
     """Each pixel of each plane, through one field behind the lens and free space from there."""
 
-    def model(self, unknowns: Unknowns, near: Operator | None = None) -> RecordingModel:
+    def model(self, unknowns: Unknowns, near: Operator | None = None) -> ForwardModel:
         bench, scene = unknowns.bench, placed_scene(self.scene, unknowns.bench.placement)
-        return RecordingModel(
+        return ForwardModel(
             TurnedTiles(near, scene) if isinstance(near, EikonalTiles) else self.make(scene),
             light_on(self.illumination, bench),
             planes_at(self.recorded, bench),
             self.scale,
-            self.active_width,
+            self.fill_factor,
         )
 
     def _is_carried(self, parameter: Parameter) -> bool:
@@ -202,7 +202,7 @@ class AllPixels(Pixels):
 
     def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
         name, sight = parameter.name, linear.sight
-        assert isinstance(sight, ThroughSpace)
+        assert isinstance(sight, FreeSpaceMeasurement)
         if name in SENSOR_TILTS:
             return linear.of_planes(sight.by_tilt(SENSOR_TILTS.index(name)))
         plane = plane_number(parameter)

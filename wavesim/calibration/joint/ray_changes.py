@@ -26,7 +26,7 @@ ORDER = 10
 """Of the polynomials through changes of path, which are smooth."""
 
 
-class Seat(NamedTuple):
+class SensorPose(NamedTuple):
     """How a sensor sits off the grid of an engine: farther along z, aside, and tilted about its middle.
 
     Tilts are those of :class:`wavesim.scene.Placement`.
@@ -37,7 +37,7 @@ class Seat(NamedTuple):
     tilt_deg: tuple[float, float] = (0.0, 0.0)
 
 
-ON_GRID = Seat()
+ON_GRID = SensorPose()
 
 
 def ray_changes(
@@ -45,7 +45,7 @@ def ray_changes(
     tile: Tile,
     carrier: RayMap,
     grid: Grid,
-    seat: Seat = ON_GRID,
+    seat: SensorPose = ON_GRID,
     before: SmoothMap | None = None,
 ) -> SmoothMap:
     """How a scene's rays differ from those that carry a tile.
@@ -88,7 +88,7 @@ def ray_changes(
         return fit_map(here, changes, ORDER)
 
 
-def _on_seat(rays: RayBundle, index: float, grid: Grid, seat: Seat) -> tuple[Array, Array]:
+def _on_seat(rays: RayBundle, index: float, grid: Grid, seat: SensorPose) -> tuple[Array, Array]:
     """Where rays meet the sensor, (y, x) in its own frame about the grid's middle, and their paths (mm)."""
     if seat == ON_GRID:
         return rays.sensor_mm, rays.path_mm

@@ -26,14 +26,14 @@ from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.line import Line
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes, plane_number
 from wavesim.calibration.joint.selection import Selection, select_parameters
-from wavesim.calibration.joint.step import JointStep
+from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
-from wavesim.camera.recorded import DARK
-from wavesim.evaluation.verdicts import MODEL_ERROR
+from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
+from wavesim.sensor.measurement import DARK
 
 ROUNDS = 3
 """Of conjugate gradients for a step's direction."""
@@ -95,7 +95,7 @@ Progress = Callable[[int, Unknowns, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class SearchState:
     """Where a search stands: all that it needs to go on.
 
     Attributes
@@ -175,7 +175,7 @@ class _Near(NamedTuple):
 class _End(NamedTuple):
     """Where a stage ended, and what its parameters do there, or but for the last little step."""
 
-    stand: Stand
+    stand: SearchState
     here: _Tried
     columns: RealArray
     reason: str
@@ -215,9 +215,9 @@ class JointSearch:
     noise_misfit: float | None
     known: NDArray[Any] | None = None
     progress: Progress | None = None
-    keep: Callable[[Stand], None] | None = None
+    keep: Callable[[SearchState], None] | None = None
 
-    def run(self, stand: Stand) -> Told:
+    def run(self, stand: SearchState) -> Told:
         """Search, and see what the frames tell.
 
         Raises
@@ -246,7 +246,7 @@ class JointSearch:
         return self._estimated(stand, here, checked, near.slopes, reason)
 
     def _estimated(
-        self, stand: Stand, here: _Tried, checked: _Tried, slopes: RaySlopes | None, reason: str
+        self, stand: SearchState, here: _Tried, checked: _Tried, slopes: RaySlopes | None, reason: str
     ) -> Told:
         """Estimates about the object in the end, and the bench with the parameters that are needed."""
         names = [p.name for p in self.parameters]
@@ -295,7 +295,7 @@ class JointSearch:
         variance = (OBJECT_FACTOR * misfit) ** 2 / self._pixels + MODEL_ERROR**2 / COHERENT
         typical, values = np.array([p.typical for p in self.parameters]), tried.unknowns.of(names)
         follows = self.known is None
-        joint = JointStep(
+        joint = GaussNewtonStep(
             linear,
             columns,
             values,
@@ -307,7 +307,7 @@ class JointSearch:
         )
         joint.damping = np.zeros_like(joint.damping)
         estimates = values + joint.solve(ESTIMATED)
-        covariance = np.linalg.inv(joint.told_curvature(FOLLOWS if follows else 0)) * variance
+        covariance = np.linalg.inv(joint.reduced_curvature(FOLLOWS if follows else 0)) * variance
         return estimates, np.asarray(covariance + np.diag(self._clipped() ** 2), float)
 
     def _clipped(self) -> Array:
@@ -335,7 +335,9 @@ class JointSearch:
     def _near(self, here: _Tried) -> _Near:
         return _Near(here.engine, self.pixels.ray_slopes(here.unknowns, here.engine, self.parameters))
 
-    def _descended(self, stand: Stand, here: _Tried, near: _Near, parameters: tuple[Parameter, ...]) -> _End:
+    def _descended(
+        self, stand: SearchState, here: _Tried, near: _Near, parameters: tuple[Parameter, ...]
+    ) -> _End:
         sought, reason = parameters, "benches used up"
         columns = self.pixels.columns(here.unknowns, here.linear, parameters, near.slopes)
         if parameters == self.parameters:
@@ -363,12 +365,12 @@ class JointSearch:
 
     def _farther(
         self,
-        stand: Stand,
+        stand: SearchState,
         here: _Tried,
         near: Operator,
-        joint: JointStep,
+        joint: GaussNewtonStep,
         sought: Sequence[Parameter],
-    ) -> tuple[Stand, _Tried]:
+    ) -> tuple[SearchState, _Tried]:
         """The best bench along a step; the one where it begins if none is better."""
         names, step, best = [p.name for p in sought], joint.solve(ROUNDS), here
         line = Line(self._price(here), -2.0 * float(joint.slope @ step), stand.stretch)
@@ -403,7 +405,7 @@ class JointSearch:
         off = float(np.sum((values / [p.typical for p in self.parameters]) ** 2))
         return tried.misfit**2 * math.exp(NOT_TOLD_GAIN * off)
 
-    def _told(self, stand: Stand, unknowns: Unknowns, misfit: float) -> Stand:
+    def _told(self, stand: SearchState, unknowns: Unknowns, misfit: float) -> SearchState:
         stand = replace(stand, trail=(*stand.trail, (unknowns, misfit)))
         if self.progress is not None:
             self.progress(len(stand.trail), unknowns, misfit)
@@ -432,7 +434,7 @@ class JointSearch:
             until_noise=iterations is not None,
             scale=self.pixels.scale,
             start=None if start is None else model.illumination.with_values(start),
-            active_width=self.pixels.active_width,
+            fill_factor=self.pixels.fill_factor,
             rows=self.pixels.rows,
             residuals=False,
             rounds=BEHIND,
@@ -443,12 +445,12 @@ class JointSearch:
         linear = Linearised(model, transmission, self.pixels.scale is None)
         return _Tried(unknowns, linear, transmission, found.misfit)
 
-    def _joint(self, tried: _Tried, parameters: tuple[Parameter, ...], columns: RealArray) -> JointStep:
+    def _joint(self, tried: _Tried, parameters: tuple[Parameter, ...], columns: RealArray) -> GaussNewtonStep:
         values = tried.unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
         variance, follows = _variance(tried.misfit), self.known is None
         undone = self._undone(tried, parameters) if follows else {}
-        return JointStep(
+        return GaussNewtonStep(
             tried.linear, columns, values, typical, variance, tried.transmission, follows, undone
         )
 

@@ -17,22 +17,22 @@ import numpy as np
 from lensdesign.analysis.paraxial import first_order
 from wavesim.calibration.joint.lens_changes import Changed, by_rays, path_slopes
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes, moved
-from wavesim.calibration.joint.ray_changes import Seat
+from wavesim.calibration.joint.ray_changes import SensorPose
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import Parameter, Unknowns
-from wavesim.camera.frame_sets import frames_by_plane
-from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import light_on, planes_at
-from wavesim.camera.pixels.points import points_among, recorded_points
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import Patch
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.linear.linearised import Linearised, RealArray
-from wavesim.reconstruction.linear.sight import ComplexArray
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.linear.measurement_operator import ComplexArray
 from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Grids, Operator
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.frame_sets import frames_by_plane
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.mounting import light_on, planes_at
+from wavesim.sensor.pixels.points import points_among, recorded_points
+from wavesim.targets.patch import Patch
 
 OF_A_FRINGE = 0.6
 """Distance of the pixels taken, over the period of the finest fringes: of the field's real and imaginary part
@@ -83,7 +83,7 @@ class TilesToPlanes:
 class SomePixels(Pixels):
     """Every few pixels of each plane, as points; distances of planes are in their own scenes."""
 
-    def model(self, unknowns: Unknowns, near: Operator | None = None) -> RecordingModel:
+    def model(self, unknowns: Unknowns, near: Operator | None = None) -> ForwardModel:
         bench = unknowns.bench
         made: Sequence[EikonalTiles]
         if isinstance(near, TilesToPlanes):
@@ -97,7 +97,7 @@ class SomePixels(Pixels):
             for plane in planes_at(self.recorded, bench)
         ]
         operator, light = TilesToPlanes(turned), light_on(self.illumination, bench)
-        return RecordingModel(operator, light, planes, self.scale, rows=self.rows)
+        return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
 
     def _is_carried(self, parameter: Parameter) -> bool:
         return parameter.part != "light" and not parameter.name.endswith("_background")
@@ -150,9 +150,9 @@ class SomePixels(Pixels):
         return made
 
 
-def _seat(bench: Bench, number: int) -> Seat:
+def _seat(bench: Bench, number: int) -> SensorPose:
     placement = bench.placement
-    return Seat(placement.plane_distance_mm(number), bench.shift_mm(number), placement.sensor_tilt_deg)
+    return SensorPose(placement.plane_distance_mm(number), bench.shift_mm(number), placement.sensor_tilt_deg)
 
 
 def pixels_apart(patch: Patch, scene: Scene) -> int:
@@ -189,7 +189,7 @@ def some_pixels(every: Pixels, frames: Sequence[Frame], apart: int) -> SomePixel
     found = SomePixels(
         replace(every.scene, exit_grid=points),
         every.illumination,
-        [recorded_points(plane, one.distance_mm, apart, every.active_width) for plane, one in planes],
+        [recorded_points(plane, one.distance_mm, apart, every.fill_factor) for plane, one in planes],
         every.scale,
         0.0,
         every.make,

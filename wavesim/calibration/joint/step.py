@@ -30,7 +30,7 @@ SOLVED = 1e-3
 """Of the squared gradient, in the measure of the curvature, at which the solution ends."""
 
 
-class JointStep:
+class GaussNewtonStep:
     """The normal equations about one object on one bench.
 
     Parameters
@@ -107,7 +107,7 @@ class JointStep:
             way_bench = ahead_bench + size / before * way_bench
         return there
 
-    def told_curvature(self, rounds: int) -> Array:
+    def reduced_curvature(self, rounds: int) -> Array:
         """What of the curvature is left where the object follows, shape (parameters, parameters).
 
         At most: the object follows along the slopes of what is left, some rounds of it, and where what frames

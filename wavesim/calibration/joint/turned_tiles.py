@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from lensdesign.errors import InputError
-from wavesim.calibration.joint.ray_changes import ON_GRID, Seat, ray_changes
+from wavesim.calibration.joint.ray_changes import ON_GRID, SensorPose, ray_changes
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_back
 from wavesim.rays.maps import RayMap
-from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
 
@@ -41,7 +41,7 @@ class TurnedTiles(Engine):
 
     name = "turned-tiles"
 
-    def __init__(self, near: EikonalTiles, scene: Scene, seat: Seat = ON_GRID) -> None:
+    def __init__(self, near: EikonalTiles, scene: Scene, seat: SensorPose = ON_GRID) -> None:
         super().__init__(scene)
         if seat != ON_GRID and near.plane.beyond is not None:
             raise InputError(
@@ -83,7 +83,7 @@ class TurnedTiles(Engine):
     def cost(self) -> Cost:
         return self.near.cost()
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         return self.near.neglected()
 
     def settings(self) -> dict[str, Any]:

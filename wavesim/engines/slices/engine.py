@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_other
+from lensdesign.errors import InputError, validate_choice
 from wavesim.engines.slices.compensation import (
     CentreRays,
     border_light,
@@ -41,14 +41,14 @@ from wavesim.engines.slices.compensation import (
 )
 from wavesim.engines.slices.cost import slices_cost
 from wavesim.engines.slices.planes import Spacing, cutting_planes
-from wavesim.engines.slices.samples import Reached, sliced
-from wavesim.engines.slices.steps import Through
+from wavesim.engines.slices.samples import IlluminatedArea, sliced
+from wavesim.engines.slices.steps import SurfaceTransfer
 from wavesim.engines.slices.windows import Waves, arriving, surface_grids
-from wavesim.engines.surfaces.grids import LightWithin, light_within, refuse_if_huge
+from wavesim.engines.surfaces.grids import LightWithin, check_grid_size, light_within
 from wavesim.engines.surfaces.samples import other_transmission
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.guards import SamplingWarning
-from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
@@ -115,9 +115,9 @@ class AnnularSlices(Engine):
         whole = isinstance(slices, int | np.integer) and not isinstance(slices, bool)
         if not whole or not 1 <= slices <= MOST_SLICES:
             raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {MOST_SLICES}")
-        refuse_other("compensation", compensation, ("vertical", "oblique"))
-        refuse_other("spacing", spacing, ("equal", "paper", "equal-phase"))
-        refuse_other("precision", precision, ("double", "single"))
+        validate_choice("compensation", compensation, ("vertical", "oblique"))
+        validate_choice("spacing", spacing, ("equal", "paper", "equal-phase"))
+        validate_choice("precision", precision, ("double", "single"))
         self.precision = precision
         self.slices, self.compensation, self.spacing = int(slices), compensation, spacing
         self.force = bool(force)
@@ -164,14 +164,14 @@ class AnnularSlices(Engine):
         return cutting_planes(self.scene, rays, heights_mm, self.slices, self.spacing, self._oblique)
 
     @cached_property
-    def _prepared(self) -> Through:
+    def _prepared(self) -> SurfaceTransfer:
         self._refuse_total_reflection()
-        refuse_if_huge(self.name, max(front.grid.size for front, _ in self.sides), self.cost(), self.force)
+        check_grid_size(self.name, max(front.grid.size for front, _ in self.sides), self.cost(), self.force)
         self._warn()
         scene = self.scene
         rays = centre_rays(scene, scene.object_grid.centre_mm)
         reached = [
-            Reached(scene, i, front.grid, reach)
+            IlluminatedArea(scene, i, front.grid, reach)
             for i, ((front, _), reach) in enumerate(zip(self.sides, self.light.reach_mm, strict=True))
         ]
         planes = self._planes([part.span_mm() for part in reached])
@@ -179,7 +179,9 @@ class AnnularSlices(Engine):
             sliced(part, compensation(scene, ray, self._oblique), cut, self._oblique, self._dtype)
             for part, ray, cut in zip(reached, rays, planes, strict=True)
         ]
-        return Through(scene.object_grid, scene.exit_grid, self.sides, surfaces, arriving(scene, self.light))
+        return SurfaceTransfer(
+            scene.object_grid, scene.exit_grid, self.sides, surfaces, arriving(scene, self.light)
+        )
 
     @property
     def _dtype(self) -> np.dtype[Any]:
@@ -207,17 +209,17 @@ class AnnularSlices(Engine):
         k, planes = self.scene.wavenumber_per_mm, self._nominal_planes
         return [slice_phase(ray, p, self._oblique, k) for ray, p in zip(self._fan, planes, strict=True)]
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         found = [
-            Neglected(f"{self.compensation} compensation within slices", _misfit(self._phases)),
-            Neglected("borders of slices", self._border_error()),
-            Neglected("transmission other than that of the object's middle", other_transmission(self.scene)),
-            Neglected(
+            ErrorTerm(f"{self.compensation} compensation within slices", _misfit(self._phases)),
+            ErrorTerm("borders of slices", self._border_error()),
+            ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
+            ErrorTerm(
                 "light that the rim turns beyond the grid's band", math.sqrt(self.light.spared), at_rim=True
             ),
         ]
         if self._oblique:
-            found.append(Neglected("angles of light from beside the object's middle", self._other_angles()))
+            found.append(ErrorTerm("angles of light from beside the object's middle", self._other_angles()))
         return tuple(sorted(found, key=lambda n: -n.relative_error))
 
     def _border_error(self) -> float:

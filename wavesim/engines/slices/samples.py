@@ -18,7 +18,7 @@ from lensdesign.errors import SamplingError
 from wavesim.engines.slices.compensation import Compensation, slice_of
 from wavesim.engines.surfaces.samples import rim_weight
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import wave_factor
+from wavesim.fields.plane_waves import phasor_of
 from wavesim.rays.interfaces import surface_map
 from wavesim.runtime.threads import for_blocks, one_blas_thread
 from wavesim.scene.scene import Scene
@@ -28,7 +28,7 @@ BLOCK = 1 << 18
 
 
 @dataclass(frozen=True)
-class Reached:
+class IlluminatedArea:
     """The part of a grid that light may reach on a surface: a disc about its middle, and the square about it.
 
     Attributes
@@ -150,7 +150,7 @@ def number_type(slices: int) -> np.dtype[Any]:
 
 
 def sliced(
-    reached: Reached, given: Compensation, planes_mm: Array, middle: bool, dtype: DTypeLike
+    reached: IlluminatedArea, given: Compensation, planes_mm: Array, middle: bool, dtype: DTypeLike
 ) -> SlicedSurface:
     """Samples of a surface by slice.
 
@@ -184,7 +184,7 @@ def sliced(
         z, amplitude = z[inside], amplitude * lit[inside]
         which = slice_of(planes_mm, z)
         path = before * (z - low[which]) + behind * (high[which] - z)
-        factors[first:stop][inside] = amplitude.astype(factors.real.dtype) * wave_factor(
+        factors[first:stop][inside] = amplitude.astype(factors.real.dtype) * phasor_of(
             k * path, factors.dtype
         )
         numbers[first:stop][inside] = which

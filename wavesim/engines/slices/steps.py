@@ -17,7 +17,7 @@ import numpy as np
 from wavesim.engines.slices.samples import SlicedSurface
 from wavesim.engines.slices.windows import Waves, block, handed_over
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import PassBand, axial_wavenumbers, walks_mm, wave_factor
+from wavesim.fields.plane_waves import BandLimit, axial_wavenumbers, lateral_shift_mm, phasor_of
 from wavesim.runtime.arrays import array_module, fft, ifft
 from wavesim.runtime.threads import for_blocks
 
@@ -28,7 +28,7 @@ Sides = tuple[Waves, Waves]
 
 
 @dataclass(frozen=True, eq=False)
-class Through:
+class SurfaceTransfer:
     """From the object to the exit.
 
     Attributes
@@ -47,7 +47,7 @@ class Through:
     exit_grid: Grid
     sides: Sequence[Sides]
     surfaces: Sequence[SlicedSurface]
-    arriving: PassBand
+    arriving: BandLimit
 
     def forward(self, values: Any) -> Any:
         """Field on the exit grid of one on the object grid."""
@@ -150,7 +150,7 @@ def through_surface(
     return xp.reshape(total, target.shape)
 
 
-def carried(waves: Waves, spectrum: Any, distance_mm: float, let: PassBand | None = None) -> Any:
+def carried(waves: Waves, spectrum: Any, distance_mm: float, let: BandLimit | None = None) -> Any:
     """Waves after a distance, those beyond the band left out, or whose walk is; the spectrum is changed."""
     plane = array_module(spectrum).reshape(spectrum, _plane(waves.shape))
     step = _Steps(waves)
@@ -274,7 +274,7 @@ class _Steps:
             part[:, :across] *= factor[:, :0:-1]
 
 
-def step_factor(waves: Waves, distance_mm: float, like: Any, let: PassBand | None = None) -> Any:
+def step_factor(waves: Waves, distance_mm: float, like: Any, let: BandLimit | None = None) -> Any:
     """Factor of each wave of orders from 0 on, in the library and precision of an array.
 
     It is 0 beyond the band, and where `let` stops the walk from the axis.
@@ -290,9 +290,9 @@ def step_factor(waves: Waves, distance_mm: float, like: Any, let: PassBand | Non
     def work(a: int, b: int) -> None:
         cycles = [xp.reshape(down[a:b], (-1, 1)), xp.reshape(across, (1, -1))]
         kz, _ = axial_wavenumbers(cycles, medium.wavelength_um, medium.index, xp)
-        factor = wave_factor(kz * distance_mm, like.dtype, xp) * (kz > medium.smallest_kz_per_mm)
+        factor = phasor_of(kz * distance_mm, like.dtype, xp) * (kz > medium.smallest_kz_per_mm)
         if let is not None:
-            walks = walks_mm(cycles, kz, distance_mm, xp)
+            walks = lateral_shift_mm(cycles, kz, distance_mm, xp)
             weight = let.weight(xp.sqrt(walks[0] ** 2 + walks[1] ** 2), xp)
             factor = factor * xp.asarray(
                 weight, dtype=xp.float32 if like.dtype == xp.complex64 else xp.float64

@@ -17,9 +17,9 @@ import numpy as np
 
 from wavesim.engines.surfaces.grids import LightWithin, sampled
 from wavesim.engines.surfaces.waves import Medium
+from wavesim.fields.chirp_z import chirp_z_transform
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import PassBand, Samples, centres_mm
-from wavesim.fields.windowed import chirp_z_transform
+from wavesim.fields.plane_waves import BandLimit, Samples, centres_mm
 from wavesim.runtime.arrays import array_module
 from wavesim.scene.scene import Scene
 
@@ -131,7 +131,7 @@ def surface_grids(
     )
 
 
-def arriving(scene: Scene, light: LightWithin) -> PassBand:
+def arriving(scene: Scene, light: LightWithin) -> BandLimit:
     """Walks from the object to the first surface: those of light that meets it pass, steeper light fades out.
 
     A sharp end of the spectrum would leave ripples over the whole window.
@@ -140,7 +140,7 @@ def arriving(scene: Scene, light: LightWithin) -> PassBand:
     steepest = min(light.bands_per_mm[0], math.pi / grid.pitch_mm)
     stopped = (light.heights_mm[0][0] - grid.z_mm) * steepest / math.sqrt(k * k - steepest * steepest)
     away = _farthest_mm(grid, light.middle_mm) * math.sqrt(len(grid.shape))
-    return PassBand(0.0, light.reach_mm[0] + away, stopped)
+    return BandLimit(0.0, light.reach_mm[0] + away, stopped)
 
 
 def _farthest_mm(grid: Grid, middle_mm: tuple[float, float]) -> float:

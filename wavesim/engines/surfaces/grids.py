@@ -15,14 +15,14 @@ import scipy.fft
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.tracing.bundles import launch_compiled, pupil_fan, pupil_rings
-from lensdesign.tracing.rays import trace_compiled
-from lensdesign.tracing.status import Status
+from lensdesign.raytrace.bundles import launch_compiled, pupil_fan, pupil_rings
+from lensdesign.raytrace.rays import trace_compiled
+from lensdesign.raytrace.status import Status
 from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid
-from wavesim.fields.passage import Passage
-from wavesim.rays.interfaces import refuse_skew, surface_map
+from wavesim.fields.propagator import FreeSpacePropagator
+from wavesim.rays.interfaces import surface_map, validate_meridional
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
@@ -75,10 +75,16 @@ class WorkingGrid:
             return [min(grid.size, math.ceil(2.0 * r / grid.pitch_mm)) for r in self.reach_mm]
         return [min(grid.size, math.ceil(math.pi * (r / grid.pitch_mm) ** 2)) for r in self.reach_mm]
 
-    def transfers(self, scene: Scene, start_mm: float, end_mm: float) -> tuple[Passage, Passage]:
+    def transfers(
+        self, scene: Scene, start_mm: float, end_mm: float
+    ) -> tuple[FreeSpacePropagator, FreeSpacePropagator]:
         """From the object to the grid's first plane, and from its last one to the exit."""
-        into = Passage(scene.object_grid, self.grid.at(start_mm), scene.wavelength_um, self.media[0].index)
-        out = Passage(self.grid.at(end_mm), scene.exit_grid, scene.wavelength_um, self.media[-1].index)
+        into = FreeSpacePropagator(
+            scene.object_grid, self.grid.at(start_mm), scene.wavelength_um, self.media[0].index
+        )
+        out = FreeSpacePropagator(
+            self.grid.at(end_mm), scene.exit_grid, scene.wavelength_um, self.media[-1].index
+        )
         return into, out
 
 
@@ -130,7 +136,7 @@ class _Bundle:
     reflected: float
 
 
-def refuse_if_huge(engine: str, samples: int, cost: Cost, force: bool) -> None:
+def check_grid_size(engine: str, samples: int, cost: Cost, force: bool) -> None:
     """Refuse what takes more memory or time than one run may, unless it is forced.
 
     Parameters
@@ -294,7 +300,7 @@ def _bundle(scene: Scene, middle: Array) -> _Bundle:
             f"fewer than three rays from the object grid at {grid.centre_mm} mm get through{why}"
         )
     if any(scene.system.figures):
-        refuse_skew(scene, rays)
+        validate_meridional(scene, rays)
     assert rays.hits is not None
     hits = rays.hits[rays.ok]
     legs = np.diff(np.concatenate([origins[rays.ok, None], hits], axis=1), axis=1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.tracing.compiled import CompiledSystem
+from lensdesign.raytrace.compiled import CompiledSystem
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
 from wavesim.scene.scene import Scene

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.engines.surfaces.samples import SurfaceSamples
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, wave_factor
+from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, phasor_of
 
 ComplexArray = NDArray[np.complex128]
 
@@ -82,7 +82,7 @@ class Medium:
 
     def over(self, distance_mm: float) -> ComplexArray:
         """Factor of each plane wave over a distance."""
-        factor = wave_factor(self.kz * distance_mm)
+        factor = phasor_of(self.kz * distance_mm)
         factor[~self.inside] = 0.0
         return np.asarray(factor)
 

@@ -17,9 +17,10 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_other
+from lensdesign.errors import InputError, SamplingError, validate_choice, validate_positive
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
+from wavesim.engines.tiles.edge_illumination import edge_illumination
 from wavesim.engines.tiles.operator import (
     Tile,
     TileOperator,
@@ -30,13 +31,12 @@ from wavesim.engines.tiles.operator import (
 )
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
 from wavesim.engines.tiles.residual import Quadratic, Separable
-from wavesim.engines.tiles.rim_light import rim_light
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Precision
 from wavesim.runtime.threads import THREADS, one_blas_thread
-from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
@@ -120,10 +120,10 @@ class EikonalTiles(Engine):
     ) -> None:
         super().__init__(scene)
         if tile_width_mm is not None:
-            refuse_not_positive("tile_width_mm", tile_width_mm)
+            validate_positive("tile_width_mm", tile_width_mm)
         if not LEAST_ERROR <= error <= 1.0:
             raise InputError(f"error = {error!r}: must be from 1e-5 to 1")
-        refuse_other("quadratic", quadratic, get_args(Quadratic))
+        validate_choice("quadratic", quadratic, get_args(Quadratic))
         if plane_z_mm is not None and not math.isfinite(plane_z_mm):
             raise InputError(f"plane_z_mm = {plane_z_mm!r}: must be finite")
         self._tile_width_mm, self._error, self._quadratic = tile_width_mm, error, quadratic
@@ -251,7 +251,7 @@ class EikonalTiles(Engine):
             "plane_z_mm": self.plane.grid.z_mm,
         }
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         rms, largest = self.probe.neglected_waves
         count, rank = len(self.probe.tiles), 1
         left = self.probe.error(self._quadratic, self._allowed)
@@ -266,14 +266,14 @@ class EikonalTiles(Engine):
         share, sharp = edge_error(self.scene, middle, carrier)
         drawn = drawn_error(self.scene, middle, carrier, sharp)
         parts = (
-            Neglected(what, left),
-            Neglected("movement of the aperture's edge over a tile", share, at_rim=True),
-            Neglected("diffraction at the aperture's edge, beyond Fresnel's", drawn, at_rim=True),
+            ErrorTerm(what, left),
+            ErrorTerm("movement of the aperture's edge over a tile", share, at_rim=True),
+            ErrorTerm("diffraction at the aperture's edge, beyond Fresnel's", drawn, at_rim=True),
         )
         return tuple(sorted(parts, key=lambda part: -part.relative_error))
 
-    def rim_light(self, light: Light) -> float:
-        return rim_light(self.scene, self.probe.tiles, self.plane.grid.z_mm, light)
+    def edge_illumination(self, light: Light) -> float:
+        return edge_illumination(self.scene, self.probe.tiles, self.plane.grid.z_mm, light)
 
     def cost(self) -> Cost:
         rank = self.probe.rank_for(self._allowed) if self._quadratic == "low-rank" else 1

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.residual import Separable
-from wavesim.fields.plane_waves import wave_factor
+from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import (
     OVERSAMPLING,
     Kernel,
@@ -341,7 +341,7 @@ def _carrier(
         path += turn
         amplitude *= scale
         part = result[rows]
-        np.multiply(wave_factor(path, dtype), amplitude, out=part, where=inside, casting="same_kind")
+        np.multiply(phasor_of(path, dtype), amplitude, out=part, where=inside, casting="same_kind")
         if carrier.edge is not None and carrier.stop is not None:
             stop = np.stack([values[inside] for values in carrier.stop.along(here).each()], axis=-1)
             part[inside] *= carrier.edge.factor(stop, width_mm, carrier.traced)

@@ -15,7 +15,7 @@ from wavesim.fields.resampling import Kernel, Weights, in_columns, interpolation
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class InterpolationWeights:
     """Interpolation from a coarse grid to a part of a fine one: of the field, and of what is smooth.
 
     Attributes
@@ -31,14 +31,14 @@ class Ways:
     share: tuple[Array, Array]
 
 
-def ways_between(
+def interpolation_weights(
     coarse: tuple[Array, Array], smooth: tuple[Array, Array], fine: tuple[Array, Array], kernel: Kernel
-) -> Ways:
+) -> InterpolationWeights:
     """Weights from axes (y, x) of two coarse grids to those of a fine one."""
     field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
     cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
     first, share = (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1])
-    return Ways((field[0], field[1]), first, share)
+    return InterpolationWeights((field[0], field[1]), first, share)
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
@@ -51,7 +51,7 @@ def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class CarriedStep:
     """One step from a coarse grid to a window of a fine one, with its carrier.
 
     Attributes
@@ -65,7 +65,7 @@ class Carried:
         Of the fine grid.
     """
 
-    ways: Ways
+    ways: InterpolationWeights
     turns: Any
     edge: Any
     window: tuple[slice, slice]
@@ -78,7 +78,7 @@ class Carried:
         fixed = (coarse[needed].view(np.float32), *along, part._carrier(), fine.view(np.float32), place)
         in_columns(partial(expand, *fixed), len(x.first), threads)
 
-    def onto_rows(self, start: int, stop: int) -> tuple[Carried, slice]:
+    def onto_rows(self, start: int, stop: int) -> tuple[CarriedStep, slice]:
         """The step to the fine grid's rows from `start` to `stop`, and the coarse rows that it takes.
 
         There are none where it leads to no such row.
@@ -91,7 +91,7 @@ class Carried:
         first, weight = y.first[rows], y.weight[rows]
         low, high = (int(first[0]), int(first[-1]) + weight.shape[1]) if len(first) else (0, 0)
         field = Weights(first - low, weight, high - low), w.field[1]
-        ways = Ways(field, (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1]))
+        ways = InterpolationWeights(field, (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1]))
         return replace(self, ways=ways, window=(slice(start, stop), across)), slice(low, high)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:

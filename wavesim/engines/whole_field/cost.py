@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wavesim.engines.whole_field.carried import Carried
+from wavesim.engines.whole_field.carried import CarriedStep
 from wavesim.engines.whole_field.tiles import SuperTile, WholeFieldSettings
 from wavesim.runtime.memory import COMPLEX64, FLOAT64
 from wavesim.runtime.speed import pass_seconds
@@ -52,7 +52,7 @@ def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequenc
     return Cost(seconds, SETUP_SECONDS, max(FITTING_BYTES, FITTED_BYTES + kept + largest))
 
 
-def carried_bytes(carried: Carried) -> int:
+def carried_bytes(carried: CarriedStep) -> int:
     """What a super-tile keeps of its way to the plane."""
     ways = carried.ways
     arrays = [*ways.first, *ways.share, carried.turns, carried.edge]

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, validate_positive
 from wavesim.engines.tiles.edge import edge_error, rim_share
+from wavesim.engines.tiles.edge_illumination import edge_illumination
 from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
-from wavesim.engines.tiles.rim_light import rim_light
 from wavesim.engines.whole_field.cost import whole_field_cost
 from wavesim.engines.whole_field.executors import Band, Executor, Part, Sums, Tell, ThisComputer
 from wavesim.engines.whole_field.factors import factors_over_object
@@ -44,7 +44,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Device, Precision, device_named
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
-from wavesim.scene.engine import Cost, Neglected, Tiled
+from wavesim.scene.engine import Cost, ErrorTerm, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
@@ -142,7 +142,7 @@ class WholeFieldEngine(Tiled):
         if scene.object_grid.is_line:
             raise InputError("engine two-level carries planes; on a line take eikonal")
         if tile_width_mm is not None:
-            refuse_not_positive("tile_width_mm", tile_width_mm)
+            validate_positive("tile_width_mm", tile_width_mm)
         if not 1 <= tiles_across <= 100:
             raise InputError(f"tiles_across = {tiles_across!r}: must be from 1 to 100")
         if not LEAST_ERROR <= error <= 1.0:
@@ -313,23 +313,23 @@ class WholeFieldEngine(Tiled):
             "error": self._error,
         } | ({} if self.device is None else {"device": self.device.name})
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         _, tiles, settings = self._prepared
         path, amplitude, direction = settings.maps.errors
         maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
         parts = (
-            Neglected(
+            ErrorTerm(
                 "path of second and higher order in a tile's offset, beyond "
                 f"{len(settings.factors.tile_nodes)} terms in each of {len(tiles)} tiles",
                 settings.factors.relative_error,
             ),
-            Neglected("rays between those that were traced", maps),
-            Neglected("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
+            ErrorTerm("rays between those that were traced", maps),
+            ErrorTerm("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
             *self._neglected_at_rim(),
         )
         return tuple(sorted(parts, key=lambda part: -part.relative_error))
 
-    def _neglected_at_rim(self) -> Iterator[Neglected]:
+    def _neglected_at_rim(self) -> Iterator[ErrorTerm]:
         _, tiles, settings = self._prepared
         carrier, placed_mm = self._middle, settings.maps.edge_error_mm
         widest = np.max([group.steps_mm for group in self.groups], axis=0)
@@ -337,20 +337,20 @@ class WholeFieldEngine(Tiled):
         if carrier.tells_edge:
             what = f"diffraction at the aperture's edge, soft over {100.0 * rise:.2g} % of the footprint"
             error = soft_edge_error(carrier, settings.factors.spans_mm, rise)
-            yield Neglected(f"{what} and the same all over a tile", error, at_rim=True)
+            yield ErrorTerm(f"{what} and the same all over a tile", error, at_rim=True)
         else:
             moved, diffracted = edge_error(self.scene, tiles[len(tiles) // 2][0], carrier)
-            yield Neglected("movement of the aperture's edge over a tile", moved, at_rim=True)
-            yield Neglected(
+            yield ErrorTerm("movement of the aperture's edge over a tile", moved, at_rim=True)
+            yield ErrorTerm(
                 "diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True
             )
             placed_mm += TAPER * TAPER_LOSS * float(np.max(widest))
         place = math.sqrt(rim_share(carrier.rim_mm) * placed_mm)
-        yield Neglected("place of the aperture's edge", min(1.0, place), at_rim=True)
+        yield ErrorTerm("place of the aperture's edge", min(1.0, place), at_rim=True)
 
-    def rim_light(self, light: Light) -> float:
+    def edge_illumination(self, light: Light) -> float:
         tiles = [tile for tile, _ in self._prepared[1]]
-        return rim_light(self.scene, tiles, self.scene.exit_grid.z_mm, light)
+        return edge_illumination(self.scene, tiles, self.scene.exit_grid.z_mm, light)
 
     def cost(self) -> Cost:
         return whole_field_cost(self.scene, self._prepared[2], self.groups)

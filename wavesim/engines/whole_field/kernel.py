@@ -17,7 +17,7 @@ from numpy import cos, empty, float32, float64, floor, int64, pi, sin, sqrt, zer
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from wavesim.fields import resampling_kernel
 from wavesim.fields.resampling_kernel import (
     BAND,
@@ -36,8 +36,8 @@ from wavesim.runtime.fourier import lanes
 from wavesim.runtime.fourier.lanes import LANES, alike, larger, lines_for, load, smaller, store, whole
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
-_inlined = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
+_jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_inlined = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
 
 _SMOOTH = 4
 """Rows, and columns, between which phase and edge are cubic."""

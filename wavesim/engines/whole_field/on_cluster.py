@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from lensdesign.common.clusters import (
     Cluster,
     Held,
+    check_same_version,
     open_cluster,
-    refuse_other_version,
     toolkit_version,
 )
 from lensdesign.errors import InputError
@@ -193,7 +193,7 @@ class ClusterExecutor:
         return hold(add, self.sent, place, total, [number for number, _ in fields], needed)
 
 
-def refuse_no_tiles(engine: Engine) -> WholeFieldEngine:
+def validate_tiled(engine: Engine) -> WholeFieldEngine:
     """The engine, if a cluster can do its work.
 
     Raises
@@ -230,7 +230,7 @@ def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
     with open_cluster(address) as cluster, ExitStack() as taken:
 
         def take(engine: Engine) -> Engine:
-            tiles = refuse_no_tiles(engine)
+            tiles = validate_tiled(engine)
             packet = ScenePacket(toolkit_version(), engine.scene, engine.settings(), engine.key())
             tiles.elsewhere = ClusterExecutor(cluster, cluster.send(packet), engine.scene.exit_grid.shape)
             taken.callback(setattr, tiles, "elsewhere", None)
@@ -253,7 +253,7 @@ def engine_of(packet: ScenePacket) -> WholeFieldEngine:
     """
     with _making:
         if packet.key not in _engines:
-            refuse_other_version(packet.toolkit_version)
+            check_same_version(packet.toolkit_version)
             _engines.clear()
             made = WholeFieldEngine(packet.scene, **packet.settings)
             made.groups  # noqa: B018

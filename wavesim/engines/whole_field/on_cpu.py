@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.carried import Carried
+from wavesim.engines.whole_field.carried import CarriedStep
 from wavesim.engines.whole_field.tiles import SuperTile, carry_tiles, tile_frame
 from wavesim.runtime.device import device_named
 from wavesim.runtime.threads import THREADS, one_blas_thread
@@ -71,10 +71,10 @@ class OnCpu:
             first += other
         return first
 
-    def add(self, carried: Carried, total: NDArray, plane: NDArray, first_row: int = 0) -> None:
+    def add(self, carried: CarriedStep, total: NDArray, plane: NDArray, first_row: int = 0) -> None:
         """Add a super-tile's field to rows of the plane."""
         carried.add(total, plane, first_row, self.threads)
 
-    def collect(self, carried: Carried, plane: NDArray) -> NDArray[np.complex64]:
+    def collect(self, carried: CarriedStep, plane: NDArray) -> NDArray[np.complex64]:
         """Conjugate transpose of :meth:`add`: a super-tile's field from the plane."""
         return carried.collect(plane, self.threads)

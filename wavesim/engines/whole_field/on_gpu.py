@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.carried import Carried
+from wavesim.engines.whole_field.carried import CarriedStep
 from wavesim.engines.whole_field.tiles import SuperTile, TileFrame, carry_tiles, tile_frame
 from wavesim.fields.resampling import Weights
 from wavesim.runtime.device import Device
@@ -59,15 +59,15 @@ class OnDevice:
         carry_tiles(self.device, partial(DeviceStep, self.device), way, _frames(group), given, result)
         return self.device.to_host(result)
 
-    def add(self, carried: Carried, total: NDArray, plane: Any, first_row: int = 0) -> None:
+    def add(self, carried: CarriedStep, total: NDArray, plane: Any, first_row: int = 0) -> None:
         """Add a super-tile's field to rows of the plane."""
         self._step(carried).add(self.device.to_device(total, np.complex64), plane, first_row)
 
-    def collect(self, carried: Carried, plane: Any) -> NDArray[np.complex64]:
+    def collect(self, carried: CarriedStep, plane: Any) -> NDArray[np.complex64]:
         """Conjugate transpose of :meth:`add`: a super-tile's field from the plane."""
         return self.device.to_host(self._step(carried).collect(plane))
 
-    def _step(self, carried: Carried) -> DeviceStep:
+    def _step(self, carried: CarriedStep) -> DeviceStep:
         turns, edge = (self.device.to_device(values) for values in (carried.turns, carried.edge))
         return DeviceStep(self.device, replace(carried, turns=turns, edge=edge))
 
@@ -147,7 +147,7 @@ class DeviceStep:
         The step; phase and edge on the device.
     """
 
-    def __init__(self, device: Device, carried: Carried) -> None:
+    def __init__(self, device: Device, carried: CarriedStep) -> None:
         self.device, self.window, ways = device, carried.window, carried.ways
         width = self.window[1].stop - self.window[1].start
         rows = int(np.clip(device.memory_bytes // (SAMPLE_BYTES * width), LEAST_ROWS, MOST_ROWS))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.maps import RayMapError, SmoothMap, refuse_fold
+from wavesim.rays.maps import RayMapError, SmoothMap, check_no_fold
 from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
 
@@ -152,7 +152,7 @@ def _node(scene: Scene, point_mm: Array, plane_z_mm: float, order: int, shift: f
     angle = 2.0 * np.pi * (np.arange(arms) + shift) / arms
     grid = np.stack(np.meshgrid(radius, angle, indexing="ij"), axis=-1).reshape(-1, 2)
     bundle = trace_bundle(scene, point, pupil.points(grid[:, 0], grid[:, 1]), plane_z_mm)
-    caustics = refuse_fold(bundle, (float(point[0]), float(point[1])), plane_z_mm)
+    caustics = check_no_fold(bundle, (float(point[0]), float(point[1])), plane_z_mm)
     return _Node(np.asarray(point_mm), bundle, grid[:, 0] ** 2, caustics)
 
 

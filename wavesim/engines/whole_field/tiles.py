@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import BAND_MARGIN, Tile
-from wavesim.engines.whole_field.carried import Carried, Ways, ways_between
+from wavesim.engines.whole_field.carried import CarriedStep, InterpolationWeights, interpolation_weights
 from wavesim.engines.whole_field.factors import FactorsOverObject
 from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
-from wavesim.fields.plane_waves import wave_factor
+from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
 from wavesim.runtime.device import Device, Precision, sum_of_terms, terms_back
@@ -121,11 +121,11 @@ class SuperTile:
         turns = values[0] / (1e-3 * settings.scene.wavelength_um)
         shift = float(np.max(np.abs(others - self.carrier.middle) / settings.half_width_mm))
         opening = ((1.0 + shift) * REACH) ** 2 + 0.1 - values[4]
-        ways = ways_between(
+        ways = interpolation_weights(
             (self.axes[0], self.axes[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), settings.kernel
         )
         # Whole wherever a tile has light; beyond, rows end.
-        self.carried = Carried(ways, turns, (1e3 * opening).astype(np.float32), self.window)
+        self.carried = CarriedStep(ways, turns, (1e3 * opening).astype(np.float32), self.window)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -202,7 +202,7 @@ class TileFrame:
     group: SuperTile
     tile: Tile
     window: tuple[slice, slice]
-    ways: Ways
+    ways: InterpolationWeights
     rays: MapOnAxes
     shared: MapOnAxes
     light: MapOnAxes
@@ -235,7 +235,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     # as many fine ones these may differ by one, by rounding.
     lengths = len(fine[0]), len(fine[1]), len(y), len(x)
     if lengths not in alike:
-        alike[lengths] = ways_between((y, x), (y, x), fine, settings.kernel)
+        alike[lengths] = interpolation_weights((y, x), (y, x), fine, settings.kernel)
     expansion, offsets = settings.factors.at(centre), list(tile.offsets_mm)
     size = tuple((len(o), round(1e9 * float(o[0]))) for o in offsets)
     if size not in alike:
@@ -265,7 +265,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
 def _exponential(logarithm: NDArray[np.complex128]) -> NDArray[np.complex64]:
     """Of a logarithm; its parts one by one, as NumPy's own of complex numbers takes four times as long."""
     size = np.exp(logarithm.real.astype(np.float32))
-    return np.asarray(wave_factor(logarithm.imag, np.complex64) * size)
+    return np.asarray(phasor_of(logarithm.imag, np.complex64) * size)
 
 
 class Step(Protocol):
@@ -286,7 +286,7 @@ class ObjectTile:
     device
         Whose arrays it takes.
     step
-        Makes of a :class:`wavesim.engines.whole_field.carried.Carried` what moves the device's values.
+        Makes of a :class:`wavesim.engines.whole_field.carried.CarriedStep` what moves the device's values.
     frame
         The tile.
     plans
@@ -296,7 +296,7 @@ class ObjectTile:
     def __init__(
         self,
         device: Device,
-        step: Callable[[Carried], Step],
+        step: Callable[[CarriedStep], Step],
         frame: TileFrame,
         plans: dict[tuple[int, ...], Any],
     ) -> None:
@@ -307,7 +307,7 @@ class ObjectTile:
         turns = (path - next(frame.shared.each(device.to_device))) / wavelength_mm
         turns += -0.25 - 0.25 * settings.maps.caustics
         amplitude, edge = frame.light.each(device.to_device)
-        self._step = step(Carried(frame.ways, turns, 0.5 + (1.0 - edge) / frame.rise, frame.window))
+        self._step = step(CarriedStep(frame.ways, turns, 0.5 + (1.0 - edge) / frame.rise, frame.window))
         most = 0.5 * wavelength_mm / frame.tile.pitch_mm
         needed = edge < 1.0 + 0.5 * frame.rise + frame.reach
         needed &= (abs(py) <= most) & (abs(px) <= most)
@@ -355,7 +355,7 @@ class ObjectTile:
 
 def carry_tiles(
     device: Device,
-    step: Callable[[Carried], Step],
+    step: Callable[[CarriedStep], Step],
     way: Way,
     frames: Iterable[TileFrame],
     values: Any,

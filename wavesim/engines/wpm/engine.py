@@ -34,17 +34,17 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from lensdesign.errors import SamplingError, refuse_not_positive, refuse_other
-from wavesim.engines.surfaces.grids import FRESNEL_ZONES, WorkingGrid, refuse_if_huge, working_grid
+from lensdesign.errors import SamplingError, validate_choice, validate_positive
+from wavesim.engines.surfaces.grids import FRESNEL_ZONES, WorkingGrid, check_grid_size, working_grid
 from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission, sample_surfaces
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
 from wavesim.engines.wpm.cost import kept_bytes, passage_cost, setup_cost
 from wavesim.engines.wpm.staircase import Staircase
 from wavesim.fields.guards import SamplingWarning
-from wavesim.fields.passage import Passage
+from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.runtime.arrays import in_double
 from wavesim.runtime.memory import COMPLEX128
-from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
@@ -130,10 +130,10 @@ class WavePropagation(Engine):
         force: bool = False,
     ) -> None:
         super().__init__(scene)
-        refuse_not_positive("zones", zones)
-        refuse_other("interface", interface, ("substep", "staircase"))
+        validate_positive("zones", zones)
+        validate_choice("interface", interface, ("substep", "staircase"))
         if step_um is not None:
-            refuse_not_positive("step_um", step_um)
+            validate_positive("step_um", step_um)
         self.interface = interface
         self._step_um, self._zones, self._force = step_um, zones, force
         self._grid_asked = (pitch_mm, half_width_mm)
@@ -164,35 +164,35 @@ class WavePropagation(Engine):
             peak = max(peak, held + transfer.peak_bytes)
         return Cost(seconds, setup, max(peak, setup_peak))
 
-    def neglected(self) -> tuple[Neglected, ...]:
+    def neglected(self) -> tuple[ErrorTerm, ...]:
         system, k = self.scene.system, self.scene.wavenumber_per_mm
         curvature = float(np.max(np.abs([shape.curvature for shape in system.shapes])))
         found = [
-            Neglected("curvature of surfaces within a wave", TANGENT_PLANE * curvature / k),
-            Neglected("transmission other than that of the object's middle", other_transmission(self.scene)),
+            ErrorTerm("curvature of surfaces within a wave", TANGENT_PLANE * curvature / k),
+            ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
         ]
         turned = math.sqrt(self.working.spared)
-        found.append(Neglected("light that the rim turns beyond the grid's band", turned, at_rim=True))
+        found.append(ErrorTerm("light that the rim turns beyond the grid's band", turned, at_rim=True))
         if self.interface == "substep":
             error = interpolation_error(max(self._phases()))
-            found.append(Neglected("interpolation between planes", error))
+            found.append(ErrorTerm("interpolation between planes", error))
         else:
             # The height of a stair is off by up to half a step either way.
             rms = math.sqrt(sum(phase**2 for phase in self._phases()) / 12.0)
             stairs = 2.0 * math.sin(min(0.5 * rms, 0.5 * math.pi))
-            found.append(Neglected("surfaces as stairs", math.hypot(stairs, STAIR_EDGES)))
+            found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, STAIR_EDGES)))
         if self.working.reflected > 0.0:
-            found.append(Neglected("light totally reflected", math.sqrt(self.working.reflected)))
+            found.append(ErrorTerm("light totally reflected", math.sqrt(self.working.reflected)))
         if self.scene.coating == "bare" and system.surfaces > 1:
             returned = sorted(abs(b - a) / (b + a) for a, b in pairwise(system.index[0]))
-            found.append(Neglected("light reflected inside the lens", float(returned[-1] * returned[-2])))
+            found.append(ErrorTerm("light reflected inside the lens", float(returned[-1] * returned[-2])))
         return tuple(sorted(found, key=lambda n: -n.relative_error))
 
     @cached_property
-    def _prepared(self) -> tuple[Passage, Substep | Staircase, Passage]:
+    def _prepared(self) -> tuple[FreeSpacePropagator, Substep | Staircase, FreeSpacePropagator]:
         working = self.working
         self._check_step()
-        refuse_if_huge(self.name, working.grid.size, self.cost(), self._force)
+        check_grid_size(self.name, working.grid.size, self.cost(), self._force)
         surfaces = sample_surfaces(self.scene, working.grid, working.reach_mm)
         inner: Substep | Staircase
         if self.interface == "substep":

@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.reconstruction.linear.sight import ComplexArray, OnPixels, RealArray, Sight, ThroughSpace
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.reconstruction.linear.measurement_operator import (
+    ComplexArray,
+    FreeSpaceMeasurement,
+    MeasurementOperator,
+    PixelMeasurement,
+    RealArray,
+)
 
 DARK = 1e-5
 """Of a plane's mean intensity: keeps roots of dark pixels smooth."""
@@ -44,11 +50,13 @@ class Linearised:
         Weighted length of the recorded amplitudes, of which residuals are fractions.
     """
 
-    def __init__(self, model: RecordingModel, transmission: ComplexArray, fits_scale: bool) -> None:
+    def __init__(self, model: ForwardModel, transmission: ComplexArray, fits_scale: bool) -> None:
         self.model, self.lit = model, self._behind_object(model, transmission)
         behind = model.engine.forward(self.lit)
         self._index = behind.index
-        self.sight: Sight = (OnPixels if model.rows else ThroughSpace)(model, behind.values)
+        self.sight: MeasurementOperator = (PixelMeasurement if model.rows else FreeSpaceMeasurement)(
+            model, behind.values
+        )
         self._root_weights = [
             np.float32(1.0) if weight is None else np.sqrt(weight) for weight in model.weights
         ]
@@ -116,7 +124,7 @@ class Linearised:
         return np.asarray(cells * back.values * self.model.illumination.values.conj())
 
     @staticmethod
-    def _behind_object(model: RecordingModel, transmission: NDArray[Any]) -> Field:
+    def _behind_object(model: ForwardModel, transmission: NDArray[Any]) -> Field:
         values = transmission * model.illumination.values
         return model.illumination.with_values(values.astype(model.illumination.values.dtype))
 

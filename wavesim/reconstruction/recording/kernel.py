@@ -1,4 +1,4 @@
-"""Compiled loops of :mod:`wavesim.reconstruction.recording_model` and
+"""Compiled loops of :mod:`wavesim.reconstruction.forward_model` and
 :mod:`wavesim.reconstruction.recording.pixel_means`.
 
 Each does some rows, or columns, for a thread. All borders are periodic, as those of spectra are.
@@ -13,9 +13,9 @@ from typing import Any
 from numpy import conj, empty, sqrt
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit
 
-_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
 @_jit

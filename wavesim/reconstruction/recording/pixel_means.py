@@ -4,8 +4,8 @@ The intensity has twice the band of the field, so that the field is taken twice 
 square follow from seven samples along each axis. All fine samples together would fill four times the field's
 memory: twice as many rows are kept, and between the samples of a row others are made where they are used.
 
-This is not the simulator's square (:mod:`wavesim.camera.pixel_light`), on purpose: that one is exact, this
-one is fast and has an adjoint, and a reconstruction from simulated frames does not find its own model in
+This is not the simulator's square (:mod:`wavesim.sensor.pixel_integration`), on purpose: that one is exact,
+this one is fast and has an adjoint, and a reconstruction from simulated frames does not find its own model in
 them. On a frame of the 1/32 twin they differ by 0.05 %.
 """
 
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import PlaneWay, axial_wavenumbers, fft_frequencies
-from wavesim.fields.slight_tilts import TiltedWay, Way, band_wavenumbers
+from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
+from wavesim.fields.tilted_propagator import TiltedPropagator, Way, band_wavenumbers
 from wavesim.reconstruction.recording.bands import Change, Rows, Told, change_in_bands
 from wavesim.reconstruction.recording.kernel import (
     add_columns,
@@ -50,7 +50,7 @@ class PixelMeans:
     ----------
     grid
         One sample in the middle of each pixel.
-    active_width
+    fill_factor
         Side of the pixel's photosensitive square as a share of the pitch.
 
     Attributes
@@ -61,9 +61,9 @@ class PixelMeans:
         Weights of the middle, and of samples on either side.
     """
 
-    def __init__(self, grid: Grid, active_width: float) -> None:
+    def __init__(self, grid: Grid, fill_factor: float) -> None:
         self.grid = grid
-        self.taps = _taps(active_width)
+        self.taps = _taps(fill_factor)
 
     def carried(self, spectrum: ComplexArray, way: Way, room: Rows | None = None) -> Rows:
         """A field on a plane behind a way, in rows through the pixels' middles and through their upper edges.
@@ -83,7 +83,7 @@ class PixelMeans:
             Spectra along each row, of the spectrum's shape.
         """
         room = room or (np.empty_like(spectrum), np.empty_like(spectrum))
-        if isinstance(way, PlaneWay):
+        if isinstance(way, TransferFunction):
             return _carried(spectrum, way, room)
         parallel: Rows = (np.empty_like(spectrum), np.empty_like(spectrum))
         for number, one in enumerate(way.ways):
@@ -185,7 +185,7 @@ class PixelMeans:
     def _back(self, rows: Rows, way: Way, total: ComplexArray) -> None:
         """Add rows, at half their size, to a spectrum in front of the way; they are used up."""
         along_y = half_sample(len(total), total.dtype)
-        if isinstance(way, PlaneWay):
+        if isinstance(way, TransferFunction):
             add_rows_back(rows, way, along_y, total)
             return
         parallel: Rows = (np.empty_like(total), np.empty_like(total))
@@ -218,7 +218,7 @@ def tilt_changes(
     down, across = fft_frequencies(grid.shape, grid.pitch_mm)
     kz, _ = axial_wavenumbers([down, across], wavelength_um, 1.0)
     waves = (2.0 * np.pi * across, 2.0 * np.pi * down, kz - band_wavenumbers(grid, wavelength_um)[0])
-    tilt = np.deg2rad(way.tilt_deg if isinstance(way, TiltedWay) else (0.0, 0.0))
+    tilt = np.deg2rad(way.tilt_deg if isinstance(way, TiltedPropagator) else (0.0, 0.0))
 
     def change(axis: int) -> Rows:
         quarter = 0.5 * np.pi * np.eye(2)[axis]
@@ -250,7 +250,7 @@ def _add_times_place(rows: Rows, grid: Grid, column: int, total: Rows) -> None:
         result += part
 
 
-def _carried(spectrum: ComplexArray, way: PlaneWay, room: Rows) -> Rows:
+def _carried(spectrum: ComplexArray, way: TransferFunction, room: Rows) -> Rows:
     height, width = spectrum.shape
     phase = half_sample(height, spectrum.dtype)
     middles, edges = room
@@ -267,7 +267,7 @@ def _carried(spectrum: ComplexArray, way: PlaneWay, room: Rows) -> Rows:
     return room
 
 
-def add_rows_back(rows: Rows, way: PlaneWay, phase: ComplexArray, total: ComplexArray) -> None:
+def add_rows_back(rows: Rows, way: TransferFunction, phase: ComplexArray, total: ComplexArray) -> None:
     """Add rows on a plane, at half their size, to a spectrum in front of a way: the adjoint of `_carried`.
 
     Parameters
@@ -300,7 +300,7 @@ def _along_rows(transform: Callable[..., Any], values: ComplexArray) -> None:
 
 
 def _add_weighted(
-    spectra: ComplexArray, way: TiltedWay, number: int, farther: float, total: ComplexArray
+    spectra: ComplexArray, way: TiltedPropagator, number: int, farther: float, total: ComplexArray
 ) -> None:
     """Rows on one of a way's planes, times their weights, added to what planes before it gave."""
 
@@ -316,7 +316,7 @@ def _add_weighted(
 
 
 def _weight_back(
-    values: ComplexArray, way: TiltedWay, number: int, farther: float, result: ComplexArray
+    values: ComplexArray, way: TiltedPropagator, number: int, farther: float, result: ComplexArray
 ) -> None:
     """The adjoint of `_add_weighted`, for one plane."""
 
@@ -338,7 +338,7 @@ def half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
     return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)
 
 
-def _taps(active_width: float) -> list[float]:
+def _taps(fill_factor: float) -> list[float]:
     """Weights of the middle and of pairs of samples, fitted to the pixel's transfer up to twice the band.
 
     An intensity has less and less towards that end, and so do the fit's weights.
@@ -348,6 +348,6 @@ def _taps(active_width: float) -> list[float]:
     weights = 1.0 - cycles
     # All together make 1: the middle has what the pairs leave.
     found, *_ = np.linalg.lstsq(
-        weights[:, None] * (cosines - 2.0), weights * (np.sinc(active_width * cycles) - 1.0), rcond=None
+        weights[:, None] * (cosines - 2.0), weights * (np.sinc(fill_factor * cycles) - 1.0), rcond=None
     )
     return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]

@@ -10,12 +10,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.camera.recorded import Recorded
-from wavesim.fields.slight_tilts import Way
+from wavesim.fields.tilted_propagator import Way
 from wavesim.reconstruction.recording.kernel import change_pixels, change_samples, weighted_products
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
+from wavesim.sensor.measurement import Measurement
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -61,7 +61,7 @@ class PlaneRecord:
 
     @classmethod
     def of(
-        cls, one: Recorded, way: Way, rows: slice, least: float, dtype: np.dtype[Any], scratch: Scratch
+        cls, one: Measurement, way: Way, rows: slice, least: float, dtype: np.dtype[Any], scratch: Scratch
     ) -> PlaneRecord:
         def kept(values: RealArray, what: str) -> RealArray:
             values = np.atleast_2d(values)
@@ -134,7 +134,7 @@ class PlaneRecord:
         return for_blocks(lambda start, stop: work(slice(start, stop)), len(self.amplitude), ROWS)
 
 
-class FieldBehind:
+class ExitField:
     """The field on the exit grid, seen on one plane after the other, and what planes change of it.
 
     Parameters

@@ -8,37 +8,37 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
-from wavesim.camera.recorded import Recorded
+from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import refuse_planes
+from wavesim.reconstruction.from_field import validate_planes
 from wavesim.scene.engine import Grids
 from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement
 
 WIDEST_PIXEL = 2.0
 """Side of the square over which a picture may be averaged, in pixels: more than 1 where it is blurred."""
 
 
-def refuse_numbers(
-    kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
+def validate_numbers(
+    kind: str, tv_weight: float | str, iterations: int, scale: float | None, fill_factor: float
 ) -> None:
     """Refuse settings out of their range; all as of :func:`wavesim.reconstruct`."""
-    refuse_other("kind", kind, ("complex", "amplitude"))
+    validate_choice("kind", kind, ("complex", "amplitude"))
     if tv_weight != "auto" and (
         isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
     ):
         raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
-    refuse_not_whole("iterations", iterations, 1)
+    validate_whole_number("iterations", iterations, 1)
     if scale is not None:
-        refuse_not_positive("scale", scale)
-    if not 0.0 <= active_width <= WIDEST_PIXEL:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to {WIDEST_PIXEL:g}")
+        validate_positive("scale", scale)
+    if not 0.0 <= fill_factor <= WIDEST_PIXEL:
+        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to {WIDEST_PIXEL:g}")
 
 
-def refuse_others(
+def validate_measurements(
     grids: Grids,
     illumination: Field,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     start: Any,
     modes: Sequence[SourceMode],
     rows: Sequence[slice],
@@ -53,7 +53,7 @@ def refuse_others(
     shape = grids.exit_grid.shape
     if rows:
         shape = (shape[0] // len(rows), *shape[1:])
-    refuse_planes(recorded, shape, "the exit grid's")
+    validate_planes(recorded, shape, "the exit grid's")
     if not (start is None or start == "amplitude" or isinstance(start, Field)):
         raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
     if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:

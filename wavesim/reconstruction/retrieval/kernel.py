@@ -14,12 +14,12 @@ from typing import Any
 from numpy import empty, float64
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from wavesim.runtime.fourier import lanes
 from wavesim.runtime.fourier.lanes import LANES, alike, load, store
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 
 SUMMED = 64
 """Rows of a panel that are added up in its own precision."""

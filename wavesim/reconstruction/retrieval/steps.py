@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import PlaneWay
+from wavesim.fields.plane_waves import TransferFunction
 from wavesim.reconstruction.retrieval import kernel
 from wavesim.runtime.fourier.lanes import LANES
 from wavesim.runtime.fourier.panels import Panels, aligned, thread_room, transform_bytes
@@ -123,14 +123,14 @@ def plane_for(
     dtype: Any,
 ) -> Plane:
     """A plane with its work space, for fields of a complex type; distance from the plane sought."""
-    way = PlaneWay(grid, wavelength_um, distance_mm, dtype)
+    way = TransferFunction(grid, wavelength_um, distance_mm, dtype)
     carrier = None if way.is_none else _in_panels(way, grid.shape[-1])
     recorded = rows_of(amplitude).astype(np.zeros(0, dtype).real.dtype, copy=False)
     there = None if carrier is None else Panels(recorded.shape, dtype)
     return Plane(recorded, None if known is None else rows_of(known), carrier, there)
 
 
-def _in_panels(way: PlaneWay, columns: int) -> Array:
+def _in_panels(way: TransferFunction, columns: int) -> Array:
     """A way's factors as a plane has them; transforms there and back multiply by the number of samples."""
     count = -(-columns // LANES)
     factors = aligned((count, len(way.factor), 2, LANES), way.factor.dtype)

@@ -16,12 +16,12 @@ from numba.extending import intrinsic
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from wavesim.runtime.fourier import lanes, passes
 from wavesim.runtime.fourier.lanes import LANES, Lanes, lane_numbers, load, store, vector_at
 from wavesim.runtime.fourier.passes import SAMPLE, Steps
 
-_jit = kept_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 
 PART = 8
 """Numbers of a cell that a vector takes: real and imaginary part in turn."""

@@ -21,7 +21,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 from numpy import empty
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit
 
 LANES = 16
 """Numbers that a vector holds."""
@@ -209,13 +209,13 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
     return rows
 
 
-@kept_njit(nogil=True)
+@cached_njit(nogil=True)
 def whole(numbers: int) -> int:
     """Numbers of vectors that hold so many."""
     return (numbers + LANES - 1) // LANES * LANES
 
 
-@kept_njit(nogil=True)
+@cached_njit(nogil=True)
 def lines_for(count: int, numbers: int, like: NDArray) -> NDArray:
     """Room for so many lines of numbers of an array's kind, each with whole vectors and one more.
 

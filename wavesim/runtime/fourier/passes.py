@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 from numpy import empty
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from wavesim.runtime.fourier import lanes
 from wavesim.runtime.fourier.lanes import LANES, alike, fetch, load, store, transpose
 
-_jit = kept_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 
 SAMPLE = 2 * LANES
 """Numbers of a sample."""

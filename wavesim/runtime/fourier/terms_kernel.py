@@ -20,9 +20,9 @@ from numba.extending import intrinsic
 from numpy import ceil, complex64, empty, float32, int64, zeros
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.raytrace.cached_kernels import cached_njit
 
-_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 LANES = 8
 """Numbers of float32 that a vector holds."""

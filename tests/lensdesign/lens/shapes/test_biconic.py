@@ -29,12 +29,12 @@ from lensdesign import (
 )
 from lensdesign.analysis.sag_tables import sag_table
 from lensdesign.errors import DesignError
-from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.lens.solid import closed_elements
-from lensdesign.pictures.layout import layout_figure
-from lensdesign.pictures.scene import scene_parts
-from lensdesign.tracing.compiled import compile_system
-from lensdesign.tracing.gradients import Variable, gradient_trace
+from lensdesign.manufacture.mesh.mesh import lens_mesh
+from lensdesign.plots.layout import layout_figure
+from lensdesign.plots.scene import scene_parts
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.gradients import Variable, gradient_trace
 
 X, Y = (part.ravel() for part in np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-4.0, 4.0, 9)))
 

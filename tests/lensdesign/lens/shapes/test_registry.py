@@ -29,7 +29,7 @@ from lensdesign import (
 from lensdesign.lens.shapes.base import Shape, parameter_of, term_of
 from lensdesign.lens.shapes.intersection import intersect
 from lensdesign.lens.shapes.registry import SHAPES, class_with, code_of, parameters, shape_class
-from lensdesign.tracing.compiled import compile_system
+from lensdesign.raytrace.compiled import compile_system
 
 EVERY = pytest.mark.parametrize("name", list(SHAPES))
 STEP = 1e-30

@@ -6,9 +6,9 @@ import pytest
 from places import DESIGNS
 
 from lensdesign.optimization import Specification, load_specification, optimize
-from lensdesign.optimization.asked.sections import Settings
 from lensdesign.optimization.limits.kinds import FIELD, PITCH
 from lensdesign.optimization.limits.search import find_limits
+from lensdesign.optimization.specification.sections import Settings
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ import pytest
 
 from lensdesign.common import deadlines
 from lensdesign.common.deadlines import deadline
-from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.kinds import FIELD
 from lensdesign.optimization.limits.search import LimitsInterrupted, find_limits
 from lensdesign.optimization.problem import DesignProblem
+from lensdesign.optimization.specification.specification import Specification
 
 
 def singlet(field_mm: float, aperture: float, **sensor: Any) -> Specification:

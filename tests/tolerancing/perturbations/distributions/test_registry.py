@@ -27,7 +27,7 @@ from tolerancing.perturbations.distributions import (
 from tolerancing.perturbations.draws import probabilities
 from tolerancing.perturbations.parameters import perturbation_from_table
 from tolerancing.report.sections.tolerances import distribution_text
-from tolerancing.study.evaluate import realise
+from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.files import load_study
 
 CASES = [
@@ -190,5 +190,5 @@ def test_a_distribution_is_one_class_and_one_line(monkeypatch, made, write_study
     text = ray_study.replace('"normal"\nsigma = 0.02', '"cosine"\nhalf_width = 0.03')
     study = load_study(write_study(text)).study
     assert study.perturbations[0].distribution == Cosine(half_width=0.03)
-    values = realise(study, range(2000)).values[:, 0]
+    values = sample_perturbations(study, range(2000)).values[:, 0]
     assert values.std() == pytest.approx(Cosine(half_width=0.03).standard_deviation, rel=0.05)

@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import pytest
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.trial import single_trial
 from tolerancing.report.figures.one_trial import trial_figure, write_trial_figure
+from tolerancing.statistics.trial import single_trial
 
 
 def test_the_picture_shows_each_field_point(small_store, tmp_path):

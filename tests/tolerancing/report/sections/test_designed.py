@@ -13,10 +13,10 @@ from lensdesign.errors import InputError
 from tolerancing import Store, load_study, open_store, run_study
 from tolerancing.budgets.loosening import loosen_each
 from tolerancing.cli.commands import main
+from tolerancing.prediction import predict_study
 from tolerancing.report.blocks import percent_text
 from tolerancing.report.report import report_data
 from tolerancing.report.sections.designed import designed_section, read_front
-from tolerancing.wavefronts import predict_study
 
 FRONT = """design,glasses,thickness_mm,as_built_rms_waves,on_front
 a.toml,N-BK7,8.19,0.1000,1

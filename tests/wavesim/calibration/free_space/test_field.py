@@ -17,7 +17,7 @@ from wavesim.calibration.free_space.field import (
     NotExplainedWarning,
     reconstruct_free_space,
 )
-from wavesim.camera.frames import AssumedWarning, Frame, FrameSettings, read_frame
+from wavesim.sensor.frames import AssumedWarning, Frame, FrameSettings, read_frame
 
 PITCH_UM, WAVELENGTH_UM, PIXELS, WIDE = 0.4, 0.5, 96, 192
 SCALE, DRIFT = 1.04, (0.01, -0.006)
@@ -70,10 +70,10 @@ def test_a_stack_tells_its_drift_its_scale_and_its_exposures_and_predicts_other_
     assert alike(found, 35.0) > 0.998
     assert alike(found, 0.0) > 0.98
 
-    as_stated = reconstruct_free_space(frames, iterations=60)
-    assert as_stated.distance_scale == pytest.approx(1.0)
-    assert as_stated.drift == pytest.approx((0.0, 0.0))
-    assert alike(as_stated, 35.0) < 0.99
+    at_stated_planes = reconstruct_free_space(frames, iterations=60)
+    assert at_stated_planes.distance_scale == pytest.approx(1.0)
+    assert at_stated_planes.drift == pytest.approx((0.0, 0.0))
+    assert alike(at_stated_planes, 35.0) < 0.99
 
 
 def real_frames(*planes_um: int) -> list[Frame]:

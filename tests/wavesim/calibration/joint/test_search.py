@@ -16,14 +16,14 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import read_calibration, traded
 from wavesim.calibration.joint.pixels import AllPixels, RaySlopes
-from wavesim.calibration.joint.search import JointSearch, Stand, Told
+from wavesim.calibration.joint.search import JointSearch, SearchState, Told
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
-from wavesim.camera.mounting import light_on, planes_at
-from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.engines.choosing import engine_for
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement, noise_misfit
+from wavesim.sensor.mounting import light_on, planes_at
 
 TRUE = {
     "light_tilt_x_deg": 0.25,
@@ -50,8 +50,8 @@ def search(lens: Lens) -> JointSearch:
     """Bars on a small twin's bench, with noise; its light, lens and camera differ from the design."""
     scene, light, bars, rng = bars_under_stop()
     bench = Unknowns(lens, values=TRUE).bench
-    blank = [Recorded(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = RecordingModel(
+    blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    model = ForwardModel(
         tiles(placed_scene(scene, bench.placement)), light_on(light, bench), planes_at(blank, bench), 1.0, 1.0
     )
     recorded = []
@@ -61,7 +61,7 @@ def search(lens: Lens) -> JointSearch:
         # Half of the mean intensity's root: amplitudes of shot noise.
         sigma = np.full(seen.shape, 0.02 * float(np.sqrt(np.mean(seen**2))), np.float32)
         noisy = np.maximum(seen + sigma * rng.standard_normal(seen.shape), 0.0).astype(np.float32)
-        recorded.append(Recorded(plane.distance_mm, noisy, sigma))
+        recorded.append(Measurement(plane.distance_mm, noisy, sigma))
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
     return JointSearch(
         AllPixels(scene, light, recorded, None, 1.0, tiles),
@@ -75,7 +75,7 @@ def search(lens: Lens) -> JointSearch:
 
 @pytest.fixture(scope="module")
 def told(search: JointSearch, lens: Lens) -> Told:
-    return search.run(Stand(Unknowns(lens)))
+    return search.run(SearchState(Unknowns(lens)))
 
 
 def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, told: Told) -> None:
@@ -98,7 +98,7 @@ def rays_told(search: JointSearch, begin: Unknowns, monkeypatch: pytest.MonkeyPa
         return told_of(self, *given)
 
     monkeypatch.setattr(AllPixels, "ray_slopes", counted)
-    found = search.run(Stand(begin))
+    found = search.run(SearchState(begin))
     return len(asked), found
 
 
@@ -121,7 +121,7 @@ def test_what_is_right_already_is_not_sought_first(search: JointSearch, lens: Le
     names = ",".join([*TRUE, "plane_2_background", "light_amplitude_20"])
     both = replace(search, parameters=chosen_parameters(names, allowed))
     for values, most, is_sought in ((TRUE | {"plane_2_background": BACKGROUND}, 2, True), ({}, 2, False)):
-        found = replace(both, most_benches=most).run(Stand(Unknowns(lens, values=values)))
+        found = replace(both, most_benches=most).run(SearchState(Unknowns(lens, values=values)))
         assert len(found.trail) == 2
         assert (found.trail[1][0].values.get("light_amplitude_20", 0.0) != 0.0) == is_sought
 
@@ -129,7 +129,7 @@ def test_what_is_right_already_is_not_sought_first(search: JointSearch, lens: Le
 def test_what_turns_together_is_not_told_apart(search: JointSearch, lens: Lens) -> None:
     """Light, lens and sensor turned about the object are an object turned, which a small one hardly shows."""
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
-    there, found = Stand(Unknowns(lens, values=TRUE)), []
+    there, found = SearchState(Unknowns(lens, values=TRUE)), []
     for names in ("light_tilt_x_deg", "light_tilt_x_deg,decenter_x_mm,tilt_y_deg,plane_2_shift_x_um"):
         asked = replace(search, parameters=chosen_parameters(names, allowed), most_benches=0)
         found.append(asked.run(there))

@@ -12,12 +12,12 @@ from lensdesign.lens.lens import Lens
 from wavesim.calibration.joint.pixels import AllPixels
 from wavesim.calibration.joint.some_pixels import SomePixels, TilesToPlanes
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
-from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
+from wavesim.sensor.measurement import Measurement
 
 BENCH = {
     "plane_2_shift_x_um": 3.0,
@@ -42,11 +42,11 @@ def seen() -> tuple[Lens, AllPixels, SomePixels, np.ndarray]:
     y, x = scene.object_grid.y_mm[:, None], scene.object_grid.x_mm
     bars = (np.cos(1400.0 * x + 0.3) > 0.2) | (np.cos(2300.0 * y) > 0.6 - 30.0 * x)
     shape = scene.exit_grid.shape
-    blank = [Recorded(d, np.ones(shape, np.float32)) for d in PLANES_MM]
+    blank = [Measurement(d, np.ones(shape, np.float32)) for d in PLANES_MM]
     every = AllPixels(scene, light, blank, 1.0, 0.0, tiles)
     centre = (-0.5 * PIXEL_MM, -0.5 * PIXEL_MM)
     fewer = Grid((108, 108), 2 * scene.exit_grid.pitch_mm, scene.exit_grid.z_mm, centre)
-    planes = [Recorded(d, np.ones(fewer.shape, np.float32)) for d in PLANES_MM]
+    planes = [Measurement(d, np.ones(fewer.shape, np.float32)) for d in PLANES_MM]
     rows = slice(0, 108), slice(108, 216)
     some = SomePixels(replace(scene, exit_grid=fewer), light, planes, 1.0, 0.0, tiles, rows)
     return scene.lens, every, some, bars.astype(np.float32)

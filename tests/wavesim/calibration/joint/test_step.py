@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wavesim.calibration.joint.step import DAMPING, LEAST_TOLD, JointStep
+from wavesim.calibration.joint.step import DAMPING, LEAST_TOLD, GaussNewtonStep
 
 OBJECT, PIXELS, PARAMETERS = 6, 80, 4
 TYPICAL = np.array([1.0, 0.5, 2.0, 1.0])
@@ -36,10 +36,10 @@ class Dense:
         return np.asarray(self.matrix.T @ left)
 
 
-def step_of(columns: NDArray[Any], linear: Dense, lit: bool = True, **given: Any) -> JointStep:
+def step_of(columns: NDArray[Any], linear: Dense, lit: bool = True, **given: Any) -> GaussNewtonStep:
     linear.model.lit[:] = lit
     inside = np.full(OBJECT, 0.5)  # an amplitude that no bound holds
-    return JointStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside, **given)  # type: ignore[arg-type]
+    return GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside, **given)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_what_the_object_takes_is_not_told(rng: np.random.Generator) -> None:
     joint, pull = step_of(columns, linear), np.diag(VARIANCE / TYPICAL**2)
     basis, _ = np.linalg.qr(linear.matrix)
     left = columns - (columns @ basis) @ basis.T
-    found = [joint.told_curvature(rounds) for rounds in range(4)]
+    found = [joint.reduced_curvature(rounds) for rounds in range(4)]
     assert found[0] == pytest.approx(columns @ columns.T + pull)
     assert found[3] == pytest.approx(left @ left.T + pull, rel=1e-3)
     for more, fewer in zip(found[1:], found[:-1], strict=True):
@@ -96,7 +96,7 @@ def test_what_the_object_takes_is_not_told(rng: np.random.Generator) -> None:
 def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> None:
     linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
     joint = step_of(columns, linear, lit=False)
-    assert joint.told_curvature(2) == pytest.approx(joint.told_curvature(0))
+    assert joint.reduced_curvature(2) == pytest.approx(joint.reduced_curvature(0))
 
 
 def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Generator) -> None:
@@ -107,5 +107,5 @@ def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Gene
     columns = rng.standard_normal((PARAMETERS, PIXELS))
     faint = np.sqrt(0.5 * LEAST_TOLD * VARIANCE / PIXELS)
     columns[1:] *= faint / TYPICAL[1:, None]
-    step_of(columns, linear).told_curvature(1)
+    step_of(columns, linear).reduced_curvature(1)
     assert len(asked) == 1

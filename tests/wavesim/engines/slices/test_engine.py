@@ -15,16 +15,16 @@ from lensdesign import Pose, load_design
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
-from lensdesign.tracing.bundles import launch_compiled
-from lensdesign.tracing.rays import trace_compiled
+from lensdesign.raytrace.bundles import launch_compiled
+from lensdesign.raytrace.rays import trace_compiled
+from wavesim.analytic.cylinder import cylinder_scene
+from wavesim.analytic.registry import AnalyticCase
 from wavesim.engines.slices.compensation import centre_rays, slice_phase
 from wavesim.engines.slices.engine import AnnularSlices
-from wavesim.engines.slices.samples import Reached
+from wavesim.engines.slices.samples import IlluminatedArea
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, correlation, relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.oracles.cylinder import cylinder_scene
-from wavesim.oracles.registry import OracleCase
 from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def spot(grid: Grid, width_mm: float) -> Field:
     return Field(grid, values.astype(complex), WAVELENGTH_UM)
 
 
-def error(case: OracleCase, **settings: object) -> float:
+def error(case: AnalyticCase, **settings: object) -> float:
     engine = AnnularSlices(case.scene, **settings)  # type: ignore[arg-type]
     return relative_error(engine.forward(case.object_field).values, case.exact.values)
 
@@ -215,7 +215,7 @@ def test_adjoint_on_a_plane(compensation: str) -> None:
 def test_every_sample_of_a_tilted_surface_is_in_one_slice() -> None:
     engine = AnnularSlices(eighth(0.05, pose=Pose(tilt_x_deg=3.0)), 7)
     for i, surface in enumerate(engine._prepared.surfaces):
-        reached = Reached(engine.scene, i, engine.sides[i][0].grid, engine.light.reach_mm[i])
+        reached = IlluminatedArea(engine.scene, i, engine.sides[i][0].grid, engine.light.reach_mm[i])
         z, lit = reached.heights(0, reached.shape[0])
         inside = lit > 0.0
         assert np.array_equal(inside, surface.numbers != np.iinfo(surface.numbers.dtype).max)

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.surface import Surface
-from wavesim.engines.surfaces.grids import refuse_if_huge, working_grid
+from wavesim.engines.surfaces.grids import check_grid_size, working_grid
 from wavesim.fields.field import Grid
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
@@ -116,6 +116,6 @@ def test_light_along_the_planes_is_refused() -> None:
 @pytest.mark.parametrize("cost", [Cost(1.0, 0.0, 10**11), Cost(1e4, 0.0, 1000), Cost(1.0, 1e4, 1000)])
 def test_huge_runs_are_refused_with_their_size(cost: Cost) -> None:
     with pytest.raises(SamplingError, match=r"engine wpm: 1e\+09 samples"):
-        refuse_if_huge("wpm", 10**9, cost, force=False)
-    refuse_if_huge("wpm", 10**9, cost, force=True)
-    refuse_if_huge("wpm", 10**9, Cost(10.0, 1.0, 10**9), force=False)
+        check_grid_size("wpm", 10**9, cost, force=False)
+    check_grid_size("wpm", 10**9, cost, force=True)
+    check_grid_size("wpm", 10**9, Cost(10.0, 1.0, 10**9), force=False)

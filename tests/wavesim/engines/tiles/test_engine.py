@@ -17,14 +17,14 @@ from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.scaling import stopped_down
 from lensdesign.lens.surface import Surface
+from wavesim.analytic.registry import analytic_case
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.plan import chosen_probe
 from wavesim.engines.wpm.engine import WavePropagation
-from wavesim.evaluation.accuracy import peak_bytes
-from wavesim.evaluation.comparison import lens_case
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.oracles.registry import oracle_case
+from wavesim.metrics.accuracy import peak_bytes
+from wavesim.metrics.comparison import lens_case
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.patches import patch_scene
@@ -72,7 +72,7 @@ def spot(grid: Grid, waist_mm: float) -> Field:
 
 @pytest.mark.parametrize(("radius_mm", "allowed"), [(0.1, 3.5e-3), (0.2, 2.5e-3), (0.8, 6e-4)])
 def test_cylinder(radius_mm: float, allowed: float) -> None:
-    case = oracle_case("cylinder", radius_mm=radius_mm)
+    case = analytic_case("cylinder", radius_mm=radius_mm)
     engine = EikonalTiles(case.scene)
     assert relative_error(engine.forward(case.object_field).values, case.exact.values) < allowed
 
@@ -122,7 +122,7 @@ def test_point_that_fills_the_stop(
 
 @pytest.mark.parametrize("oracle", ["stigmatic", "plate", "plane"])
 def test_other_exact_fields(oracle: str) -> None:
-    case = oracle_case(oracle)
+    case = analytic_case(oracle)
     assert (
         relative_error(EikonalTiles(case.scene).forward(case.object_field).values, case.exact.values) < 5e-3
     )
@@ -260,7 +260,7 @@ def test_neglected_path_of_a_tile(paper_lens: Lens, width_mm: float, rms: float,
 
 def test_narrow_tiles_keep_sharp_edges_where_rays_behind_the_rim_are_too_rough() -> None:
     """As of a sphere: its middle's rays can be followed into the shadow, its corners' cannot."""
-    case = oracle_case("sphere", radius_mm=0.15)
+    case = analytic_case("sphere", radius_mm=0.15)
     wide, narrow = (EikonalTiles(case.scene, error=error) for error in (0.03, 3e-3))
     errors = [relative_error(e.forward(case.object_field).values, case.exact.values) for e in (wide, narrow)]
     assert [len(e.probe.tiles) for e in (wide, narrow)] == [1, 9]
@@ -280,7 +280,7 @@ def test_why_not_even_the_narrowest_tiles_do_is_said(paper_lens: Lens) -> None:
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("kind", ["plane", "line", "cylinder"])
 def test_peak_bytes(paper_lens: Lens, kind: str, single: bool) -> None:
-    case = oracle_case("cylinder")
+    case = analytic_case("cylinder")
     if kind != "cylinder":
         scene = line_scene(paper_lens) if kind == "line" else plane_scene(paper_lens)
         scene = replace(scene, exit_grid=Grid((20000,) if kind == "line" else (800, 800), 0.024, 12.7))

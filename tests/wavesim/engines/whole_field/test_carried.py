@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.carried import Carried, ways_between
+from wavesim.engines.whole_field.carried import CarriedStep, interpolation_weights
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.fields.resampling_kernel import BLOCK
 
@@ -29,8 +29,8 @@ def test_carried_loops_against_plain_numpy(rows: int, columns: int, step: float,
     def edge(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
         return (1.2 - y[:, None] ** 2 - x**2) * 2.0 - 0.7
 
-    carried = Carried(
-        ways_between((coarse[0], coarse[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), kernel),
+    carried = CarriedStep(
+        interpolation_weights((coarse[0], coarse[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), kernel),
         turns(smooth[0], smooth[1]),
         edge(smooth[0], smooth[1]).astype(np.float32),
         (slice(2, 2 + rows), slice(1, 1 + columns)),

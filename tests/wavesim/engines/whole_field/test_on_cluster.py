@@ -23,9 +23,9 @@ from wavesim.engines.whole_field.on_cluster import (
     add,
     carry,
     engine_of,
-    refuse_no_tiles,
     rows_for,
     tiles_in,
+    validate_tiled,
 )
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import Field, Grid, relative_error
@@ -157,7 +157,7 @@ def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
 
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
     with pytest.raises(InputError, match=r"cluster.*engine two-level"):
-        refuse_no_tiles(engine_for(scene, "no-lens"))
+        validate_tiled(engine_for(scene, "no-lens"))
 
 
 def test_a_worker_refuses_another_version(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from benchmarks import gpu_field
 from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
-from wavesim.engines.whole_field.carried import Carried, ways_between
+from wavesim.engines.whole_field.carried import CarriedStep, interpolation_weights
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_gpu import DeviceStep, blocks_of
 from wavesim.fields.field import Field, Grid, relative_error
@@ -133,13 +133,13 @@ def test_a_step_against_the_compiled_loop(first_row: int) -> None:
     y, x = (np.linspace(a[0] - 0.2, a[-1] + 0.2, 30) for a in fine)
     turns = 1e4 + 30.0 * y[:, None] ** 3 - 12.0 * x**2 + 7.0 * y[:, None] * x
     edge = ((1.2 - y[:, None] ** 2 - x**2) * 2.0 - 0.7).astype(np.float32)
-    ways = ways_between((coarse[0], coarse[1]), (y, x), fine, kernel)
+    ways = interpolation_weights((coarse[0], coarse[1]), (y, x), fine, kernel)
     window = slice(2, 63), slice(1, 54)
     shape = len(coarse[0]), len(coarse[1])
     field = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
     expected, found = (np.zeros((45, 60), np.complex64) for _ in range(2))
-    Carried(ways, turns, edge, window).add(field, expected, first_row=first_row)
-    DeviceStep(device_named("cpu"), Carried(ways, turns, edge, window)).add(field, found, first_row)
+    CarriedStep(ways, turns, edge, window).add(field, expected, first_row=first_row)
+    DeviceStep(device_named("cpu"), CarriedStep(ways, turns, edge, window)).add(field, found, first_row)
     assert np.any(expected)
     assert found == pytest.approx(expected, abs=2e-5)
 

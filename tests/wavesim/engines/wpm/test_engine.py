@@ -15,13 +15,13 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.surface import Surface
+from wavesim.analytic.cylinder import cylinder_scene
+from wavesim.analytic.registry import AnalyticCase
 from wavesim.engines.surfaces import grids as working_grid
 from wavesim.engines.surfaces.grids import TotalReflectionWarning
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Array, Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.oracles.cylinder import cylinder_scene
-from wavesim.oracles.registry import OracleCase
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Coating, Scene
 
@@ -30,7 +30,7 @@ K_PER_MM = 2e3 * math.pi / WAVELENGTH_UM
 
 
 @pytest.fixture(scope="module")
-def cylinder() -> OracleCase:
+def cylinder() -> AnalyticCase:
     return cylinder_scene(radius_mm=0.1)
 
 
@@ -92,7 +92,7 @@ def behind_planes(
     return result
 
 
-def error(case: OracleCase, **settings: object) -> float:
+def error(case: AnalyticCase, **settings: object) -> float:
     engine = WavePropagation(case.scene, **settings)  # type: ignore[arg-type]
     return relative_error(engine.forward(case.object_field).values, case.exact.values)
 
@@ -102,7 +102,7 @@ def order(steps: Sequence[float], errors: Sequence[float]) -> float:
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 
 
-def test_cylinder(cylinder: OracleCase) -> None:
+def test_cylinder(cylinder: AnalyticCase) -> None:
     assert error(cylinder) < 2e-3
 
 
@@ -112,7 +112,7 @@ def test_what_is_left_falls_with_the_radius(radius_mm: float) -> None:
     assert error(case) < 1.5e-4 / radius_mm
 
 
-def test_substep_converges_faster_than_the_second_power(cylinder: OracleCase) -> None:
+def test_substep_converges_faster_than_the_second_power(cylinder: AnalyticCase) -> None:
     truth = WavePropagation(cylinder.scene, step_um=0.1).forward(cylinder.object_field).values
     steps = [0.35, 0.5, 0.7]
     left = [
@@ -125,7 +125,7 @@ def test_substep_converges_faster_than_the_second_power(cylinder: OracleCase) ->
     assert error(cylinder, step_um=0.7) < 2e-2
 
 
-def test_staircase_converges_with_the_first_power_and_not_to_the_end(cylinder: OracleCase) -> None:
+def test_staircase_converges_with_the_first_power_and_not_to_the_end(cylinder: AnalyticCase) -> None:
     steps = [WAVELENGTH_UM / d for d in (2, 4, 8)]
     left = [error(cylinder, interface="staircase", step_um=s) for s in steps]
     assert 0.8 < order(steps, left) < 1.3
@@ -202,7 +202,7 @@ def test_light_from_beside_the_middle_is_held_to_what_neglected_says() -> None:
 
 
 @pytest.mark.parametrize("interface", ["substep", "staircase"])
-def test_adjoint_on_a_line(cylinder: OracleCase, interface: str) -> None:
+def test_adjoint_on_a_line(cylinder: AnalyticCase, interface: str) -> None:
     assert dot_product_mismatch(WavePropagation(cylinder.scene, interface=interface)) < 1e-10  # type: ignore[arg-type]
 
 
@@ -231,7 +231,7 @@ def test_tilted_ball_is_the_same_ball() -> None:
     assert relative_error(b, a) < 2e-3
 
 
-def test_refuses_steps_that_are_too_long(cylinder: OracleCase) -> None:
+def test_refuses_steps_that_are_too_long(cylinder: AnalyticCase) -> None:
     longest = 1e3 * math.pi / max(m.phase_across(1.0) for m in WavePropagation(cylinder.scene).working.media)
     with pytest.warns(SamplingWarning, match="step_um"):
         error(cylinder, step_um=1.2 * longest)
@@ -241,7 +241,7 @@ def test_refuses_steps_that_are_too_long(cylinder: OracleCase) -> None:
         error(cylinder, interface="staircase", step_um=1.0)
 
 
-def test_refuses_grids_that_cannot_hold_the_field(cylinder: OracleCase) -> None:
+def test_refuses_grids_that_cannot_hold_the_field(cylinder: AnalyticCase) -> None:
     with pytest.raises(SamplingError, match="too coarse"):
         error(cylinder, pitch_mm=5e-4)
     with pytest.raises(SamplingError, match="too narrow"):
@@ -251,7 +251,7 @@ def test_refuses_grids_that_cannot_hold_the_field(cylinder: OracleCase) -> None:
 @pytest.mark.parametrize(
     "settings", [{"interface": "stairs"}, {"step_um": 0.0}, {"step_um": math.nan}, {"pitch_mm": -1.0}]
 )
-def test_refuses_bad_settings(cylinder: OracleCase, settings: dict[str, object]) -> None:
+def test_refuses_bad_settings(cylinder: AnalyticCase, settings: dict[str, object]) -> None:
     with pytest.raises(InputError, match=next(iter(settings))):
         error(cylinder, **settings)
 
@@ -285,14 +285,14 @@ def test_full_plane_of_a_full_lens_is_refused(paper_lens: Lens) -> None:
         engine.forward(Field(grids[0], np.ones(grids[0].shape), WAVELENGTH_UM))
 
 
-def test_force_runs_what_is_refused(cylinder: OracleCase, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_force_runs_what_is_refused(cylinder: AnalyticCase, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(working_grid, "LARGEST_BYTES", 1000)
     with pytest.raises(SamplingError, match="force = True"):
         error(cylinder)
     assert error(cylinder, force=True) < 2e-3
 
 
-def test_decentered_lens_is_a_shifted_scene(cylinder: OracleCase) -> None:
+def test_decentered_lens_is_a_shifted_scene(cylinder: AnalyticCase) -> None:
     shift, still = 0.004, cylinder.scene
     moved = replace(
         still,
@@ -376,7 +376,7 @@ def test_rim_lies_between_samples(paper_lens: Lens) -> None:
     assert max(relative_error(one, fine) for one in coarser) < 1e-4
 
 
-def test_says_what_it_neglects(cylinder: OracleCase) -> None:
+def test_says_what_it_neglects(cylinder: AnalyticCase) -> None:
     found = WavePropagation(cylinder.scene).neglected()
     errors = [n.relative_error for n in found]
     assert errors == sorted(errors, reverse=True)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from small_twins import small_twin
 
-from wavesim.camera.recorded import Recorded
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.linear.linearised import Linearised
-from wavesim.reconstruction.linear.sight import ThroughSpace
-from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.linear.measurement_operator import FreeSpaceMeasurement
+from wavesim.sensor.measurement import Measurement
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +20,8 @@ def parts() -> tuple:
     engine, lit = small_twin()
     rng = np.random.default_rng(1)
     truth, now = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape) for _ in range(2))
-    blank = [Recorded(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
-    seen = RecordingModel(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
+    blank = [Measurement(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
+    seen = ForwardModel(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
     planes = [
         replace(p, amplitude=2.0 * a, sigma=1.0 + rng.random(a.shape), background=np.full(a.shape, 0.01))
         for p, a in zip(blank, seen, strict=True)
@@ -38,7 +38,7 @@ def linear(
 ) -> Linearised:
     engine, lit, planes, now = parts
     planes = [replace(p, tilt_deg=tilt_deg) for p in (planes[0], replace(planes[1], **(changed or {})))]
-    model = RecordingModel(engine, lit, planes, None, 1.0)
+    model = ForwardModel(engine, lit, planes, None, 1.0)
     return Linearised(model, now if transmission is None else transmission, True)
 
 
@@ -54,7 +54,7 @@ def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
     """The scale follows by itself, so that what it does is left out of the differences too."""
     here, small = linear(parts), 1e-3
     way, seen = np.random.default_rng(3).standard_normal(parts[3].shape), here.sight
-    assert isinstance(seen, ThroughSpace)
+    assert isinstance(seen, FreeSpaceMeasurement)
     cases = {
         "object": (here.of_object(way), linear(parts, transmission=parts[3] + 1e-4 * way), 1e-4),
         "distance": (

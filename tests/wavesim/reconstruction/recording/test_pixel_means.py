@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensdesign.lens.lens import Sensor
-from wavesim.camera.sensor import light_on_pixels
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
-from wavesim.fields.slight_tilts import TiltedWay, way_to
+from wavesim.fields.plane_waves import TransferFunction, fft_frequencies, transfer
+from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
 from wavesim.reconstruction.recording import bands
 from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
 from wavesim.runtime.threads import for_blocks
+from wavesim.sensor.sensor import light_on_pixels
 
 PITCH = 3.2e-3
 GRID = Grid((48, 40), PITCH, 1.0)
@@ -84,14 +84,14 @@ def coarsely(fine: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return 0.25 * spectrum[np.ix_(*kept)]
 
 
-@pytest.mark.parametrize("active_width", [0.3, 0.7, 1.0])
-def test_means_are_those_of_the_sensor(active_width: float) -> None:
+@pytest.mark.parametrize("fill_factor", [0.3, 0.7, 1.0])
+def test_means_are_those_of_the_sensor(fill_factor: float) -> None:
     """The sensor's means come from a cosine series, by another way."""
     one = field()
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
-    expected = light_on_pixels(one, sensor, active_width=active_width, oversampling=4)
-    pixels = PixelMeans(GRID, active_width)
-    way = PlaneWay(GRID, 0.532, 0.0, np.complex128)
+    expected = light_on_pixels(one, sensor, fill_factor=fill_factor, oversampling=4)
+    pixels = PixelMeans(GRID, fill_factor)
+    way = TransferFunction(GRID, 0.532, 0.0, np.complex128)
     means = pixels.intensity(pixels.carried(np.fft.fft2(one.values), way))
     off = np.linalg.norm(means - expected) / np.linalg.norm(expected)
     at_points = np.linalg.norm(np.abs(one.values) ** 2 - expected) / np.linalg.norm(expected)
@@ -100,13 +100,13 @@ def test_means_are_those_of_the_sensor(active_width: float) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("active_width", [0.3, 1.0])
+@pytest.mark.parametrize("fill_factor", [0.3, 1.0])
 @pytest.mark.parametrize("distance_mm", [0.0, 0.4])
 def test_means_in_blocks_are_those_of_all_fine_samples(
-    shape: tuple[int, int], active_width: float, distance_mm: float
+    shape: tuple[int, int], fill_factor: float, distance_mm: float
 ) -> None:
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = PixelMeans(grid, active_width), PlaneWay(grid, 0.532, distance_mm, np.complex128)
+    pixels, way = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, distance_mm, np.complex128)
     spectrum, _ = speckle(shape, 2)
     factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm)
     fine = densely(spectrum * factor)
@@ -123,7 +123,7 @@ def test_means_in_blocks_are_those_of_all_fine_samples(
 @pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
 def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, int], dtype: np.dtype) -> None:
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = PixelMeans(grid, 1.0), PlaneWay(grid, 0.532, 0.4, dtype)
+    pixels, way = PixelMeans(grid, 1.0), TransferFunction(grid, 0.532, 0.4, dtype)
     spectrum, change = speckle(shape, 3)
     total = np.ones(shape, dtype)
     there = spectrum.astype(dtype)
@@ -136,10 +136,10 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0.01, 1.0), st.integers(0, 100))
-def test_the_way_back_is_the_adjoint(height: int, width: int, active_width: float, seed: int) -> None:
+def test_the_way_back_is_the_adjoint(height: int, width: int, fill_factor: float, seed: int) -> None:
     """Means are a quadratic form of the spectrum, which its own derivative gives again."""
     grid = Grid((height, width), PITCH, 1.0)
-    pixels, way = PixelMeans(grid, active_width), PlaneWay(grid, 0.532, 0.4, np.complex128)
+    pixels, way = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, 0.4, np.complex128)
     spectrum, change = speckle(grid.shape, seed)
     # So bright in the middle of the band that no mean is held at 0.
     spectrum[0, 0] += 100.0 * grid.size
@@ -151,7 +151,7 @@ def test_the_way_back_is_the_adjoint(height: int, width: int, active_width: floa
 
 def test_the_way_back_from_a_tilted_sensor_is_the_adjoint() -> None:
     pixels = PixelMeans(GRID, 0.8)
-    way = TiltedWay(GRID, 0.532, 0.4, np.complex128, (3.0, -2.0), (1e-3, 2e-3))
+    way = TiltedPropagator(GRID, 0.532, 0.4, np.complex128, (3.0, -2.0), (1e-3, 2e-3))
     spectrum, change = speckle(GRID.shape, 6)
     spectrum[0, 0] += 100.0 * GRID.size
     met = np.sum(change * pixels.intensity(pixels.carried(spectrum, way)))
@@ -167,9 +167,9 @@ def test_changes_with_the_tilt_are_those_of_the_light_on_pixels(
 ) -> None:
     pixels, spectrum, small = PixelMeans(GRID, 1.0), np.fft.fft2(field().values), 1e-2
 
-    def way(step: float) -> PlaneWay | TiltedWay:
+    def way(step: float) -> TransferFunction | TiltedPropagator:
         tilt = [tilt_deg[n] + step * (n == axis) for n in range(2)]
-        return way_to(GRID, 0.532, 0.4, np.complex128, (0.0, 0.0), (tilt[0], tilt[1]))
+        return propagator_to(GRID, 0.532, 0.4, np.complex128, (0.0, 0.0), (tilt[0], tilt[1]))
 
     ahead, behind = (pixels.intensity(pixels.carried(spectrum, way(step))) for step in (small, -small))
     slope = (ahead - behind) / (2.0 * small)
@@ -181,7 +181,7 @@ def test_changes_with_the_tilt_are_those_of_the_light_on_pixels(
 
 def test_a_point_is_a_pixel_of_no_width() -> None:
     pixels, (spectrum, _) = PixelMeans(GRID, 0.0), speckle(GRID.shape, 4)
-    found = pixels.intensity(pixels.carried(spectrum, PlaneWay(GRID, 0.532, 0.0, np.complex128)))
+    found = pixels.intensity(pixels.carried(spectrum, TransferFunction(GRID, 0.532, 0.0, np.complex128)))
     assert pixels.taps == [1.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(found, np.abs(np.fft.ifft2(spectrum)) ** 2, atol=1e-14)
 
@@ -214,7 +214,10 @@ def test_one_pass_is_means_and_way_back(
     monkeypatch.setattr(bands, "BAND", band)
     monkeypatch.setattr(bands, "NEW", 1 + band % 5)
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = PixelMeans(grid, 0.8), way_to(grid, 0.532, 0.4, np.complex128, (1e-3, 2e-3), tilt_deg)
+    pixels, way = (
+        PixelMeans(grid, 0.8),
+        propagator_to(grid, 0.532, 0.4, np.complex128, (1e-3, 2e-3), tilt_deg),
+    )
     spectrum, wanted = speckle(shape, 7)
 
     def change(means: np.ndarray, first: int) -> float:
@@ -233,7 +236,7 @@ def test_one_pass_does_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) ->
     """To the last bit: what is told is added up in one order."""
     shape = (520, 40)
     pixels = PixelMeans(Grid(shape, PITCH, 1.0), 1.0)
-    way = PlaneWay(pixels.grid, 0.532, 0.4, np.complex64)
+    way = TransferFunction(pixels.grid, 0.532, 0.4, np.complex64)
     spectrum = speckle(shape, 8)[0].astype(np.complex64)
 
     def found() -> tuple[list[float], np.ndarray]:

@@ -1,0 +1,193 @@
+"""The table of ISO 10110-10: left surface, material, right surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import Element
+from lensdesign.lens.surface import Surface
+from lensdesign.manufacture.drawing.strokes import THICK_MM, Area, Item, Text, cell, circle, frame, line
+from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, SurfaceTolerances
+
+OPEN = "–"
+"""An indication that states nothing."""
+
+COATING_ROW = 3
+WAVELENGTHS = 2
+"""Of a lens, for which the table gives the index."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the drawing says of the glass."""
+
+    name: str
+    rows: tuple[str, ...]
+
+
+def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> Material:
+    """Name and catalogue of an element's glass, its indices and the codes 0/, 1/ and 2/."""
+    from lensdesign.lens.glass import glass_summary, refractive_index
+
+    glass = element.front.surface.material
+    assert glass is not None  # it would be no element
+    summary = glass_summary(glass, lens.glass_catalogs)
+    constant = summary["catalog"] == "constant"
+    name = f"n = {summary['name']}" if constant else f"{summary['name']} ({summary['catalog']})"
+    fraunhofer = [] if summary["nd"] is None or constant else [f"n(587.56 nm) = {summary['nd']:.5f}"]
+    if summary["vd"] is not None:
+        abbe = f" ±{tolerances.abbe_percent:g} %" if tolerances.abbe_percent else ""
+        abbe += tolerances.mark("abbe_percent")
+        fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}{abbe}")
+    indices = [
+        f"n({1e3 * wavelength:.6g} nm) = {refractive_index(glass, wavelength, lens.glass_catalogs):.6f}"
+        for wavelength in lens.wavelengths_um[:WAVELENGTHS]
+    ]
+    if tolerances.index is not None:
+        indices[-1] += f" ±{tolerances.index:g}{tolerances.mark('index')}"
+    more = len(lens.wavelengths_um) - WAVELENGTHS
+    return Material(
+        name,
+        (
+            name,
+            "   ".join(fraunhofer) or OPEN,
+            "   ".join(indices) + (f"   and {more} more" if more > 0 else ""),
+            "",
+            f"0/ {tolerances.stress_birefringence or OPEN}{tolerances.mark('stress_birefringence')}",
+            f"1/ {tolerances.bubbles.replace('x', ' × ') or OPEN}{tolerances.mark('bubbles')}",
+            f"2/ {tolerances.inhomogeneity or OPEN}{tolerances.mark('inhomogeneity')}",
+            f"density {tolerances.density_g_per_cm3:g} g/cm³" if tolerances.density_g_per_cm3 else "",
+        ),
+    )
+
+
+def data_table(
+    element: Element,
+    cemented: tuple[bool, bool],
+    material: Material,
+    tolerances: DrawingTolerances,
+    area: Area,
+) -> list[Item]:
+    """The table's three columns.
+
+    Parameters
+    ----------
+    element
+        Its surfaces, left and right, and their bevels.
+    cemented
+        Whether glass touches them from outside.
+    material
+        What stands in the middle column.
+    tolerances
+        Of the element.
+    area
+        Where the table stands.
+    """
+    (_, front_bevel), (_, back_bevel) = element.edge.sides()
+    fringe = tolerances.fringe_wavelength_um
+    left = _surface_rows(element.front.surface, tolerances.left, fringe, 1.0, cemented[0], front_bevel)
+    right = _surface_rows(element.back.surface, tolerances.right, fringe, -1.0, cemented[1], back_bevel)
+    columns = (("Left surface (L)", left), ("Material", material.rows), ("Right surface (R)", right))
+    step = area.height / (len(left) + 1)
+    width = area.width / len(columns)
+    items: list[Item] = [frame(area, THICK_MM)]
+    for number, (head, rows) in enumerate(columns):
+        x = area.left + number * width
+        items.append(cell(Area(x, area.top - step, x + width, area.top), head, 3.2, "middle"))
+        items += _column(rows, Area(x, area.bottom, x + width, area.top - step), is_surface=number != 1)
+        if number:
+            items.append(line(x, area.bottom, x, area.top, THICK_MM))
+    items.append(line(area.left, area.top - step, area.right, area.top - step, THICK_MM))
+    return items
+
+
+def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
+    items: list[Item] = []
+    step = area.height / len(rows)
+    for row, text in enumerate(rows):
+        top = area.top - row * step
+        place = Area(area.left, top - step, area.right, top)
+        if is_surface and row == COATING_ROW:
+            x, y = area.left + 3.7, top - 0.5 * step
+            items += [circle(x, y, 0.42 * step), Text(x, y - 0.9, "λ", 2.6, "middle")]
+            place = Area(area.left + 6.0, *place[1:])
+        if text:
+            items.append(cell(place, text))
+    return items
+
+
+def _surface_rows(
+    surface: Surface,
+    tolerances: SurfaceTolerances,
+    fringe_um: float,
+    outward: float,
+    cemented: bool,
+    bevel_mm: float,
+) -> tuple[str, ...]:
+    semi = surface.semi_diameter_mm
+    return (
+        _radius(surface, tolerances, outward, fringe_um),
+        clear_text(semi) if semi is not None else f"Øₑ {OPEN}",
+        f"Prot. chamfer {_chamfer(bevel_mm, tolerances)}",
+        tolerances.coating or ("cemented" if cemented else OPEN),
+        _form(tolerances),
+        _centring(tolerances),
+        f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}{tolerances.mark('imperfections')}",
+        f"6/ {tolerances.laser_damage or OPEN}",
+    )
+
+
+def clear_text(semi_diameter_mm: float) -> str:
+    """A clear diameter, from 1 mm on rounded up to 0.01 mm."""
+    diameter = 2.0 * semi_diameter_mm
+    return f"Øₑ {0.01 * math.ceil(100.0 * diameter - 1e-6) if diameter >= 1.0 else diameter:.6g}"
+
+
+def _chamfer(bevel_mm: float, tolerances: SurfaceTolerances) -> str:
+    """The design's bevel, else what the tolerances allow."""
+    if bevel_mm:
+        return f"{bevel_mm:g} × 45°"
+    allowed = tolerances.chamfer_mm
+    return f"{allowed[0]:g} - {allowed[1]:g}{tolerances.mark('chamfer_mm')}" if allowed else OPEN
+
+
+def _centring(tolerances: SurfaceTolerances) -> str:
+    """4/, and in brackets the lateral displacement of an asphere."""
+    tilt, aside = tolerances.centring_arcmin, tolerances.decenter_mm
+    across = f" ({aside:g}{tolerances.mark('decenter_mm')})" if aside is not None else ""
+    angle = f"{tilt:g}′{tolerances.mark('centring_arcmin')}" if tilt is not None else OPEN
+    return f"4/ {angle}{across}"
+
+
+def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fringe_um: float) -> str:
+    """With CX or CC; of an asphere, at the vertex. In brackets: what the fringes of 3/ allow."""
+    kind = "" if surface.kind in ("plane", "sphere") else f", {surface.kind}"
+    if surface.radius_mm is None:
+        return f"R ∞{kind}"
+    own = tolerances.radius_mm
+    tolerance = f" ±{own:g}{tolerances.mark('radius_mm')}" if own is not None else ""
+    if not tolerance and (allowed := tolerances.radius_allowed_mm(surface, fringe_um)):
+        tolerance = f" (±{allowed:.2g})"
+    side = "CX" if outward * surface.radius_mm > 0.0 else "CC"
+    return f"R {abs(surface.radius_mm):.8g}{tolerance} {side}{kind}"
+
+
+def _form(tolerances: SurfaceTolerances) -> str:
+    """3/A(B/C), over a test diameter if one is given."""
+    a, b, c = (
+        OPEN if (value := getattr(tolerances, name)) is None else f"{value:g}{tolerances.mark(name)}"
+        for name in ("radius_fringes", "irregularity_fringes", "symmetric_fringes")
+    )
+    if a == b == OPEN and tolerances.rms_irregularity_fringes is None:
+        return f"3/ {OPEN}"
+    inner = b if c == OPEN else f"{b}/{c}"
+    over = tolerances.test_diameter_mm
+    rms = tolerances.rms_irregularity_fringes
+    return (
+        f"3/ {a}({inner})"
+        + (f" RMSi < {rms:g}{tolerances.mark('rms_irregularity_fringes')}" if rms is not None else "")
+        + (f" (all Ø {over:g}{tolerances.mark('test_diameter_mm')})" if over is not None else "")
+    )

@@ -1,0 +1,315 @@
+"""Mesh of a body whose surfaces are decentered, tilted, or have figures.
+
+Both surfaces are heights above discs, meshed over rings and azimuths, and joined by the edge: flat rings and
+bevels follow the rim of their surface, edge cylinder and flange stay about the axis of the lens.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.meridian import SurfaceMeridian, ring_volume_mm3
+from lensdesign.lens.solid import Element
+from lensdesign.manufacture.mesh.bodies import HeightSurface, LensMesh, PerturbedBodies
+from lensdesign.manufacture.mesh.rings import (
+    BALANCE,
+    MOST_TRIANGLES,
+    ChordErrors,
+    area_factor,
+    circle,
+    edge_error,
+    ring_density,
+    ring_faces,
+    ring_parameters,
+)
+
+_DIRECTIONS = 24
+"""Meridians that say where the rings have to lie; facets everywhere are measured afterwards."""
+
+_BLOCK = 1 << 17
+"""Facets, or points on them, measured at one time."""
+
+_MOST_PARTS = 24
+"""Into which the sides of facets are divided, to find figures finer than these."""
+
+
+def freeform_mesh(bodies: PerturbedBodies, number: int, error_mm: float, count: int) -> LensMesh:
+    """Mesh one body over rings and azimuths.
+
+    Parameters
+    ----------
+    bodies, number
+        The body.
+    error_mm
+        Distance aimed at between facets of the surfaces and the exact ones; what came out is measured.
+    count
+        Number of azimuths that its nominal shape needs.
+
+    Raises
+    ------
+    InputError
+        If the body does not close, a surface ends inside its rim, or too many triangles are needed.
+    """
+    import trimesh
+
+    element, sides = bodies.elements[number], bodies.surfaces(number)
+    _refuse_crossing(element, sides)
+    meridians, error_mm = (element.front, element.back), BALANCE * error_mm
+    for side, meridian in zip(sides, meridians, strict=True):
+        count = _azimuths(side, meridian.end_mm, error_mm, count)
+    radii = [_ring_radii(s, m, error_mm, count) for s, m in zip(sides, meridians, strict=True)]
+    optical = [_points(s, r, count) for s, r in zip(sides, radii, strict=True)]
+    for side, points, end in zip(sides, optical, element.ends, strict=True):
+        if len(end):
+            _settle_rim(side, points[-count:], count)
+    ends = [_end_points(p[-count:], end, count) for p, end in zip(optical, element.ends, strict=True)]
+    ring = _flange_points(element, ends, optical, count)
+    rings = [len(radii[0]) + len(element.ends[0]), len(ring) // count, len(radii[1]) + len(element.ends[1])]
+    _refuse_detail(min(sides, key=lambda s: s.finest_mm), sum(rings), count, error_mm)
+    vertices = np.concatenate([optical[0], ends[0], ring, optical[1], ends[1]])
+    faces = _ring_order(rings, count)[ring_faces(sum(rings), count)]
+    parts = faces[: count * (2 * len(radii[0]) - 1)], faces[-count * (2 * len(radii[1]) - 1) :]
+    starts = (0, len(vertices) - len(optical[1]) - len(ends[1]))
+    measured_mm = 0.0
+    for place, side in enumerate(sides):
+        outer = starts[place] + len(optical[place])
+        held = slice(outer - count, outer) if len(element.ends[place]) else slice(0)
+        measured_mm = max(measured_mm, _balance(side, vertices, parts[place], held))
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.units = "mm"
+    edge_error_um = 1e3 * edge_error(element.outer_mm, count)
+    return LensMesh(mesh, 1e3 * measured_mm, edge_error_um, float(mesh.volume), _volume_mm3(element, sides))
+
+
+def _ring_order(rings: Sequence[int], count: int) -> NDArray[np.int64]:
+    """Where the vertices stand that ring_faces numbers from pole to pole.
+
+    They come as front pole, rings of the front side outwards, rings of the flange, back pole, rings of the
+    back side outwards.
+    """
+    before = 1 + (rings[0] + rings[1]) * count
+    inner = 1 + np.arange(before - 1)
+    outer = before + 1 + np.arange(rings[2] * count).reshape(rings[2], count)[::-1]
+    return np.concatenate([[0, before], inner, outer.ravel()])
+
+
+def _end_points(rim: Array, end: Array, count: int) -> Array:
+    """Rings of flat ring and bevel: they follow the rim of their surface, shape (len(end) * count, 3)."""
+    x, y = area_factor(count) * circle(count)
+    rings = [np.column_stack([r * x, r * y, rim[:, 2] + rise]) for r, rise in end]
+    return np.concatenate([np.empty((0, 3)), *rings])
+
+
+def _flange_points(element: Element, ends: Sequence[Array], optical: Sequence[Array], count: int) -> Array:
+    """Rings of the flange, which has to stand on the edge cylinder all the way round."""
+    front, back = (np.concatenate([o, e])[-count:, 2] for o, e in zip(optical, ends, strict=True))
+    corners = element.flange_corners
+    faces_z = corners[[0, -1], 1] if len(corners) else (np.max(front), np.min(back))
+    if np.any(front > faces_z[0]) or np.any(back < faces_z[1]) or np.any(back <= front):
+        raise InputError(
+            f"{element.name}, as perturbed: its edge cylinder runs at its narrowest from z = "
+            f"{float(np.max(front)):.6g} to {float(np.min(back)):.6g} mm, too short for its edge; raise "
+            "thickness_mm, or lower the bevels, the flange or the perturbation"
+        )
+    x, y = area_factor(count) * circle(count)
+    rings = [np.column_stack([r * x, r * y, np.full(count, z)]) for r, z in corners]
+    return np.concatenate([np.empty((0, 3)), *rings])
+
+
+def _points(side: HeightSurface, radii: Array, count: int) -> Array:
+    """Vertex and ring points of a surface; rings have the area of their circle."""
+    across = np.outer(radii, area_factor(count) * circle(count)[0])
+    down = np.outer(radii, area_factor(count) * circle(count)[1])
+    x, y = (np.concatenate([[0.0], part.ravel()]) for part in (across, down))
+    return np.stack([x, y, _finite_heights(side, x, y)], axis=-1)
+
+
+def _settle_rim(side: HeightSurface, rim: Array, count: int) -> None:
+    """Give the corners of the rim the heights of its circle, which a flat ring or bevel follows."""
+    x, y = rim[:, :2].T / area_factor(count)
+    rim[:, 2] = _finite_heights(side, x, y)
+
+
+def _finite_heights(side: HeightSurface, x: Array, y: Array) -> Array:
+    z = side.heights(x, y)
+    missing = ~np.isfinite(z)
+    if np.any(missing):
+        where = float(np.min(np.hypot(x, y)[missing]))
+        raise InputError(
+            f"surface {side.index + 1}, as perturbed, ends at a radial height of about {where:.6g} mm, "
+            "inside its rim; lower semi_diameter_mm or the perturbation"
+        )
+    return z
+
+
+def _ring_radii(side: HeightSurface, meridian: SurfaceMeridian, error_mm: float, count: int) -> Array:
+    """Radii of the rings, the vertex left out."""
+    errors = _chord_errors(side, meridian)
+    end_mm, finest = meridian.end_mm, side.finest_mm
+    # Within a quarter of a figure's cell chord errors go with the square of the spacing.
+    shortest = 0.0 if math.isinf(finest) else 0.25 * finest / end_mm
+    density = ring_density(errors, end_mm, min(1e-5, error_mm / end_mm), shortest)
+    _refuse_detail(side, density[1][-1] / math.sqrt(error_mm), count, error_mm)
+    rings = ring_parameters(errors, density, end_mm, error_mm)
+    radii = meridian.points(rings)[1:, 0]
+    radii[-1] = end_mm
+    return np.asarray(radii)
+
+
+def _chord_errors(side: HeightSurface, meridian: SurfaceMeridian) -> ChordErrors:
+    """Greatest over meridians in several directions."""
+    x, y = circle(_DIRECTIONS)
+    share = np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
+
+    def greatest(t: Array) -> Array:
+        r = meridian.points(t)[:, 0]
+        across, down = np.outer(r, x), np.outer(r, y)
+        ends = np.stack([across, down, _finite_heights(side, across, down)], axis=-1)
+        rise, cosine = side.rises((1.0 - share) * ends[:-1] + share * ends[1:])
+        return np.asarray(np.max(np.abs(rise * cosine), axis=(0, 2)))
+
+    return greatest
+
+
+def _azimuths(side: HeightSurface, end_mm: float, error_mm: float, count: int) -> int:
+    """Number of azimuths with which chords round the rings hold; measured on 12 of them."""
+    r = np.linspace(end_mm / 12.0, end_mm, 12)
+    for _ in range(12):
+        ends = _points(side, r, count)[1:].reshape(len(r), count, 3)
+        rise, cosine = side.rises(0.5 * (ends + np.roll(ends, -1, axis=1)))
+        greatest = float(np.max(np.abs(rise * cosine)))
+        if greatest <= error_mm:
+            break
+        _refuse_detail(side, len(r), count, error_mm)
+        count = 4 * math.ceil(0.25 * count * min(4.0, 1.01 * math.sqrt(greatest / error_mm)))
+    return count
+
+
+def _refuse_detail(side: HeightSurface, rings: float, count: int, error_mm: float) -> None:
+    triangles = 2.0 * rings * count
+    if triangles <= MOST_TRIANGLES:
+        return
+    cause = "" if math.isinf(side.finest_mm) else f" for its figure (nodes every {side.finest_mm:.4g} mm)"
+    raise InputError(
+        f"surface {side.index + 1} would need {triangles:.3g} triangles{cause} to hold a chord error of "
+        f"{error_mm / BALANCE:.3g} mm; allowed: at most {MOST_TRIANGLES:.3g}, so ask for a larger one"
+    )
+
+
+def _balance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], held: slice) -> float:
+    """Move vertices along z until facets straddle the surface; greatest distance of the facets from it.
+
+    Those of a rim from which a flat ring or bevel goes on are held.
+
+    Distances are had at the vertices, centre and middles of the sides of every facet: a paraboloid's facets
+    are nowhere farther off but by a few per cent, and its means over the middles of the sides are exact.
+    Where facets are larger than the cells of a figure, points in every cell add to these.
+    """
+    rises, cosines = _facet_rises(side, vertices, faces)
+    corners = vertices[faces]
+    a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    mean = np.mean(rises[:, :3], axis=1)
+    weight, sums = (
+        np.bincount(faces.ravel(), np.repeat(w, 3), minlength=len(vertices)) for w in (area, area * mean)
+    )
+    shift = np.where(weight > 0.0, -sums / np.where(weight > 0.0, weight, 1.0), 0.0)
+    free = np.ones(len(vertices))
+    free[held] = shift[held] = 0.0
+    # What held vertices leave over goes to all others.
+    over, share = (
+        np.sum(area * m) for m in (mean + np.mean(shift[faces], axis=1), np.mean(free[faces], axis=1))
+    )
+    shift = np.where(weight > 0.0, shift - free * over / share, 0.0)
+    vertices[:, 2] += shift
+    own = shift[faces]
+    moved = rises + np.column_stack([own @ _MIDDLES.T, np.mean(own, axis=1)])
+    greatest = max(np.max(np.abs(moved * cosines)), np.max(np.abs(own) * cosines[:, :3]))
+    largest = float(np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)))
+    parts = min(_MOST_PARTS, math.ceil(2.0 * largest / side.finest_mm))
+    if parts > 2:
+        greatest = max(greatest, _distance(side, vertices, faces, parts))
+    return float(greatest)
+
+
+def _distance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], parts: int) -> float:
+    """Greatest distance of a grid of points on every facet from the surface."""
+    i, j = np.meshgrid(np.arange(parts + 1), np.arange(parts + 1))
+    weights = np.stack([i, j, parts - i - j], axis=-1)[i + j <= parts] / parts
+    step = max(1, _BLOCK // len(weights))
+    blocks = (faces[start : start + step] for start in range(0, len(faces), step))
+    found = (side.rises(weights @ vertices[block]) for block in blocks)
+    return max(float(np.max(np.abs(rise * cosine))) for rise, cosine in found)
+
+
+_MIDDLES = 0.5 * (np.ones((3, 3)) - np.eye(3))
+"""Weights of a facet's corners in the middles of its sides."""
+
+
+def _facet_rises(side: HeightSurface, vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Heights of facets above the surface and its slope's cosine, at the sides' middles and the centre."""
+    weights = np.concatenate([_MIDDLES, np.full((1, 3), 1.0 / 3.0)])
+    parts = [
+        side.rises(weights @ vertices[faces[start : start + _BLOCK]])
+        for start in range(0, len(faces), _BLOCK)
+    ]
+    rises, cosines = zip(*parts, strict=True)
+    return np.concatenate(rises), np.concatenate(cosines)
+
+
+def _quadrature(side: HeightSurface, end_mm: float) -> tuple[float, float]:
+    """Integral in mm^3 of a surface's height over the disc within its rim, and mean z of the rim in mm."""
+    panels = min(256, max(64, math.ceil(end_mm / side.finest_mm)))
+    directions = min(1024, max(256, math.ceil(4.0 * math.pi * end_mm / side.finest_mm)))
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    limits = end_mm * np.linspace(0.0, 1.0, panels + 1)
+    half = 0.5 * np.diff(limits)[:, None]
+    x, y = circle(directions)
+    r = (limits[:-1, None] + half * (nodes + 1.0)).ravel()
+    mean = np.mean(_finite_heights(side, np.outer(r, x), np.outer(r, y)), axis=1)
+    total = 2.0 * math.pi * float(np.sum((half * weights).ravel() * r * mean))
+    return total, float(np.mean(_finite_heights(side, end_mm * x, end_mm * y)))
+
+
+def _volume_mm3(element: Element, sides: tuple[HeightSurface, HeightSurface]) -> float:
+    """What follows a rim all round has the volume that it has about the mean of that rim."""
+    volumes, profiles = [], []
+    for side, meridian, end in zip(sides, (element.front, element.back), element.ends, strict=True):
+        volume, rim_z = _quadrature(side, meridian.end_mm)
+        volumes.append(volume)
+        profiles.append(_with_rim(meridian, end) + np.array([0.0, rim_z]))
+    rim = np.concatenate([profiles[0], element.flange_corners, profiles[1][::-1]])
+    return volumes[1] - volumes[0] + ring_volume_mm3(rim)
+
+
+def _refuse_crossing(element: Element, sides: tuple[HeightSurface, HeightSurface]) -> None:
+    r = element.edge_mm * np.linspace(0.0, 1.0, 129)
+    front, back = (
+        _side_heights(s, m, end, r)
+        for s, m, end in zip(sides, (element.front, element.back), element.ends, strict=True)
+    )
+    gap = np.min(back - front, axis=1)
+    where = int(np.argmin(gap))
+    if gap[where] <= 0.0:
+        raise InputError(
+            f"{element.name}, as perturbed, does not close: its surfaces cross at a radial height of "
+            f"{r[where]:.6g} mm (gap {gap[where]:.6g} mm); raise thickness_mm or lower semi_diameter_mm"
+        )
+
+
+def _side_heights(side: HeightSurface, meridian: SurfaceMeridian, end: Array, r: Array) -> Array:
+    """z over radial heights and azimuths, flat ring and bevel included."""
+    within = np.minimum(r, meridian.end_mm)
+    x, y = (np.outer(within, part) for part in circle(4 * _DIRECTIONS))
+    rise = np.interp(r, *_with_rim(meridian, end).T)
+    return np.asarray(_finite_heights(side, x, y) + rise[:, None])
+
+
+def _with_rim(meridian: SurfaceMeridian, end: Array) -> Array:
+    return np.concatenate([[[meridian.end_mm, 0.0]], end])

@@ -1,0 +1,161 @@
+"""How much of a specification that could not be met can be: field, aperture, lenses as built."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.common.deadlines import OutOfTime
+from lensdesign.lens.lens import Lens, ObjectSpace
+from lensdesign.optimization.limits.kinds import APERTURE, FIELD
+from lensdesign.optimization.limits.search import Limit, LimitsInterrupted, find_limits
+from lensdesign.optimization.local_search import Budget, search_from
+from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.problem import DesignProblem
+from lensdesign.optimization.specification.specification import Specification
+
+AS_BUILT_EVALUATIONS = 3000
+"""Most evaluations of the search for the best lens as built."""
+
+
+@dataclass(frozen=True)
+class FeasibilityLimit:
+    """What can be met, everything else being as it was asked for; None where nothing was found.
+
+    Attributes
+    ----------
+    field_diameter_mm
+        Largest field at the numerical aperture asked for.
+    numerical_aperture
+        Largest numerical aperture over the field asked for.
+    good
+        Largest predicted yield, where it is this that was missed.
+    as_built_rms_waves
+        Smallest predicted root mean square, likewise.
+    nominal
+        Whether field and aperture are those of lenses as designed, although the specification also asks for
+        something of lenses as built.
+    limits
+        The limits behind the first two, and how sure they are.
+    """
+
+    field_diameter_mm: float | None = None
+    numerical_aperture: float | None = None
+    good: float | None = None
+    as_built_rms_waves: float | None = None
+    nominal: bool = False
+    limits: tuple[Limit, ...] = ()
+
+    def in_words(self, asked: ObjectSpace) -> str:
+        """Return what can be met of what was asked, as messages say it."""
+        if not self.nominal and any(one.reached == one.asked for one in self.limits):
+            return "a lens that meets the specification was found by raising another value; allow more starts"
+        parts = []
+        if self.good is not None:
+            parts.append(f"a predicted yield of {self.good:.3f}")
+        if self.as_built_rms_waves is not None:
+            parts.append(f"a predicted as-built rms of {self.as_built_rms_waves:.4f} waves")
+        if self.field_diameter_mm is not None:
+            sure = self._confidence("field")
+            parts.append(
+                f"a field of {self.field_diameter_mm:.4g} mm at NA {asked.numerical_aperture:g}{sure}"
+            )
+        if self.numerical_aperture is not None:
+            sure = self._confidence("numerical aperture")
+            parts.append(
+                f"NA {self.numerical_aperture:.4g} over a field of {asked.field_diameter_mm:g} mm{sure}"
+            )
+        if not parts:
+            said = "; ".join(f"{one.name}: {one.confidence}" for one in self.limits)
+            return "no smaller field or aperture was found that can be met" + (f" ({said})" if said else "")
+        nominal = " (as designed, without what is asked of lenses as built)" if self.nominal else ""
+        return f"can be met, and no more was found: {', or '.join(parts)}{nominal}"
+
+    def _confidence(self, name: str) -> str:
+        return next((f" ({one.confidence})" for one in self.limits if one.name == name), "")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the values as plain data, without lenses."""
+        return vars(self) | {"limits": [one.as_dict() for one in self.limits]}
+
+
+def feasibility_limit(
+    specification: Specification,
+    base: Lens,
+    glasses: str,
+    point: Array,
+    seed: int = 0,
+    report: Callable[[str], None] = lambda _: None,
+) -> FeasibilityLimit:
+    """Find the largest field and the largest aperture that can be met, or the best lens as built.
+
+    Parameters
+    ----------
+    specification
+        One that could not be met.
+    base, glasses, point
+        The lens with its choice of glasses, the name of that choice, and the point of the unit box, that
+        came nearest.
+    seed
+        For the random starts.
+    report
+        Called with a line of text at each step.
+
+    Raises
+    ------
+    LimitsInterrupted
+        If it is interrupted; a deadline only leaves limits that are not confirmed.
+    """
+    limits = specification.constraints
+    nominal = limits.min_yield is not None or limits.max_as_built_rms_waves is not None
+    if nominal:
+        try:
+            found = _best_as_built(specification, base, point)
+        except KeyboardInterrupt:
+            raise LimitsInterrupted(()) from None
+        except OutOfTime:
+            return FeasibilityLimit(nominal=True)
+        if found is not None:
+            return found
+        specification = _nominal(specification)
+    return feasibility_limit_of(
+        find_limits(specification, report, seed, (FIELD, APERTURE), {glasses: point}, most=1.0), nominal
+    )
+
+
+def feasibility_limit_of(limits: tuple[Limit, ...], nominal: bool = False) -> FeasibilityLimit:
+    """Return limits of field and aperture as a reach."""
+    values = {one.name: one.reached for one in limits}
+    return FeasibilityLimit(
+        values.get("field"), values.get("numerical aperture"), nominal=nominal, limits=limits
+    )
+
+
+def _nominal(specification: Specification, goal: str = "thinnest lens") -> Specification:
+    """The specification with another goal, and nothing asked of lenses as built."""
+    settings = specification.optimize.replaced(goal=goal)
+    return specification.without_as_built().model_copy(update={"optimize": settings})
+
+
+def _best_as_built(specification: Specification, base: Lens, point: Array) -> FeasibilityLimit | None:
+    """What was missed as built, as good as it gets; None where it is not that alone."""
+    asked = specification.constraints
+    best: dict[str, float] = {}
+    for key, goal, wanted in (
+        ("good", "yield", asked.min_yield),
+        ("as_built_rms_waves", "as-built rms", asked.max_as_built_rms_waves),
+    ):
+        if wanted is None:
+            continue
+        problem = DesignProblem(_nominal(specification, goal), base)
+        found = search_from(problem, point, Budget(AS_BUILT_EVALUATIONS), 0, lambda *_: None)
+        if found.outcome.violation > KEPT:
+            return None
+        built = problem.predicted(found.outcome.point)
+        failing, rms = max(one.failing for one in built), max(float(np.max(one.rms_waves)) for one in built)
+        best[key] = 1.0 - failing if key == "good" else rms
+    return FeasibilityLimit(good=best.get("good"), as_built_rms_waves=best.get("as_built_rms_waves"))

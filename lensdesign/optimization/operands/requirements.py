@@ -1,0 +1,224 @@
+"""The goals and constraints of a specification, as rows of scaled values with derivatives.
+
+Each value is scaled to about 1. A constraint is kept where its value is not above zero.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.temperature import named_at
+from lensdesign.optimization.nlopt_driver import UNTRACEABLE
+from lensdesign.optimization.operands.glass import glass_operands, lens_thickness, track
+from lensdesign.optimization.operands.operand import (
+    LIMIT_MARGIN,
+    Row,
+    State,
+    finite_operand,
+    heights_of,
+    squares_of,
+)
+from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
+from lensdesign.optimization.specification.specification import Specification
+from lensdesign.raytrace.gradients import GradientTrace
+
+AS_BUILT_SCALE_WAVES = 0.1
+"""Root mean square by which as-built goals are scaled."""
+
+
+def goal_operands(specification: Specification, state: State) -> list[Row]:
+    """What the largest value of is to be made small."""
+    goal = specification.optimize.goal
+    lens: Lens = specification  # as it was at the start
+    if goal in AS_BUILT_GOALS:
+        return [_as_built_goal(goal, one) for one in state.all]
+    if goal.startswith("smallest spread"):
+        widest = _sine(lens, max(lens.wavelengths_um))
+        own = goal == "smallest spread"
+        return [
+            _per_ray(
+                _named("spread", w, one),
+                squares_of(t.cosines, t.cosines_by),
+                (_sine(lens, w) if own else widest) ** 2,
+                t,
+            )
+            for one in state.all
+            for w, t in zip(lens.wavelengths_um, one.traces, strict=True)
+        ]
+    if goal == "smallest aperture":
+        reference = lens.stop_semi_diameter_mm**2
+        return [
+            _per_ray(_named(f"height on surface {i + 1}", w, state), heights_of(t, i), reference, t)
+            for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
+            for i in range(len(lens.surfaces))
+        ]
+    length, by = track(state) if goal == "shortest track" else lens_thickness(state)
+    reference = lens.exit_vertex_z_mm
+    return [Row(goal, np.array([length / reference]), by[None] / reference)]
+
+
+def constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Row]:
+    """What must not be above zero.
+
+    Where the spread's limit is what a search makes as small as it can, only the `final` lens is held
+    against it.
+    """
+    limited = final or not _limits_its_goal(specification)
+    rows = [row for one in state.all for row in _light_rows(specification, one, limited)]
+    most = specification.constraints.max_semi_diameter_mm
+    for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
+        for i in range(len(specification.surfaces)) if most is not None else ():
+            name = _named(f"semi-diameter of surface {i + 1}", wavelength, state)
+            rows.append(_limited(name, heights_of(trace, i), float(most or 0.0) ** 2, trace))
+    built = [row for one in state.all for row in _as_built_rows(specification, one)]
+    return rows + glass_operands(specification, state) + built
+
+
+def _light_rows(specification: Specification, state: State, limited: bool) -> list[Row]:
+    """Where light may go, at each wavelength."""
+    rows: list[Row] = []
+    for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
+        rows += _spread_rows(specification, state, wavelength, trace, limited)
+        for i, limit in enumerate(specification.footprint_limits()):
+            if math.isfinite(limit):
+                name = _named(f"footprint on sensor plane {i + 1}", wavelength, state)
+                squares = squares_of(trace.plane_points[:, i], trace.plane_points_by[:, i])
+                rows.append(_limited(name, squares, limit**2, trace))
+        if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
+            rows += _rectangle_rows(specification, state, wavelength, trace)
+        rows += _throughput_rows(specification, state, wavelength, trace)
+    return rows
+
+
+def _as_built_goal(goal: str, state: State) -> Row:
+    name = named_at(goal, state.temperature_c)
+    if goal == LOSS_GOAL:
+        assert state.losses is not None  # the goal asked for it
+        losses = state.losses
+        return finite_operand(name, losses.losses / losses.scale, losses.losses_by / losses.scale)
+    assert state.as_built is not None  # the goal asked for it
+    if goal == "yield":
+        return finite_operand(name, np.array([state.as_built.failing]), state.as_built.failing_by[None])
+    scale = AS_BUILT_SCALE_WAVES
+    return finite_operand(name, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
+
+
+def _as_built_rows(specification: Specification, state: State) -> list[Row]:
+    """How many lenses may fail, and how large their wavefront errors may be."""
+    limits, found = specification.constraints, state.as_built
+    rows = _loss_rows(specification, state)
+    if found is None:
+        return rows
+    if limits.min_yield is not None:
+        excess = found.failing - (1.0 - limits.min_yield)
+        rows.append(
+            finite_operand(named_at("yield", state.temperature_c), np.array([excess]), found.failing_by[None])
+        )
+    if limits.max_as_built_rms_waves is not None:
+        most = limits.max_as_built_rms_waves
+        name = named_at("as-built rms", state.temperature_c)
+        rows.append(finite_operand(name, found.rms_waves / most - 1.0, found.rms_by / most))
+    return rows
+
+
+def _loss_rows(specification: Specification, state: State) -> list[Row]:
+    most, found = specification.constraints.max_as_built_reconstruction_loss, state.losses
+    if most is None or found is None:
+        return []
+    name = named_at(LOSS_GOAL, state.temperature_c)
+    return [finite_operand(name, found.losses / most - 1.0, found.losses_by / most)]
+
+
+def _limits_its_goal(specification: Specification) -> bool:
+    """Whether the lens of the smallest goal is the one that keeps the spread's limit best, too."""
+    goal, limit = specification.optimize.goal, specification.constraints.max_spread_deg
+    if len(specification.wavelengths_um) == 1:
+        return goal.startswith("smallest spread")
+    return goal == ("smallest spread" if limit == "sensor" else "smallest spread angle")
+
+
+def _spread_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
+) -> list[Row]:
+    squares = squares_of(trace.cosines, trace.cosines_by)
+    limit = specification.spread_limit(wavelength)
+    rows = []
+    if limited and math.isfinite(limit):
+        rows.append(_limited(_named("spread", wavelength, state), squares, limit**2, trace))
+    for axis, most_deg in enumerate(specification.constraints.max_spread_xy_deg or ()):
+        at, by = trace.cosines[:, axis], trace.cosines_by[:, axis]
+        name = _named(f"spread along {'xy'[axis]}", wavelength, state)
+        square = math.sin(math.radians(most_deg)) ** 2
+        rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), square, trace))
+    for own in specification.constraints.field_spread:
+        at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
+        name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, state)
+        row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
+        rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
+    return rows
+
+
+def _rectangle_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+) -> list[Row]:
+    """Light within the sides of the sensor, x and y apart."""
+    rows = []
+    for i in range(len(specification.sensor.plane_distances_mm)):
+        for axis, size in enumerate(specification.sensor.size_mm):
+            at, by = trace.plane_points[:, i, axis], trace.plane_points_by[:, i, axis]
+            name = _named(f"{'xy'[axis]} of the footprint on sensor plane {i + 1}", wavelength, state)
+            rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), (0.5 * size) ** 2, trace))
+    return rows
+
+
+def _throughput_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+) -> list[Row]:
+    """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
+    lens, share = state.lens, specification.constraints.min_throughput
+    limits = [
+        (i, s.semi_diameter_mm)
+        for i, s in enumerate(lens.surfaces)
+        if s.semi_diameter_mm is not None and i != lens.stop_index
+    ]
+    if not limits:
+        return []
+    each = [_limited("", heights_of(trace, i), d**2, trace) for i, d in limits]
+    worst = np.argmax([r.values for r in each], axis=0)
+    rays = np.arange(len(worst))
+    values = np.array([r.values for r in each])[worst, rays]
+    by = np.array([r.by for r in each])[worst, rays]
+    name = _named("throughput", wavelength, state)
+    if share == 1.0:
+        return [Row(name, values, by, rays)]
+    picked = []
+    for field in np.unique(state.fields_mm, axis=0):
+        mine = np.flatnonzero(np.all(state.fields_mm == field, axis=1))
+        order = mine[np.argsort(values[mine])]
+        picked.append(order[math.ceil(share * len(order)) - 1])
+    return [Row(name, values[picked], by[picked], np.array(picked))]
+
+
+def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Row:
+    values = np.where(trace.ok, squares[0] / scale, UNTRACEABLE)
+    by = np.where(trace.ok[:, None], squares[1] / scale, 0.0)
+    return Row(name, values, by, np.arange(len(values)))
+
+
+def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Row:
+    row = _per_ray(name, squares, limit * (1.0 - LIMIT_MARGIN) ** 2, trace)
+    return Row(name, row.values - 1.0, row.by, row.rays)
+
+
+def _sine(lens: Lens, wavelength: float) -> float:
+    """Sine of the sensor's spread limit: what spreads are scaled by."""
+    return min(1.0, wavelength / (2.0 * lens.sensor.pixel_pitch_um))
+
+
+def _named(name: str, wavelength: float, state: State) -> str:
+    lone = len(state.lens.wavelengths_um) == 1
+    return named_at(name if lone else f"{name} ({wavelength:g} um)", state.temperature_c)

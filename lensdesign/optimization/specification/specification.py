@@ -1,0 +1,258 @@
+"""Specification files: what to optimize, within which bounds, to which end, under which constraints.
+
+A specification is a design file with three more tables: ``[optimize]``, ``[constraints]`` and one
+``[[variable]]`` for each thing that may change. The design in it is the start.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.common.input_files import validate_inside
+from lensdesign.common.section import tuples
+from lensdesign.common.toml_files import read_toml
+from lensdesign.errors import DesignError
+from lensdesign.files.design import validate_kind, validated_lens
+from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.temperature import check_heat, lens_at_temperature
+from lensdesign.optimization.as_built import AsBuilt, read_as_built
+from lensdesign.optimization.specification.sections import (
+    LOSS_GOAL,
+    Constraints,
+    Environment,
+    Settings,
+    Tolerances,
+)
+from lensdesign.optimization.specification.variables import VariableRange
+
+
+class Specification(Lens):
+    """A lens to start from, and what may become of it."""
+
+    optimize: Settings = Settings()
+    constraints: Constraints = Constraints()
+    tolerances: Tolerances | None = None
+    environment: Environment | None = None
+    variables: Annotated[tuple[VariableRange, ...], Field(alias="variable", min_length=1)]
+
+    _variable_lists = field_validator("variables", mode="before")(tuples)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Specification:
+        for number, surface in enumerate(self.surfaces, start=1):
+            if surface.figure is not None:
+                raise ValueError(f"surface {number}: optimize the nominal lens, without a measured figure")
+        if self.asks_as_built and self.tolerances is None:
+            raise ValueError(
+                "goals and constraints of lenses as built need their tolerances: [tolerances] study"
+            )
+        seen = set()
+        for v in self.variables:
+            if v.surface is not None and v.surface > len(self.surfaces):
+                raise ValueError(
+                    f"variable {v.name}: there is no such surface; the lens has {len(self.surfaces)} surfaces"
+                )
+            if v.parameter == "stop":
+                numbers = range(1, len(self.surfaces) + 1)
+                wrong = [c for c in v.choices if c not in numbers]
+                if wrong:
+                    raise ValueError(
+                        f"variable stop: choices = {list(v.choices)}: there is no surface {wrong[0]}"
+                    )
+            if v.parameter == "thickness_mm" and v.surface == len(self.surfaces):
+                raise ValueError(f"variable {v.name}: the last surface has no thickness")
+            if v.name in seen:
+                raise ValueError(f"variable {v.name} is given twice")
+            seen.add(v.name)
+        radii = self.constraints.max_footprint_radius_mm
+        if isinstance(radii, tuple) and len(radii) != len(self.sensor.plane_distances_mm):
+            raise ValueError(
+                f"max_footprint_radius_mm holds {len(radii)} values for "
+                f"{len(self.sensor.plane_distances_mm)} sensor planes"
+            )
+        for limit in self.constraints.field_spread:
+            if limit.field_mm > self.half_field_mm:
+                raise ValueError(
+                    f"field_spread at {limit.field_mm:g} mm lies outside the half field of "
+                    f"{self.half_field_mm:g} mm"
+                )
+        return self
+
+    def without_as_built(self) -> Self:
+        """The specification without the constraints that are about lenses as built; its goal stays."""
+        limits = self.constraints.replaced(
+            min_yield=None, max_as_built_rms_waves=None, max_as_built_reconstruction_loss=None
+        )
+        return self.model_copy(update={"constraints": limits})
+
+    @property
+    def asks_as_built(self) -> bool:
+        """Whether goal or constraints are about lenses as built."""
+        return self.asks_yields or self.asks_losses
+
+    @property
+    def asks_yields(self) -> bool:
+        """Whether goal or constraints are about yields or wavefronts of lenses as built."""
+        limits = self.constraints
+        asked = limits.min_yield is not None or limits.max_as_built_rms_waves is not None
+        return asked or self.optimize.goal in ("yield", "as-built rms")
+
+    @property
+    def asks_losses(self) -> bool:
+        """Whether goal or constraints are about reconstruction losses of lenses as built."""
+        limited = self.constraints.max_as_built_reconstruction_loss is not None
+        return limited or self.optimize.goal == LOSS_GOAL
+
+    @property
+    def as_built(self) -> AsBuilt | None:
+        """The tolerances that goal or constraints ask for; None where none does.
+
+        Raises
+        ------
+        DesignError
+            As of :func:`lensdesign.optimization.as_built.read_as_built`.
+        """
+        if self.tolerances is None or not self.asks_as_built:
+            return None
+        return read_as_built(self.tolerances)
+
+    @property
+    def lens(self) -> Lens:
+        """The start, as a plain lens."""
+        return Lens(**{name: getattr(self, name) for name in Lens.model_fields})
+
+    def spread_limit(self, wavelength_um: float) -> float:
+        """Largest allowed sine of the spread angle at a wavelength; inf where there is no limit."""
+        limit = self.constraints.max_spread_deg
+        if limit == "none":
+            return math.inf
+        if limit == "sensor":
+            return min(1.0, wavelength_um / (2.0 * self.sensor.pixel_pitch_um))
+        return math.sin(math.radians(float(limit)))
+
+    def footprint_limits(self) -> tuple[float, ...]:
+        """Largest allowed distance from the axis on each sensor plane, in mm; inf for none all round."""
+        limit = self.constraints.max_footprint_radius_mm
+        planes = len(self.sensor.plane_distances_mm)
+        if limit in ("none", "sensor rectangle"):
+            return (math.inf,) * planes
+        if limit == "sensor":
+            return (0.5 * min(self.sensor.size_mm),) * planes
+        return limit if isinstance(limit, tuple) else (float(limit),) * planes
+
+
+def load_specification(path: str | os.PathLike[str]) -> Specification:
+    """Read a specification file.
+
+    Raises
+    ------
+    DesignError
+        If it cannot be read, is wrong, or cannot be met: the etendue bound says so before any search.
+    MaterialError
+        If a glass, one of the choices included, is not known at a wavelength.
+    """
+    path = Path(path)
+    data = read_toml(path)
+    validate_kind(data, path, "specification")
+    specification = validated_lens(Specification, data, path)
+    catalogs = tuple((path.parent / c).resolve() for c in specification.glass_catalogs)
+    for catalog in catalogs:
+        validate_inside(catalog, path, "glass_catalogs", DesignError)
+    specification = specification.model_copy(update={"glass_catalogs": catalogs})
+    specification = _with_tolerances(specification, path)
+    try:
+        for wavelength in specification.wavelengths_um:
+            specification.indices(wavelength)
+        if specification.environment is not None:
+            _check_heat(specification, specification.environment.temperatures_c[0])
+        for variable in specification.variables:
+            for glass in variable.choices if variable.parameter == "material" else ():
+                validate_known(specification, variable.surface or 1, glass)
+        validate_possible(specification)
+    except (DesignError, ValueError) as error:
+        raise type(error)(f"{path}: {error}") from error
+    return specification
+
+
+def _with_tolerances(specification: Specification, path: Path) -> Specification:
+    """With its files where they lie, and known to fit the lens."""
+    if specification.tolerances is None:
+        return specification
+    files = {}
+    for key in ("study", "costs"):
+        if (given := getattr(specification.tolerances, key)) is not None:
+            file = (path.parent / given).resolve()
+            validate_inside(file, path, key, DesignError)
+            files[key] = str(file)
+    tolerances = specification.tolerances.replaced(**files)
+    specification = specification.model_copy(update={"tolerances": tolerances})
+    if specification.as_built is not None:
+        specification.as_built.check(specification.lens)
+        if specification.asks_yields:
+            specification.as_built.check_yields()
+        wanted = specification.constraints.max_as_built_rms_waves is not None
+        if (wanted or specification.optimize.goal == "as-built rms") and not specification.as_built.points_mm:
+            raise DesignError(
+                f"{path}: as-built rms: no merit of {tolerances.study} limits the refocused wavefront: add "
+                "one of kind rms_waves or strehl, with field_points_mm, to the study"
+            )
+        if specification.asks_losses and not specification.as_built.loss_merits:
+            raise DesignError(
+                f"{path}: as-built reconstruction loss: {tolerances.study} has no merit of kind "
+                "reconstruction_loss: add one, with patch_mm and field_points_mm, to the study"
+            )
+        if specification.asks_losses:
+            specification.as_built.check_losses(specification.lens)
+    return specification
+
+
+def _check_heat(specification: Specification, temperature_c: float) -> None:
+    """Of its own glasses; and of a study, which may perturb the temperature of no lens that has one."""
+    check_heat(specification.lens)
+    if specification.as_built is not None:
+        specification.as_built.check(lens_at_temperature(specification.lens, temperature_c))
+
+
+def validate_known(specification: Specification, surface: int, glass: str | float) -> None:
+    """Refuse a glass behind a surface, counted from 1, of which too little is known.
+
+    Raises
+    ------
+    MaterialError
+        If its index is not known at a wavelength, or, where temperatures are asked for, what heat does.
+    """
+    for wavelength in specification.wavelengths_um:
+        refractive_index(glass, wavelength, catalogs=specification.glass_catalogs)
+    if specification.environment is not None:
+        check_heat(specification.lens.with_surface(surface - 1, material=glass))
+
+
+def validate_possible(specification: Specification) -> None:
+    """Refuse what no lens can do: FOV x NA (the Lagrange invariant) must fit through sensor and edge.
+
+    Raises
+    ------
+    DesignError
+        With the numbers, before any ray is traced.
+    """
+    scene = specification.object
+    invariant = scene.field_diameter_mm * scene.numerical_aperture
+    sine = min(specification.spread_limit(w) for w in specification.wavelengths_um)
+    if math.isinf(sine):
+        return
+    widest = 2.0 * min(specification.footprint_limits())
+    if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
+        widest = math.hypot(*specification.sensor.size_mm)
+    if invariant > widest * sine:
+        raise DesignError(
+            "infeasible: by the etendue (Lagrange) bound the exit beam is at least "
+            f"FOV x NA / sin(spread limit) = {scene.field_diameter_mm:g} x {scene.numerical_aperture:g} / "
+            f"{sine:.5g} = {invariant / sine:.4g} mm wide, but the footprint may be only {widest:.4g} mm; "
+            "reduce field or NA, or allow a larger footprint or spread"
+        )

@@ -1,0 +1,94 @@
+"""The whole optical system as one GLB scene: glass, stop, object, sensor planes and rays, each a named node.
+
+glTF counts in metres, so that all lengths are divided by 1000 from mm. Its y points up as that of the lens
+does, and light runs along its z; the front vertex is at the origin.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.lens.lens import Lens
+from lensdesign.manufacture.mesh.rings import circle
+from lensdesign.manufacture.mesh.writing import glass_visuals, plain_visuals
+from lensdesign.plots.scene import ScenePart, scene_parts
+
+if TYPE_CHECKING:
+    import trimesh
+
+Faces = NDArray[np.int64]
+
+SCENE_CHORD_ERROR_UM = 1.0
+_TUBE_SIDES = 8
+_TUBE_SHARE = 0.006
+"""Radius of the tubes that stand for rays, as a share of the stop's semi-diameter."""
+
+
+def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write glass, stop ring, object disc, sensor planes and rays of three fields as a GLB scene in metres.
+
+    Parameters
+    ----------
+    lens
+        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
+    path
+        File to write, with the suffix .glb.
+
+    Returns
+    -------
+    tuple of str
+        Names of the nodes: ``element_1_N-BK7``, ..., ``stop_ring``, ``object_disc``, ``sensor_plane_1``, ...,
+        ``rays_0_mm``, ... by field height. Sensor planes have the size of the sensor; rays end on the last.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, an element does not close, or the file cannot be written.
+    """
+    import trimesh
+
+    if Path(path).suffix.lower() != ".glb":
+        raise InputError(f"cannot write {path}: a scene is written as .glb alone")
+    scene = trimesh.Scene()
+    for part in scene_parts(lens, SCENE_CHORD_ERROR_UM):
+        mesh = _mesh(part, _TUBE_SHARE * lens.stop_semi_diameter_mm)
+        mesh.apply_scale(1e-3)
+        scene.add_geometry(mesh, geom_name=part.name, node_name=part.name)
+    data = bytes(scene.export(file_type="glb"))
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+    return tuple(scene.geometry)
+
+
+def _mesh(part: ScenePart, tube_mm: float) -> trimesh.Trimesh:
+    import trimesh
+
+    vertices, faces = _tubes(part.lines, tube_mm) if part.kind == "rays" else (part.vertices, part.faces)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.visual = glass_visuals(part.glass) if part.glass else plain_visuals(part.color, part.opacity)
+    return mesh
+
+
+def _tubes(paths: Array, radius_mm: float) -> tuple[Array, Faces]:
+    """Tubes about polylines, shape (rays, corners, 3), cut across z so that they end on their planes."""
+    x, y = radius_mm * circle(_TUBE_SIDES)
+    ring = np.stack([x, y, np.zeros(_TUBE_SIDES)], axis=-1)
+    rays, corners, _ = paths.shape
+    vertices = (paths[:, :, None] + ring).reshape(-1, 3)
+    first = _TUBE_SIDES * np.arange(rays * corners).reshape(rays, corners)[:, :-1]
+    # A failed ray's last corners coincide; nothing is drawn between these.
+    first = first[np.any(np.diff(paths, axis=1) != 0.0, axis=-1)][:, None]
+    here = np.arange(_TUBE_SIDES)
+    after = (here + 1) % _TUBE_SIDES
+    back = first + _TUBE_SIDES
+    faces = np.stack(
+        [first + here, first + after, back + after, first + here, back + after, back + here], axis=-1
+    )
+    return vertices, faces.reshape(-1, 3)

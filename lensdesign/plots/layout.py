@@ -1,0 +1,343 @@
+"""The layout of a lens: meridional section with rays, object, stop, sensor planes and scale (Fig. 2b).
+
+The scale, in mm to the inch, is chosen first, so that labels can be laid out before anything is drawn: those
+of stop and sensor planes in rows above the lens, those of the glass below it, pushed apart until none touches
+another, each with a dotted line to what it names.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import Element, glass_elements
+from lensdesign.plots.charts import TITLE_POINTS, lens_name, text_inches
+from lensdesign.raytrace.bundles import pupil_fan
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+RAYS_PER_FIELD = 11
+THIN, THICK = 0.8, 2.0
+"""Line widths in points: outlines and rays; planes, ground edges and the scale bar."""
+
+LABEL_POINTS = 8.0
+_GLASS, _INK, _FAINT, _PAPER = "#CFE3F1", "#333333", "#8A8A8A", "#FFFFFF"
+
+_MOST_INCHES = (9.3, 7.0)
+"""Largest width and height of what is drawn; labels come on top."""
+_LEAST_INCHES = (6.4, 1.2)
+_MARGINS_INCHES = {"left": 0.38, "right": 0.08, "bottom": 0.86, "top": 0.34}
+"""Room for the names of the axes, legend and title; on the left, that for the numbers comes on top."""
+_ROW_INCHES = 0.17
+_GAP_INCHES = 0.1
+_LONGEST_NAME = 24
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What of the plane is shown, in mm, and how many mm go to the inch."""
+
+    left: float
+    right: float
+    reach: float
+    scale: float
+
+
+@dataclass(frozen=True)
+class _Label:
+    """Text about a place on the lens: where (z, y) its dotted line starts."""
+
+    text: str
+    z: float
+    y: float
+    is_math: bool = False
+
+
+def layout_figure(lens: Lens) -> Figure:
+    """Meridional section with rays of three fields, object and sensor planes, stop and scale (Fig. 2b).
+
+    Surfaces without a semi-diameter are drawn as large as their footprint. Failed rays end where they
+    failed. An object too small to be seen is drawn 2 points high.
+
+    Raises
+    ------
+    InputError
+        If a surface's size is neither given nor can be had from rays.
+    """
+    lens = sized_lens(lens)
+    elements = glass_elements(lens)
+    fans = [
+        ray_paths(lens, (0.0, share * lens.half_field_mm), pupil_fan(RAYS_PER_FIELD).points)
+        for share in FIELD_SHARES
+    ]
+    frame = _frame(lens, elements, fans)
+    above, below = _rows(_labels_above(lens), frame), _rows(_labels_below(lens, elements), frame)
+    # One row more below, for the scale bar.
+    figure, axes = _figure(frame, len(above) + 0.4, len(below) + 1.6)
+    _draw_glass(axes, elements)
+    _draw_rays(axes, lens, fans, frame)
+    _draw_stop(axes, lens, frame)
+    _draw_planes(axes, lens, frame)
+    _draw_labels(axes, above, frame, 1.0)
+    _draw_labels(axes, below, frame, -1.0)
+    _draw_scale_bar(axes, frame)
+    _draw_title(figure, lens)
+    figure.legend(
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.04 / figure.get_figheight()),
+        ncols=len(FIELD_SHARES),
+        frameon=False,
+        fontsize=9,
+    )
+    return figure
+
+
+def _figure(frame: _Frame, rows_above: float, rows_below: float) -> tuple[Figure, Axes]:
+    """An empty figure of the frame's scale, with room for rows of labels, and its axes."""
+    from matplotlib.figure import Figure
+
+    bands = np.array([rows_below, rows_above]) * _ROW_INCHES + _GAP_INCHES
+    inner = np.array([frame.right - frame.left, 2.0 * frame.reach]) / frame.scale + [0.0, bands.sum()]
+    # Numbers keep clear of the corners, where those of the two axes would meet.
+    at_z = _ticks(frame.left + 0.2 * frame.scale, frame.right - 0.25 * frame.scale)
+    at_y = _ticks(-frame.reach, frame.reach)
+    m = _MARGINS_INCHES
+    left = m["left"] + max(text_inches(text, LABEL_POINTS)[0] for text in at_y.values())
+    outer = inner + np.array([left + m["right"], m["bottom"] + m["top"]])
+    figure = Figure(figsize=tuple(outer), facecolor=_PAPER)
+    axes = figure.add_axes((left / outer[0], m["bottom"] / outer[1], *(inner / outer)))
+    axes.set_aspect("equal")
+    low, high = np.array([-frame.reach, frame.reach]) + frame.scale * bands * [-1.0, 1.0]
+    axes.set(xlim=(frame.left, frame.right), ylim=(low, high))
+    axes.set_xlabel("z (mm)", fontsize=9)
+    axes.set_ylabel("y (mm)", fontsize=9)
+    axes.set_xticks([*at_z], [*at_z.values()])
+    axes.set_yticks([*at_y], [*at_y.values()])
+    axes.tick_params(labelsize=LABEL_POINTS, direction="in")
+    return figure, axes
+
+
+def _frame(lens: Lens, elements: Sequence[Element], fans: Sequence[Array]) -> _Frame:
+    solid = max(
+        0.5 * lens.sensor.size_mm[1],
+        max(float(element.outline()[:, 0].max()) for element in elements),
+        max(s.semi_diameter_mm or 0.0 for s in lens.surfaces),
+        lens.half_field_mm,
+    )
+    # Rays that fly far beyond everything are cut off.
+    rays = max(float(np.max(np.abs(paths[..., 1]))) for paths in fans)
+    reach = 1.04 * min(max(solid, rays), 1.4 * solid)
+    first, last = _ends(lens, elements)
+    # Names of planes close to the last one spread to both sides of it.
+    crowd = sum(z > last - 0.1 * (last - first) for z in lens.sensor_z_mm)
+    room = text_inches(_object_name(lens).split("\n")[1], LABEL_POINTS)[0] + 0.3, 0.5 * min(max(crowd, 1), 4)
+    width, height = _MOST_INCHES
+    scale = max((last - first) / (width - sum(room)), 2.0 * reach / height)
+    left, right = first - scale * room[0], last + scale * room[1]
+    spare = 0.5 * max(0.0, scale * _LEAST_INCHES[0] - (right - left))
+    return _Frame(left - spare, right + spare, max(reach, 0.5 * scale * _LEAST_INCHES[1]), scale)
+
+
+def _ticks(low: float, high: float) -> dict[float, str]:
+    """Round numbers from `low` to `high`, and how they are written."""
+    from matplotlib.ticker import MaxNLocator
+
+    values = np.asarray(MaxNLocator(7, steps=[1, 2, 5, 10]).tick_values(low, high))
+    return {v: f"{v:.6g}".replace("-", "−") for v in values.tolist() if low <= v <= high}
+
+
+def _ends(lens: Lens, elements: Sequence[Element]) -> tuple[float, float]:
+    outlines = np.concatenate([element.outline()[:, 1] for element in elements])
+    return min(lens.object_z_mm, float(outlines.min())), max(lens.sensor_z_mm[-1], float(outlines.max()))
+
+
+def _object_name(lens: Lens) -> str:
+    return f"object\nØ {lens.object.field_diameter_mm:g} mm"
+
+
+def _labels_above(lens: Lens) -> list[_Label]:
+    """Of the stop and the sensor planes, by z."""
+    half = 0.5 * lens.sensor.size_mm[1]
+    z, rim = _stop_rim(lens)
+    found = [_Label("stop", z, rim)]
+    for number, distance in enumerate(lens.sensor.plane_distances_mm, start=1):
+        z = lens.exit_vertex_z_mm + distance
+        found.append(_Label(f"$H_{{{number}}}$ = {distance:g} mm", z, half, is_math=True))
+    return sorted(found, key=lambda label: label.z)
+
+
+def _labels_below(lens: Lens, elements: Sequence[Element]) -> list[_Label]:
+    """Of the glasses, by z."""
+    found = []
+    for element in elements:
+        name = " ".join(str(lens.surfaces[element.surfaces[0]].material).split())
+        if len(name) > _LONGEST_NAME:
+            name = name[: _LONGEST_NAME - 1] + "…"
+        outline = element.outline()
+        widest = float(outline[:, 0].max())
+        edge = outline[outline[:, 0] >= widest * (1.0 - 1e-9), 1]
+        found.append(_Label(name, float(0.5 * (edge.min() + edge.max())), -widest))
+    return found
+
+
+def _rows(labels: Sequence[_Label], frame: _Frame) -> list[list[tuple[_Label, float]]]:
+    """Labels with the z of their middles, in as few rows as hold them; those of each row do not touch."""
+    widths = np.array(
+        [text_inches(label.text, LABEL_POINTS, label.is_math)[0] + _GAP_INCHES for label in labels]
+    )
+    room = (frame.right - frame.left) / frame.scale - _GAP_INCHES
+    count = 1
+    while max(widths[row::count].sum() for row in range(count)) > room and count < len(labels):
+        count += 1
+    rows = []
+    for row in range(count):
+        own, half = labels[row::count], 0.5 * widths[row::count]
+        asked = np.array([(label.z - frame.left) / frame.scale for label in own])
+        middles = frame.left + frame.scale * _spread(asked, half, 0.5 * _GAP_INCHES, room + 0.5 * _GAP_INCHES)
+        rows.append(list(zip(own, middles.tolist(), strict=True)))
+    return rows
+
+
+def _spread(asked: Array, half: Array, low: float, high: float) -> Array:
+    """Middles of intervals of given half widths, near where they are asked for, that do not overlap.
+
+    Groups that touch are moved together to the mean of what their members ask for, as regression with an
+    order among the values does (pool adjacent violators); `asked` rises.
+    """
+    offsets = np.concatenate([[0.0], np.cumsum(half[:-1] + half[1:])])
+    groups: list[tuple[float, int]] = []
+    for value in asked - offsets:
+        group = (float(value), 1)
+        while groups and groups[-1][0] > group[0]:
+            mean, count = groups.pop()
+            total = count + group[1]
+            group = ((mean * count + group[0] * group[1]) / total, total)
+        groups.append(group)
+    starts = np.repeat([mean for mean, _ in groups], [count for _, count in groups])
+    return np.clip(starts, low + half[0], high - half[-1] - offsets[-1]) + offsets
+
+
+def _stop_rim(lens: Lens) -> tuple[float, float]:
+    radius = lens.stop_semi_diameter_mm
+    z = lens.vertex_z_mm[lens.stop_index] + float(lens.surfaces[lens.stop_index].sag_mm(radius))
+    return float(z), radius
+
+
+def _draw_glass(axes: Axes, elements: Sequence[Element]) -> None:
+    for element in elements:
+        outline = element.outline()
+        axes.fill(*_mirrored(outline).T, facecolor=_GLASS, edgecolor=_INK, lw=THIN, zorder=2)
+        edge = outline[outline[:, 0] >= element.edge_mm]
+        for sign in (1.0, -1.0):
+            axes.plot(edge[:, 1], sign * edge[:, 0], color=_INK, lw=THICK, solid_capstyle="butt", zorder=5)
+
+
+def _mirrored(outline: Array) -> Array:
+    """A meridian (r, z) and its mirror image as one closed polygon (z, y)."""
+    upper = outline[:, ::-1]
+    return np.concatenate([upper, upper[::-1] * [1.0, -1.0]])
+
+
+def _draw_rays(axes: Axes, lens: Lens, fans: Sequence[Array], frame: _Frame) -> None:
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Rectangle
+
+    window = Rectangle(
+        (frame.left, -frame.reach), frame.right - frame.left, 2.0 * frame.reach, transform=axes.transData
+    )
+    for share, color, paths in zip(FIELD_SHARES, FIELD_COLORS, fans, strict=True):
+        label = f"field height {share * lens.half_field_mm:.3g} mm"
+        lines = LineCollection(
+            [p[:, [2, 1]] for p in paths], colors=color, linewidths=THIN, zorder=3, label=label
+        )
+        axes.add_collection(lines, autolim=False)
+        lines.set_clip_path(window)
+
+
+def _draw_stop(axes: Axes, lens: Lens, frame: _Frame) -> None:
+    """Two wedges that point at the rim of the stop."""
+    z, radius = _stop_rim(lens)
+    half, length = 0.05 * frame.scale, 0.16 * frame.scale
+    for sign in (1.0, -1.0):
+        wedge = [
+            (z, sign * radius),
+            (z - half, sign * (radius + length)),
+            (z + half, sign * (radius + length)),
+        ]
+        axes.fill(*zip(*wedge, strict=True), color="black", lw=0.0, zorder=6)
+
+
+def _draw_planes(axes: Axes, lens: Lens, frame: _Frame) -> None:
+    """Object and sensor planes as far as they reach."""
+    line: dict[str, Any] = {"color": _INK, "lw": THICK, "solid_capstyle": "butt", "zorder": 4}
+    half = max(lens.half_field_mm, frame.scale / 72.0)
+    axes.plot([lens.object_z_mm] * 2, [-half, half], **line)
+    half = 0.5 * lens.sensor.size_mm[1]
+    for z in lens.sensor_z_mm:
+        axes.plot([z, z], [-half, half], **line)
+    axes.plot([lens.object_z_mm, lens.sensor_z_mm[-1]], [0.0, 0.0], "-.", color=_FAINT, lw=THIN, zorder=0)
+    axes.annotate(
+        _object_name(lens),
+        (lens.object_z_mm, 0.0),
+        xytext=(-5, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=LABEL_POINTS,
+    )
+
+
+def _draw_labels(axes: Axes, rows: Sequence[Any], frame: _Frame, sign: float) -> None:
+    """Rows of labels outwards from the lens, above it (sign 1) or below (-1), with their dotted lines."""
+    near = sign * (frame.reach + frame.scale * _GAP_INCHES)
+    for number, row in enumerate(rows):
+        y = near + sign * frame.scale * _ROW_INCHES * (number + 0.5)
+        for label, middle in row:
+            ends = [label.y, sign * frame.reach, near, y]
+            axes.plot([label.z, label.z, middle, middle], ends, ":", color=_FAINT, lw=THIN, zorder=1)
+            axes.text(
+                middle,
+                y,
+                label.text,
+                ha="center",
+                va="center",
+                fontsize=LABEL_POINTS,
+                parse_math=label.is_math,
+                bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.5},
+                zorder=7,
+            )
+
+
+def _draw_title(figure: Figure, lens: Lens) -> None:
+    """Which lens it is and whose light, cut where there is no room for all of its title."""
+    light = f"; light of {lens.wavelengths_um[0]:.4g} µm"
+    title = lens_name(lens, figure.get_figwidth() - text_inches(light, TITLE_POINTS)[0]) + light
+    y = 1.0 - 0.5 * _MARGINS_INCHES["top"] / figure.get_figheight()
+    figure.text(0.5, y, title, ha="center", va="center", fontsize=TITLE_POINTS, parse_math=False)
+
+
+def _draw_scale_bar(axes: Axes, frame: _Frame) -> None:
+    asked = 1.4 * frame.scale
+    exponent = 10.0 ** math.floor(math.log10(asked))
+    bar = max(s * exponent for s in (1.0, 2.0, 5.0) if s * exponent <= asked)
+    left, y = frame.left + 0.15 * frame.scale, axes.get_ylim()[0] + 0.1 * frame.scale
+    axes.plot([left, left + bar], [y, y], color=_INK, lw=THICK, solid_capstyle="butt")
+    axes.annotate(
+        f"{bar:g} mm",
+        (left + 0.5 * bar, y),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=LABEL_POINTS,
+    )

@@ -1,0 +1,172 @@
+"""What stands in a picture of the whole system: glass, stop, object, sensor planes, rays.
+
+The one description that the rendered view, the window, the page for browsers and the GLB scene all show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.analysis.outline import drawn_outline
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import closed_elements
+from lensdesign.manufacture.mesh.mesh import lens_mesh
+from lensdesign.manufacture.mesh.rings import circle
+from lensdesign.raytrace.bundles import pupil_hexapolar
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+
+if TYPE_CHECKING:
+    import trimesh
+
+Faces = NDArray[np.int64]
+
+PUPIL_RINGS = 2
+"""Rings of stop points from which each field's rays come."""
+
+SHARP_DEG = 15.0
+"""Where the faces of a body meet at a larger angle than this, there is an edge to draw."""
+
+_RIM_SHARE = 0.012
+"""Radius of the ring's wire that stands for the stop, as a share of the stop's semi-diameter."""
+
+_NO_VERTICES, _NO_FACES = np.empty((0, 3)), np.empty((0, 3), np.int64)
+_NO_LINES = np.empty((0, 2, 3))
+
+
+@dataclass(frozen=True)
+class ScenePart:
+    """One thing in the scene.
+
+    Attributes
+    ----------
+    name
+        Such as ``element_1_N-BK7`` or ``sensor_plane_2``.
+    kind
+        ``glass``, ``stop``, ``object``, ``plane`` or ``rays``.
+    label
+        Name for readers.
+    color, opacity
+        Of its faces, and of lines whose kind has no edge colour of its own.
+    vertices, faces
+        Triangles, in mm; none for rays.
+    lines
+        Polylines in mm, shape (lines, points, 3): rays, or the edges of a body.
+    glass
+        Name of the material; empty for all but glass.
+    """
+
+    name: str
+    kind: str
+    label: str
+    color: str
+    opacity: float
+    vertices: Array
+    faces: Faces
+    lines: Array
+    glass: str = ""
+
+    @property
+    def label_below(self) -> bool:
+        """Whether the label stands below the part rather than above it."""
+        return self.kind in ("glass", "object")
+
+
+def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
+    """Glass, stop, object, sensor planes and rays of three fields, in this order.
+
+    Parameters
+    ----------
+    lens
+        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint. Its
+        glass has the outline of :func:`lensdesign.analysis.outline.drawn_outline`.
+    chord_error_um
+        Of the glass, as :func:`lensdesign.manufacture.mesh.mesh.lens_mesh` takes it.
+
+    Raises
+    ------
+    InputError
+        If an element does not close.
+    """
+    lens = sized_lens(lens)
+    return [
+        *_glass(drawn_outline(lens).lens, chord_error_um),
+        _stop(lens),
+        _object(lens),
+        *_planes(lens),
+        *_rays(lens),
+    ]
+
+
+def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
+    for element in closed_elements(lens):
+        glass, number = str(lens.surfaces[element.surfaces[0]].material), element.number + 1
+        mesh = lens_mesh(lens, chord_error_um, element.number).mesh
+        yield ScenePart(
+            f"element_{number}_{glass}",
+            "glass",
+            f"element {number}: {glass}",
+            "#A9D3EE",
+            0.4,
+            mesh.vertices,
+            mesh.faces,
+            _sharp_edges(mesh),
+            glass,
+        )
+
+
+def _sharp_edges(mesh: trimesh.Trimesh) -> Array:
+    sharp = mesh.face_adjacency_angles > math.radians(SHARP_DEG)
+    return np.asarray(mesh.vertices[mesh.face_adjacency_edges[sharp]], float)
+
+
+def _stop(lens: Lens) -> ScenePart:
+    """A torus round the rim of the stop surface."""
+    import trimesh
+
+    semi = lens.stop_semi_diameter_mm
+    z = float(lens.vertex_z_mm[lens.stop_index] + lens.surfaces[lens.stop_index].sag_mm(semi))
+    wire = _RIM_SHARE * semi
+    torus = trimesh.creation.torus(semi + wire, wire, major_sections=96, minor_sections=12)
+    vertices = torus.vertices + np.array([0.0, 0.0, z])
+    label = f"stop Ø {2.0 * semi:.4g} mm"
+    return ScenePart("stop_ring", "stop", label, "#333333", 1.0, vertices, torus.faces, _NO_LINES)
+
+
+def _object(lens: Lens) -> ScenePart:
+    count, radius, z = 96, lens.half_field_mm, lens.object_z_mm
+    x, y = radius * circle(count)
+    vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([x, y, np.full(count, z)], axis=-1)])
+    here = 1 + np.arange(count)
+    faces = np.stack([np.zeros_like(here), here, np.roll(here, -1)], axis=-1)
+    rim = vertices[[*here.tolist(), 1]][None]
+    label = f"object Ø {lens.object.field_diameter_mm:g} mm"
+    return ScenePart("object_disc", "object", label, "#E6B800", 1.0, vertices, faces, rim)
+
+
+def _planes(lens: Lens) -> Iterator[ScenePart]:
+    half_x, half_y = (0.5 * side for side in lens.sensor.size_mm)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    pairs = zip(lens.sensor_z_mm, lens.sensor.plane_distances_mm, strict=True)
+    for number, (z, distance) in enumerate(pairs, start=1):
+        corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
+        vertices = np.array([(x, y, z) for x, y in corners])
+        border = vertices[[[0, 1, 2, 3, 0]]]
+        label = f"H{number} = {distance:g} mm"
+        name = f"sensor_plane_{number}"
+        yield ScenePart(name, "plane", label, "#707070", 0.25, vertices, faces, border)
+
+
+def _rays(lens: Lens) -> Iterator[ScenePart]:
+    pupil = pupil_hexapolar(PUPIL_RINGS).points
+    for share, color in zip(FIELD_SHARES, FIELD_COLORS, strict=True):
+        height = share * lens.half_field_mm
+        paths = ray_paths(lens, (0.0, height), pupil)
+        name, label = f"rays_{height:g}_mm", f"field height {height:.3g} mm"
+        yield ScenePart(name, "rays", label, color, 1.0, _NO_VERTICES, _NO_FACES, paths)

@@ -1,0 +1,225 @@
+"""The lens with its rays, object and sensor planes in 3D: as a picture, and in a window that turns.
+
+Off-screen rendering needs OpenGL libraries, and a window a display; where they are missing, the library that
+renders brings the whole process down. So a child process renders first, or opens the window.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, TransferLensError, atomic_path
+from lensdesign.lens.lens import Lens
+from lensdesign.plots.labels import PlacedLabel, placed_labels
+from lensdesign.plots.scene import SHARP_DEG, ScenePart, scene_parts
+
+if TYPE_CHECKING:
+    import pyvista
+
+PROBE = """
+import pyvista
+plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
+plotter.add_mesh(pyvista.Cube())
+image = plotter.screenshot(None, return_img=True)
+raise SystemExit(0 if image.std() > 1.0 else 1)
+"""
+PROBE_SECONDS = 60.0
+
+VIEW_CHORD_SHARE = 2e-4
+"""Chord error of the glass in pictures, as a share of the stop's semi-diameter."""
+
+GLASS_OPACITY = 0.3
+
+
+class RenderingError(TransferLensError):
+    """No 3D view can be rendered on this machine."""
+
+
+@cache
+def rendering_available() -> bool:
+    """Whether this machine renders off-screen: a child process draws a cube, once per process."""
+    try:
+        child = subprocess.run(
+            [sys.executable, "-c", PROBE], timeout=PROBE_SECONDS, capture_output=True, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return child.returncode == 0
+
+
+def render_lens(
+    lens: Lens, path: str | os.PathLike[str], window_size_px: tuple[int, int] = (1800, 1200)
+) -> None:
+    """Render the translucent lens with rays of three fields, object disc and sensor planes, as PNG.
+
+    Parameters
+    ----------
+    lens
+        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
+    path
+        PNG file to write.
+    window_size_px
+        Width and height of the picture.
+
+    Raises
+    ------
+    RenderingError
+        If this machine cannot render.
+    InputError
+        If an element does not close, or the file cannot be written.
+    """
+    parts = scene_parts(lens, 1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    if not rendering_available():
+        raise RenderingError("no off-screen rendering on this machine (OpenGL libraries missing?)")
+    with _quiet_vtk():
+        plotter = _plotter(parts, window_size_px, off_screen=True)
+        try:
+            with atomic_path(path) as temporary:
+                plotter.screenshot(str(temporary))
+                if not temporary.stat().st_size:  # VTK says nothing where it cannot write
+                    raise InputError(f"cannot write {path}: the picture is empty; is the disk full?")
+        finally:
+            plotter.close()
+
+
+def show_lens(lens: Lens) -> None:
+    """Open a window with what :func:`render_lens` renders, and return when it is closed.
+
+    Without a display this ends the process on some machines; :func:`lensdesign.plots.window.open_window`
+    is safe.
+
+    Raises
+    ------
+    InputError
+        If an element does not close.
+    """
+    parts = scene_parts(lens, 1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    plotter = _plotter(parts, (1200, 800), off_screen=False)
+    plotter.add_axes(xlabel="x", ylabel="y", zlabel="z")
+    plotter.show(title=lens.title or "Lens")
+
+
+@contextmanager
+def _quiet_vtk() -> Iterator[None]:
+    """VTK says on standard error that there is no X server, and then renders without one."""
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+    try:
+        yield
+    finally:
+        vtkLogger.SetStderrVerbosity(before)
+
+
+def _plotter(
+    parts: Sequence[ScenePart], window_size_px: tuple[int, int], off_screen: bool
+) -> pyvista.Plotter:
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size_px), lighting="light kit")
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("ssaa")
+    for part in parts:
+        if part.glass:
+            _add_glass(plotter, part)
+        elif len(part.faces):
+            faces = pyvista.PolyData.from_regular_faces(part.vertices, part.faces)
+            plotter.add_mesh(faces, color=part.color, opacity=part.opacity, lighting=False)
+        if len(part.lines):
+            color, width = _LINES.get(part.kind, (part.color, 3.0))
+            plotter.add_mesh(_polylines(part.lines), color=color, line_width=width, lighting=False)
+    screen, type_mm = _place_camera(plotter, parts)
+    _add_labels(plotter, placed_labels(parts, screen, type_mm))
+    plotter.reset_camera_clipping_range()
+    return plotter
+
+
+_ROOM = 1.14
+"""Of the picture, over what the scene takes: labels stand about it."""
+
+_LEADER = {"color": "#8A8A8A", "line_width": 2.0, "lighting": False}
+
+_LINES = {"glass": ("#4A7FA5", 4.0), "plane": ("#404040", 4.0)}
+"""Colour and width of the edges of bodies; rays have their own colour."""
+
+
+def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
+    import pyvista
+
+    plotter.add_mesh(
+        pyvista.PolyData.from_regular_faces(part.vertices, part.faces),
+        color=part.color,
+        opacity=GLASS_OPACITY,
+        ambient=0.45,
+        smooth_shading=True,
+        split_sharp_edges=True,
+        feature_angle=SHARP_DEG,
+        specular=0.5,
+        specular_power=40,
+    )
+
+
+def _add_labels(plotter: pyvista.Plotter, labels: Sequence[PlacedLabel]) -> None:
+    for below in (False, True):
+        plotter.add_point_labels(
+            [label.end for label in labels if label.part.label_below == below],
+            # VTK would take what stands between dollar signs for mathematics.
+            [label.part.label.replace("$", "") for label in labels if label.part.label_below == below],
+            show_points=False,
+            always_visible=True,
+            shape=None,
+            bold=False,
+            text_color="#333333",
+            font_size=_type_pixels(plotter),
+            justification_horizontal="center",
+            justification_vertical="top" if below else "bottom",
+        )
+    for label in labels:
+        if np.linalg.norm(label.end - label.foot) > 0.0:
+            plotter.add_mesh(_polylines(np.stack([label.foot, label.end])[None]), **_LEADER)
+
+
+def _type_pixels(plotter: pyvista.Plotter) -> int:
+    return round(plotter.window_size[0] / 70)
+
+
+def _polylines(lines: NDArray[np.float64]) -> pyvista.PolyData:
+    import pyvista
+
+    count, corners, _ = lines.shape
+    numbers = np.arange(count * corners).reshape(count, corners)
+    cells = np.column_stack([np.full(count, corners), numbers])
+    return pyvista.PolyData(lines.reshape(-1, 3), lines=cells.ravel())
+
+
+def _place_camera(plotter: pyvista.Plotter, parts: Sequence[ScenePart]) -> tuple[Array, float]:
+    """Light runs from left to right, y is up, seen from the side, the front and above; all in view.
+
+    Returns what of the scene lies to the right and up on the screen, and the size of type in mm.
+    """
+    towards = np.array([-0.80, 0.34, -0.50])
+    towards /= np.linalg.norm(towards)
+    right = np.cross([0.0, 1.0, 0.0], towards)
+    right /= np.linalg.norm(right)
+    up = np.cross(towards, right)
+    points = [at.reshape(-1, 3) for part in parts for at in (part.vertices, part.lines)]
+    across = np.concatenate(points) @ np.stack([right, up, towards], axis=-1)
+    middle, half = 0.5 * (across.max(axis=0) + across.min(axis=0)), 0.5 * np.ptp(across, axis=0)
+    focus = middle @ np.stack([right, up, towards])
+    plotter.enable_parallel_projection()
+    plotter.camera_position = [focus + 4.0 * np.linalg.norm(half) * towards, focus, up]
+    width, height = plotter.window_size
+    plotter.camera.parallel_scale = _ROOM * max(half[1], half[0] * height / width)
+    plotter.reset_camera_clipping_range()
+    return np.stack([right, up]), 2.0 * plotter.camera.parallel_scale / height * _type_pixels(plotter)

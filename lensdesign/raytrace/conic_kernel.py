@@ -1,0 +1,164 @@
+"""Steps of the ray kernel that have a closed form: through a conic, and on to a plane.
+
+A conic takes a block of rays from one array to another as if all of them got through: in loops without
+branches, which the compiler vectorizes. It leaves margins, and counts the rays whose margin is not above 0.
+Where there are such, or rays that failed before, a second step says why and puts back what failed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from lensdesign.raytrace.cached_kernels import cached_njit
+
+BLOCK = 128
+X, Y, Z, L, M, N, OPL = range(0, 7 * BLOCK, BLOCK)
+OK, MISSED, CLIPPED, TOTAL_REFLECTION, NOT_CONVERGED = range(5)
+
+_jit = cached_njit(nogil=True, error_model="numpy")
+_inline = cached_njit(nogil=True, error_model="numpy", inline="always")
+
+
+@_inline
+def _meet(x, y, z, dx, dy, dz, c, k):
+    """Distance of a ray to a conic, and the square that is negative where it misses.
+
+    Its root is the product of the ray's direction and the conic's normal (-c x, -c y, 1 - (1 + k) c z).
+    """
+    q = 1.0 + k
+    qa = c * (1.0 + k * dz * dz)
+    qb = dz - c * (x * dx + y * dy + q * z * dz)
+    qc = c * (x * x + y * y + q * z * z) - 2.0 * z
+    square = qb * qb - qa * qc
+    root = math.sqrt(square)
+    stable = qb >= 0.0
+    t = (qc if stable else qb - root) / (qb + root if stable else qa)
+    return t, square
+
+
+@_inline
+def _at(x, y, z, c, k, ratio, square):
+    """Of a point on a conic: squared distance to the axis, the normal's z and its squared length.
+
+    Last the squared product of the normal and the direction behind, negative in total reflection.
+    """
+    upright = 1.0 - (1.0 + k) * c * z
+    r2 = x * x + y * y
+    normal2 = c * c * r2 + upright * upright
+    return r2, upright, normal2, normal2 * (1.0 - ratio * ratio) + ratio * ratio * square
+
+
+@_jit
+def conic_distance(x, y, z, dx, dy, dz, c, k):
+    """Distance of a ray to a conic, and whether it meets it."""
+    t, square = _meet(x, y, z, dx, dy, dz, c, k)
+    if not (square >= 0.0 and abs(t) < math.inf):
+        return 0.0, False
+    return t, 1.0 - (1.0 + k) * c * (z + t * dz) > 0.0
+
+
+@_jit
+def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
+    """Intersect and refract at a plane, sphere or conic with its vertex on the axis, at z0.
+
+    The first third of `work` gets the margins; returns how many are not above 0. Three short loops, since in
+    a long one the processor waits for roots and quotients.
+    """
+    uncertain = 0
+    for i in range(count):
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
+        t, square = _meet(x, y, z, ray[L + i], ray[M + i], ray[N + i], c, k)
+        work[i] = square
+        work[BLOCK + i] = t
+        work[2 * BLOCK + i] = ratio * math.sqrt(square)
+    for i in range(count):
+        square, t = work[i], work[BLOCK + i]
+        x = ray[X + i] + t * ray[L + i]
+        y = ray[Y + i] + t * ray[M + i]
+        z = ray[Z + i] - z0 + t * ray[N + i]
+        r2, upright, normal2, square_out = _at(x, y, z, c, k, ratio, square)
+        gain = (math.sqrt(square_out) - work[2 * BLOCK + i]) / normal2
+        within = limit - r2
+        least = upright if upright < within else within
+        least = least if least < square_out else square_out  # NaN, too
+        uncertain += 0 if least > 0.0 else 1
+        after[X + i] = x
+        after[Y + i] = y
+        after[Z + i] = z + z0
+        after[OPL + i] = ray[OPL + i] + n1 * t
+        work[i] = least
+        work[BLOCK + i] = gain * c
+        work[2 * BLOCK + i] = gain * upright
+    for i in range(count):
+        after[L + i] = ratio * ray[L + i] - work[BLOCK + i] * after[X + i]
+        after[M + i] = ratio * ray[M + i] - work[BLOCK + i] * after[Y + i]
+        after[N + i] = ratio * ray[N + i] + work[2 * BLOCK + i]
+    return uncertain
+
+
+@_jit
+def settle_conic(ray, after, work, state, surface, z0, c, k, ratio, limit, count):
+    """Put back what failed at a conic, or before; returns how many rays have failed."""
+    for i in range(count):
+        if state[i] != OK or work[i] > 0.0:
+            continue
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
+        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
+        t, square = _meet(x, y, z, dx, dy, dz, c, k)
+        x, y, z = x + t * dx, y + t * dy, z + t * dz
+        r2, upright, _, square_out = _at(x, y, z, c, k, ratio, square)
+        if not (square >= 0.0 and abs(t) < math.inf and upright > 0.0):
+            state[i] = MISSED
+        elif r2 > limit:
+            state[i] = CLIPPED
+        elif square_out < 0.0:
+            state[i] = TOTAL_REFLECTION
+        else:
+            continue
+        state[BLOCK + i] = surface
+        if state[i] != MISSED:
+            ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + z0
+            ray[OPL + i] = after[OPL + i]
+    return _put_back(ray, after, state, count)
+
+
+@_jit
+def _put_back(ray, after, state, count):
+    """Leave rays that failed as they were; returns how many there are."""
+    failed = 0
+    for i in range(count):
+        failed += 0 if state[i] == OK else 1
+    for part in range(7):
+        old, new = ray[part * BLOCK : part * BLOCK + count], after[part * BLOCK : part * BLOCK + count]
+        for i in range(count):
+            a, b = new[i], old[i]
+            new[i] = a if state[i] == OK else b
+    return failed
+
+
+@_jit
+def to_plane(ray, state, lost, surfaces, plane_z, n, count):
+    """Take rays to a plane across the axis; returns how many have failed, of which `lost` before."""
+    for i in range(count):
+        lost += 0 if ray[N + i] > 0.0 else 1
+    if lost == 0:
+        for i in range(count):
+            t = (plane_z - ray[Z + i]) / ray[N + i]
+            ray[X + i] += t * ray[L + i]
+            ray[Y + i] += t * ray[M + i]
+            ray[Z + i] = plane_z
+            ray[OPL + i] += n * t
+        return 0
+    for i in range(count):
+        x, y, z, path, what = ray[X + i], ray[Y + i], ray[Z + i], ray[OPL + i], state[i]
+        where, dz = state[BLOCK + i], ray[N + i]
+        forward = (what == OK) & (dz > 0.0)
+        astray = (what == OK) & (not dz > 0.0)
+        t = (plane_z - z) / dz
+        ray[X + i] = x + t * ray[L + i] if forward else x
+        ray[Y + i] = y + t * ray[M + i] if forward else y
+        ray[Z + i] = plane_z if forward else z
+        ray[OPL + i] = path + n * t if forward else path
+        state[i] = MISSED if astray else what
+        state[BLOCK + i] = surfaces if astray else where
+    return lost

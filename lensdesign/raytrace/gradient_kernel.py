@@ -1,0 +1,201 @@
+"""Rays of a centred lens with their exact derivatives by design variables (forward mode), in Numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lensdesign.lens.shapes import compiled as shapes
+from lensdesign.lens.shapes import intersection
+from lensdesign.raytrace import conic_kernel, kernel
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
+from lensdesign.raytrace.conic_kernel import MISSED, NOT_CONVERGED, OK, TOTAL_REFLECTION, conic_distance
+from lensdesign.raytrace.kernel import CONIC, newton
+
+SHAPE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(5)
+
+_jit = cached_njit(nogil=True, error_model="numpy")
+
+
+@_jit
+def gradient_kernel(
+    origins,
+    directions,
+    vertex,
+    codes,
+    starts,
+    terms,
+    index,
+    planes,
+    kind,
+    where,
+    term,
+    values,
+    derivatives,
+    status,
+    failed,
+):
+    """Trace rays one by one, each with its derivatives.
+
+    For n rays, s surfaces, p planes and v variables: `values` (n, s + 1 + p, 2) is filled with x and y
+    on every surface, then the direction cosines behind the lens, then x and y on every plane;
+    `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
+    Variable j is described by kind[j], where[j] (a surface) and term[j] (a term of its shape).
+    `codes` are None where all surfaces are conics: other shapes are then not compiled.
+    """
+    rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
+    dp = np.empty((3, variables))
+    dd = np.empty((3, variables))
+    for i in range(rays):
+        p = origins[i].copy()
+        d = directions[i].copy()
+        _launch(p, d, dp, dd, kind)
+        status[i] = OK
+        failed[i] = -1
+        for s in range(surfaces):
+            why = _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s)
+            if why != OK:
+                status[i] = why
+                failed[i] = s
+                break
+            _keep(values, derivatives, i, s, p, dp)
+        if status[i] == OK:
+            _keep(values, derivatives, i, surfaces, d, dd)
+            _planes(p, d, dp, dd, vertex[surfaces - 1], planes, kind, where, values, derivatives, i, surfaces)
+
+
+@_jit
+def _keep(values, derivatives, i, slot, vector, gradient):
+    for a in range(2):
+        values[i, slot, a] = vector[a]
+        for j in range(gradient.shape[1]):
+            derivatives[i, slot, a, j] = gradient[a, j]
+
+
+@_jit
+def _launch(p, d, dp, dd, kind):
+    dp[:] = 0.0
+    dd[:] = 0.0
+    for j in range(kind.shape[0]):
+        if kind[j] == WORKING_DISTANCE:
+            dp[2, j] = -1.0
+        elif kind[j] == LAUNCH_X:
+            dd[0, j] = 1.0
+            dd[2, j] = -d[0] / d[2]
+        elif kind[j] == LAUNCH_Y:
+            dd[1, j] = 1.0
+            dd[2, j] = -d[1] / d[2]
+
+
+@_jit
+def _vertex_motion(kind, where, s):
+    """How fast the vertex of surface s moves along z with a variable."""
+    return 1.0 if kind == THICKNESS and where < s else 0.0
+
+
+@_jit
+def _hit(p, d, codes, s, start, terms):
+    """Distance to surface s from p (in the surface's frame) and what became of the ray."""
+    t, near = conic_distance(p[0], p[1], p[2], d[0], d[1], d[2], start[0], start[1])
+    if not near:
+        return 0.0, MISSED
+    if codes is None:
+        return t, OK
+    if codes[s] == CONIC:
+        return t, OK
+    return newton(p[0], p[1], p[2], d[0], d[1], d[2], t, codes[s], terms)
+
+
+@_jit
+def _bends(codes, s, terms, x, y):
+    """Slopes of surface s along x and y, and its second derivatives."""
+    if codes is None:
+        _, by_x, by_y = shapes.conic_height(terms, x, y)
+        xx, xy, yy = shapes.conic_bend(terms, x, y)
+    else:
+        _, by_x, by_y = shapes.height(codes[s], terms, x, y)
+        xx, xy, yy = shapes.bend(codes[s], terms, x, y)
+    return by_x, by_y, xx, xy, yy
+
+
+@_jit
+def _by_term(codes, s, terms, j, x, y):
+    """How term j changes the height of surface s, and its slopes along x and y."""
+    if codes is None:
+        return shapes.conic_by_term(terms, j, x, y)
+    return shapes.by_term(codes[s], terms, j, x, y)
+
+
+@_jit
+def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s):
+    """Move a ray and its derivatives to surface s and refract them."""
+    own = terms[s]
+    p[2] -= vertex[s]
+    t, why = _hit(p, d, codes, s, starts[s], own)
+    if why != OK:
+        return why
+    for a in range(3):
+        p[a] += t * d[a]
+    by_x, by_y, bend_xx, bend_xy, bend_yy = _bends(codes, s, own, p[0], p[1])
+    nx, ny = -by_x, -by_y
+    along = d[2] + nx * d[0] + ny * d[1]
+    m2 = 1.0 + nx * nx + ny * ny
+    m = math.sqrt(m2)
+    mu = index[s] / index[s + 1]
+    cos_in = along / m
+    square = 1.0 - mu * mu * (1.0 - cos_in * cos_in)
+    if square < 0.0:
+        return TOTAL_REFLECTION
+    if along == 0.0:
+        return NOT_CONVERGED
+    cos_out = math.sqrt(square)
+    bend = (cos_out - mu * cos_in) / m
+    for j in range(kind.shape[0]):
+        sag_j, by_x_j, by_y_j = 0.0, 0.0, 0.0
+        if where[j] == s and kind[j] == SHAPE:
+            sag_j, by_x_j, by_y_j = _by_term(codes, s, own, term[j], p[0], p[1])
+        px = dp[0, j] + t * dd[0, j]
+        py = dp[1, j] + t * dd[1, j]
+        pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], where[j], s)
+        dt = (sag_j - (nx * px + ny * py + pz)) / along
+        px += dt * d[0]
+        py += dt * d[1]
+        pz += dt * d[2]
+        dnx = -(bend_xx * px + bend_xy * py + by_x_j)
+        dny = -(bend_xy * px + bend_yy * py + by_y_j)
+        dm2 = 2.0 * (nx * dnx + ny * dny)
+        dalong = dd[2, j] + dnx * d[0] + nx * dd[0, j] + dny * d[1] + ny * dd[1, j]
+        dcos_in = dalong / m - 0.5 * cos_in * dm2 / m2
+        dcos_out = mu * mu * cos_in * dcos_in / cos_out
+        dbend = (dcos_out - mu * dcos_in) / m - 0.5 * bend * dm2 / m2
+        dp[0, j], dp[1, j] = px, py
+        dp[2, j] = pz + _vertex_motion(kind[j], where[j], s)
+        dd[0, j] = mu * dd[0, j] + dbend * nx + bend * dnx
+        dd[1, j] = mu * dd[1, j] + dbend * ny + bend * dny
+        dd[2, j] = mu * dd[2, j] + dbend
+    d[0] = mu * d[0] + bend * nx
+    d[1] = mu * d[1] + bend * ny
+    d[2] = mu * d[2] + bend
+    p[2] += vertex[s]
+    return OK
+
+
+@_jit
+def _planes(p, d, dp, dd, last, planes, kind, where, values, derivatives, i, surfaces):
+    for q in range(planes.shape[0]):
+        t = (last + planes[q] - p[2]) / d[2]
+        slot = surfaces + 1 + q
+        for a in range(2):
+            values[i, slot, a] = p[a] + t * d[a]
+        for j in range(kind.shape[0]):
+            motion = _vertex_motion(kind[j], where[j], surfaces - 1)
+            dt = (motion - dp[2, j] - t * dd[2, j]) / d[2]
+            for a in range(2):
+                derivatives[i, slot, a, j] = dp[a, j] + t * dd[a, j] + dt * d[a]
+
+
+drop_outdated(
+    gradient_kernel,
+    {__name__, kernel.__name__, conic_kernel.__name__, intersection.__name__} | shapes.SOURCES,
+)

@@ -1,0 +1,246 @@
+"""Rays through the stop of a centred lens, with exact derivatives by its design variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.raytrace.bundles import launch_pairs
+from lensdesign.raytrace.compiled import CompiledSystem
+from lensdesign.raytrace.status import Status
+
+KINDS = ("thickness", "working_distance", "launch_x", "launch_y")
+"""Variables that are no terms of a surface's shape."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A design variable as the rays see it.
+
+    Attributes
+    ----------
+    kind
+        ``thickness`` (mm), ``working_distance`` (mm), or a term of the surface's shape: ``curvature`` (1/mm),
+        ``conic``, ``asphere_4``, ...
+    surface
+        Index of the surface, from 0; unused for the working distance.
+    """
+
+    kind: str
+    surface: int = 0
+
+    @property
+    def of_shape(self) -> bool:
+        """Whether it is a term of the surface's shape."""
+        return self.kind not in KINDS
+
+
+@dataclass(frozen=True)
+class Chain:
+    """How all that is traced follows other variables, w of them; v variables, p planes.
+
+    Attributes
+    ----------
+    variables : ndarray, shape (v, w)
+        Derivatives of the variables.
+    stop : ndarray, shape (w,)
+        Of the stop's semi-diameter.
+    planes : ndarray, shape (p, w)
+        Of the distances of the planes.
+    """
+
+    variables: Array
+    stop: Array
+    planes: Array
+
+    def to_still_planes(self, count: int) -> Chain:
+        """The same with planes that stay where they are."""
+        return replace(self, planes=np.zeros((count, len(self.stop))))
+
+
+@dataclass(frozen=True)
+class GradientTrace:
+    """Rays with their derivatives; n rays, s surfaces, p planes, v variables.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (n, s, 2)
+        x and y on every surface, mm.
+    cosines : ndarray, shape (n, 2)
+        Direction cosines along x and y behind the lens.
+    plane_points : ndarray, shape (n, p, 2)
+        x and y on every plane, mm.
+    heights_by, cosines_by, plane_points_by : ndarray
+        Derivatives, with a last axis of length v.
+    stop_semi_diameter_mm : float
+        Semi-diameter of the stop that the rays fill.
+    stop_semi_diameter_by : ndarray, shape (v,)
+    ok : ndarray of bool, shape (n,)
+        Rays that arrived; the values of others mean nothing.
+    """
+
+    heights: Array
+    cosines: Array
+    plane_points: Array
+    heights_by: Array
+    cosines_by: Array
+    plane_points_by: Array
+    stop_semi_diameter_mm: float
+    stop_semi_diameter_by: Array
+    ok: NDArray[np.bool_]
+
+
+def gradient_trace(
+    system: CompiledSystem,
+    object_z_mm: float,
+    planes_mm: Array,
+    stop_index: int,
+    stop_semi_diameter_mm: float | None,
+    numerical_aperture: float,
+    fields_mm: Array,
+    pupil: Array,
+    variables: tuple[Variable, ...],
+    chain: Chain | None = None,
+) -> GradientTrace:
+    """Trace named rays and differentiate them; each ray keeps its point on the stop.
+
+    Parameters
+    ----------
+    system
+        A centred lens (no trials, no tilts).
+    object_z_mm
+        z of the object plane, in front of the lens.
+    planes_mm
+        Distances of planes from the exit vertex.
+    stop_index, stop_semi_diameter_mm
+        The stop; a semi-diameter of None is worked out so that the axial rim ray starts at the
+        numerical aperture, and then depends on the variables.
+    numerical_aperture
+        Sine of the axial rim ray's angle.
+    fields_mm, pupil
+        Shape (n, 2) each: object point and stop point (as a share of the semi-diameter) of each ray.
+    variables
+        What to differentiate by.
+    chain
+        Where derivatives are wanted by other variables, which these, a stop that is given, and the planes
+        follow.
+
+    Raises
+    ------
+    InputError
+        If a surface has a measured figure, of which no derivatives are known here, or no such term.
+    """
+    if any(system.figures):
+        raise InputError("derivatives of rays are those of nominal surfaces: leave the measured figures out")
+    semi, semi_by, reached = _stop_size(
+        system, object_z_mm, stop_index, stop_semi_diameter_mm, numerical_aperture, variables
+    )
+    origins, directions = launch_pairs(system, fields_mm, pupil, object_z_mm, stop_index, semi)
+    raw = _differentiate(system, origins, directions, planes_mm, variables)
+    if chain is not None:
+        raw, semi_by = _chained(raw, chain), chain.stop
+    at_stop = raw.heights_by[:, stop_index]
+    wanted = pupil[:, :, None] * semi_by
+    v = len(semi_by)
+    launch = at_stop[:, :, v:]
+    usable = raw.ok & reached & np.all(np.isfinite(launch), axis=(1, 2))
+    launch = np.where(usable[:, None, None], launch, np.eye(2))
+    usable &= np.abs(np.linalg.det(launch)) > 1e-12
+    launch = np.where(usable[:, None, None], launch, np.eye(2))
+    turn = np.linalg.solve(launch, wanted - at_stop[:, :, :v])
+
+    def total(by: Array) -> Array:
+        whole = by[..., :v] + np.einsum("n...l,nlv->n...v", by[..., v:], turn)
+        whole[~usable] = 0.0
+        return whole
+
+    return replace(
+        raw,
+        heights_by=total(raw.heights_by),
+        cosines_by=total(raw.cosines_by),
+        plane_points_by=total(raw.plane_points_by),
+        stop_semi_diameter_mm=semi,
+        stop_semi_diameter_by=semi_by,
+        ok=usable,
+    )
+
+
+def _chained(raw: GradientTrace, chain: Chain) -> GradientTrace:
+    """Derivatives at fixed launch directions, by other variables; the last two columns stay."""
+    v, w = chain.variables.shape
+    whole = np.zeros((v + 2, w + 2))
+    whole[:v, :w], whole[v:, w:] = chain.variables, np.eye(2)
+    forward = np.sqrt(1.0 - np.sum(raw.cosines**2, axis=-1, keepdims=True))
+    planes = raw.plane_points_by @ whole
+    planes[..., :w] += (raw.cosines / forward)[:, None, :, None] * chain.planes[:, None]
+    return replace(
+        raw,
+        heights_by=raw.heights_by @ whole,
+        cosines_by=raw.cosines_by @ whole,
+        plane_points_by=planes,
+    )
+
+
+def _stop_size(
+    system: CompiledSystem,
+    object_z_mm: float,
+    stop: int,
+    semi: float | None,
+    numerical_aperture: float,
+    variables: tuple[Variable, ...],
+) -> tuple[float, Array, bool]:
+    """Semi-diameter of the stop, its derivatives, and whether the axial rim ray gets there at all."""
+    if semi is not None:
+        return semi, np.zeros(len(variables)), True
+    direction = np.array([[0.0, numerical_aperture, np.sqrt(1.0 - numerical_aperture**2)]])
+    rim = _differentiate(system, np.array([[0.0, 0.0, object_z_mm]]), direction, np.empty(0), variables)
+    return float(rim.heights[0, stop, 1]), rim.heights_by[0, stop, 1, : len(variables)], bool(rim.ok[0])
+
+
+def _differentiate(
+    system: CompiledSystem,
+    origins: Array,
+    directions: Array,
+    planes_mm: Array,
+    variables: tuple[Variable, ...],
+) -> GradientTrace:
+    """Derivatives at fixed launch directions; two more columns hold those by the launch cosines."""
+    from lensdesign.raytrace.gradient_kernel import gradient_kernel
+
+    every = (*variables, Variable("launch_x"), Variable("launch_y"))
+    n, s, p, v = len(origins), system.surfaces, len(planes_mm), len(every)
+    values, derivatives = np.zeros((n, s + 1 + p, 2)), np.zeros((n, s + 1 + p, 2, v))
+    status, failed = np.empty(n, np.int8), np.empty(n, np.int16)
+    codes, starts, terms = system.packed_shapes
+    gradient_kernel(
+        np.ascontiguousarray(origins),
+        np.ascontiguousarray(directions),
+        np.ascontiguousarray(system.vertex[0, :, 2]),
+        codes if np.any(codes) else None,
+        starts[0],
+        terms[0],
+        system.index[0],
+        np.ascontiguousarray(planes_mm, dtype=float),
+        np.array([0 if x.of_shape else 1 + KINDS.index(x.kind) for x in every]),
+        np.array([x.surface for x in every]),
+        np.array([system.shapes[x.surface].place(x.kind) if x.of_shape else 0 for x in every]),
+        values,
+        derivatives,
+        status,
+        failed,
+    )
+    return GradientTrace(
+        heights=values[:, :s],
+        cosines=values[:, s],
+        plane_points=values[:, s + 1 :],
+        heights_by=derivatives[:, :s],
+        cosines_by=derivatives[:, s],
+        plane_points_by=derivatives[:, s + 1 :],
+        stop_semi_diameter_mm=0.0,
+        stop_semi_diameter_by=np.zeros(v - 2),
+        ok=status == Status.OK,
+    )

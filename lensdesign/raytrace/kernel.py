@@ -1,0 +1,333 @@
+"""The Numba ray kernel: trials x rays, in blocks that the compiler can vectorize.
+
+Each block of rays lives in small local arrays, and each step is one loop without branches. No fast-math, so
+NaN and statuses decide as written, and no ray depends on those beside it. Conics are met in closed form
+(`conic_kernel`), all other shapes by Newton's method from a conic near them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lensdesign.lens.shapes import compiled as shapes
+from lensdesign.lens.shapes import intersection
+from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE
+from lensdesign.raytrace import conic_kernel
+from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
+from lensdesign.raytrace.conic_kernel import (
+    BLOCK,
+    CLIPPED,
+    MISSED,
+    NOT_CONVERGED,
+    OK,
+    OPL,
+    TOTAL_REFLECTION,
+    L,
+    M,
+    N,
+    X,
+    Y,
+    Z,
+    conic_distance,
+    settle_conic,
+    through_conic,
+    to_plane,
+)
+
+CONIC = 0
+"""The registry's first shape."""
+
+_jit = cached_njit(nogil=True, error_model="numpy")
+_inline = cached_njit(nogil=True, error_model="numpy", inline="always")
+
+
+@_jit
+def trace_kernel(
+    origins,
+    directions,
+    rotation,
+    vertex,
+    codes,
+    starts,
+    terms,
+    figures,
+    first_trial,
+    index,
+    semi_diameter,
+    tilted,
+    plane_z,
+    use_plane,
+    clip,
+    position,
+    direction,
+    opl,
+    status,
+    failed,
+    hits,
+    first_ray,
+    end_ray,
+):
+    """Trace some rays of all trials; origins and directions have shape (trials or 1, 3 rays), flat.
+
+    So have `position` and `direction`: what lies 3 apart is moved in vectors, what lies a number apart that
+    the compiler does not know is not.
+
+    `codes`, `starts` and `terms` are what :class:`lensdesign.raytrace.compiled.CompiledSystem` packs;
+    `figures` are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
+    `first_trial`. Without figures they are None, and `codes` too where all surfaces are conics: what a lens
+    does not need is then not compiled.
+    The six arrays from `position` on are filled for the rays from `first_ray` up to `end_ray`; `hits` may
+    have no rays, and is then left alone. Returns the number of directions that are not finite unit vectors.
+    """
+    trials, surfaces = status.shape[0], vertex.shape[1]
+    ray, after = np.empty(7 * BLOCK), np.empty(7 * BLOCK)
+    work = np.empty(3 * BLOCK)
+    state = np.empty(2 * BLOCK, np.int64)
+    lost, bad = BLOCK, 0
+    for t in range(trials):
+        to = t if origins.shape[0] > 1 else 0
+        td = t if directions.shape[0] > 1 else 0
+        tv = t if vertex.shape[0] > 1 else 0
+        ts = t if terms.shape[0] > 1 else 0
+        ti = t if index.shape[0] > 1 else 0
+        for start in range(first_ray, end_ray, BLOCK):
+            count = min(BLOCK, end_ray - start)
+            at = slice(3 * start, 3 * (start + count))
+            if lost > 0:  # in the block before
+                state[:BLOCK], state[BLOCK:] = OK, -1
+                lost = 0
+            bad += _load(ray, origins[to, at], directions[td, at], count)
+            for s in range(surfaces):
+                limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
+                n1, n2 = index[ti, s], index[ti, s + 1]
+                c, k = starts[ts, s, 0], starts[ts, s, 1]
+                conic = codes is None or (codes[s] == CONIC and not _has_figure(figures, s))
+                x0, y0, z0 = vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2]
+                along = conic and not tilted[s] and x0 == 0.0 and y0 == 0.0
+                if not along:
+                    _shift(ray, -x0, -y0, -z0, count)
+                    z0 = 0.0
+                if tilted[s]:
+                    _turn(ray, rotation[tv, s].T, count)
+                if conic:
+                    unsure = through_conic(ray, after, work, z0, c, k, n1, n1 / n2, limit, count)
+                    if unsure + lost > 0:
+                        lost = settle_conic(ray, after, work, state, s, z0, c, k, n1 / n2, limit, count)
+                    ray, after = after, ray
+                else:
+                    code, own, trial = codes[s], terms[ts, s], first_trial + t
+                    _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, figures, trial)
+                    lost = _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
+                if tilted[s]:
+                    _turn(ray, rotation[tv, s], count)
+                if not along:
+                    _shift(ray, x0, y0, vertex[tv, s, 2], count)
+                for i in range(count if hits.shape[1] > 0 else 0):
+                    hits[t, start + i, s, 0] = ray[X + i]
+                    hits[t, start + i, s, 1] = ray[Y + i]
+                    hits[t, start + i, s, 2] = ray[Z + i]
+            if use_plane:
+                lost = to_plane(ray, state, lost, surfaces, plane_z, index[ti, surfaces], count)
+            _store(ray, position[t, at], direction[t, at], opl[t, start : start + count], count)
+            _store_state(state, lost, status[t, start : start + count], failed[t, start : start + count])
+    return bad
+
+
+@_jit
+def _has_figure(figures, surface):
+    if figures is None:
+        return False
+    return figures[0][surface + 1] > figures[0][surface]
+
+
+@_jit
+def _load(ray, origins, directions, count):
+    """Rays from flat arrays; returns how many are none."""
+    for i in range(count):
+        ray[X + i], ray[Y + i], ray[Z + i] = origins[3 * i], origins[3 * i + 1], origins[3 * i + 2]
+    bad = 0
+    for i in range(count):
+        dx, dy, dz = directions[3 * i], directions[3 * i + 1], directions[3 * i + 2]
+        where = ray[X + i] + ray[Y + i] + ray[Z + i]
+        off = abs(dx * dx + dy * dy + dz * dz - 1.0) + (where - where)
+        bad += 0 if off < 1e-6 else 1
+        ray[L + i], ray[M + i], ray[N + i] = dx, dy, dz
+        ray[OPL + i] = 0.0
+    return bad
+
+
+@_jit
+def _store(ray, position, direction, opl, count):
+    for i in range(count):
+        position[3 * i], position[3 * i + 1], position[3 * i + 2] = ray[X + i], ray[Y + i], ray[Z + i]
+    for i in range(count):
+        direction[3 * i], direction[3 * i + 1], direction[3 * i + 2] = ray[L + i], ray[M + i], ray[N + i]
+    for i in range(count):
+        opl[i] = ray[OPL + i]
+
+
+@_jit
+def _store_state(state, lost, status, failed):
+    if lost == 0:
+        status[:], failed[:] = OK, -1
+        return
+    for i in range(len(status)):
+        status[i] = state[i]
+    for i in range(len(failed)):
+        failed[i] = state[BLOCK + i]
+
+
+@_jit
+def _shift(ray, dx, dy, dz, count):
+    for i in range(count):
+        ray[X + i] += dx
+        ray[Y + i] += dy
+        ray[Z + i] += dz
+
+
+@_jit
+def _turn(ray, r, count):
+    xx, xy, xz = r[0, 0], r[0, 1], r[0, 2]
+    yx, yy, yz = r[1, 0], r[1, 1], r[1, 2]
+    zx, zy, zz = r[2, 0], r[2, 1], r[2, 2]
+    for i in range(count):
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
+        ray[X + i] = xx * x + xy * y + xz * z
+        ray[Y + i] = yx * x + yy * y + yz * z
+        ray[Z + i] = zx * x + zy * y + zz * z
+    for i in range(count):
+        x, y, z = ray[L + i], ray[M + i], ray[N + i]
+        ray[L + i] = xx * x + xy * y + xz * z
+        ray[M + i] = yx * x + yy * y + yz * z
+        ray[N + i] = zx * x + zy * y + zz * z
+
+
+@_inline
+def _basis(at, nodes, per_mm):
+    """Cell of a coordinate, the four B-splines there, and their slopes; the edge goes on outside."""
+    u = at * per_mm + 0.5 * (nodes - 1)
+    if u >= 0.0 and u <= nodes - 1:
+        scale = per_mm
+    else:
+        scale = 0.0
+        u = nodes - 1.0 if u > 0.0 else 0.0
+    cell = min(int(u), nodes - 2)
+    t = u - cell
+    v = 1.0 - t
+    values = (
+        v * v * v / 6.0,
+        (4.0 + t * t * (3.0 * t - 6.0)) / 6.0,
+        (1.0 + t * (3.0 + t * (3.0 - 3.0 * t))) / 6.0,
+        t * t * t / 6.0,
+    )
+    slopes = (
+        -0.5 * scale * v * v,
+        0.5 * scale * t * (3.0 * t - 4.0),
+        0.5 * scale * (1.0 + t * (2.0 - 3.0 * t)),
+        0.5 * scale * t * t,
+    )
+    return cell, values, slopes
+
+
+@_jit
+def _sag_error(x, y, surface, figures, trial):
+    """Sag error of a surface, and its slopes along x and y."""
+    first, layout, per_mm, coefficients = figures
+    sag, by_x, by_y = 0.0, 0.0, 0.0
+    for f in range(first[surface], first[surface + 1]):
+        columns = layout[f, 3]
+        i, vx, sx = _basis(x, columns - 2, per_mm[f])
+        j, vy, sy = _basis(y, layout[f, 2] - 2, per_mm[f])
+        at = layout[f, 0] + trial * layout[f, 1] + j * columns + i
+        for row in range(4):
+            c0, c1 = coefficients[at], coefficients[at + 1]
+            c2, c3 = coefficients[at + 2], coefficients[at + 3]
+            along = vx[0] * c0 + vx[1] * c1 + vx[2] * c2 + vx[3] * c3
+            sag += vy[row] * along
+            by_y += sy[row] * along
+            by_x += vy[row] * (sx[0] * c0 + sx[1] * c1 + sx[2] * c2 + sx[3] * c3)
+            at += columns
+    return sag, by_x, by_y
+
+
+@_inline
+def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
+    """Sag of a surface, and its slopes along x and y; with its figure unless `figures` is None."""
+    sag, by_x, by_y = shapes.height(code, terms, x, y)
+    if figures is not None:
+        error, error_x, error_y = _sag_error(x, y, surface, figures, trial)
+        sag, by_x, by_y = sag + error, by_x + error_x, by_y + error_y
+    return sag, by_x, by_y
+
+
+@_jit
+def _intersect_general(ray, state, surface, code, c, k, terms, n1, limit, count, figures, trial):
+    """Move rays to a surface that is no conic, or has a figure, by Newton's method."""
+    for i in range(count):
+        if state[i] != OK:
+            continue
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
+        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
+        why = MISSED
+        t, near = conic_distance(x, y, z, dx, dy, dz, c, k)
+        if near:
+            t, why = newton(x, y, z, dx, dy, dz, t, code, terms, surface, figures, trial)
+        if why == OK:
+            x, y = x + t * dx, y + t * dy
+            ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + t * dz
+            ray[OPL + i] += n1 * t
+            if x * x + y * y > limit:
+                why = CLIPPED
+        if why != OK:
+            state[i] = why
+            state[BLOCK + i] = surface
+
+
+@_jit
+def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=0):
+    """Distance of a ray to a surface from a first guess, and what became of it."""
+    settled_before = False
+    for _ in range(NEWTON_STEPS):
+        px, py = x + t * dx, y + t * dy
+        sag, by_x, by_y = _sag_and_slopes(px, py, code, terms, surface, figures, trial)
+        slope = dz - (by_x * dx + by_y * dy)
+        step = (z + t * dz - sag) / slope
+        if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
+            return t, MISSED
+        t -= step
+        settled = abs(step) <= 1e-14 * (1.0 + abs(t))
+        if settled and settled_before:
+            return t, OK if slope > 0.0 else MISSED
+        settled_before = settled
+    if not settled_before:
+        return t, NOT_CONVERGED
+    return t, OK if slope > 0.0 else MISSED
+
+
+@_jit
+def _refract_general(ray, state, surface, code, terms, ratio, count, figures, trial):
+    """Refract at a surface that is no conic, or has a figure; returns how many rays have failed."""
+    lost = 0
+    for i in range(count):
+        x, y = ray[X + i], ray[Y + i]
+        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
+        _, by_x, by_y = _sag_and_slopes(x, y, code, terms, surface, figures, trial)
+        nx, ny = -by_x, -by_y
+        norm = 1.0 / math.sqrt(1.0 + nx * nx + ny * ny)
+        cos_in = (dz + nx * dx + ny * dy) * norm
+        square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
+        bend = (math.sqrt(max(square, 0.0)) - ratio * cos_in) * norm
+        alive = state[i] == OK
+        through = alive & (square >= 0.0)
+        ray[L + i] = ratio * dx + bend * nx if through else dx
+        ray[M + i] = ratio * dy + bend * ny if through else dy
+        ray[N + i] = ratio * dz + bend if through else dz
+        state[i] = TOTAL_REFLECTION if alive & (not through) else state[i]
+        state[BLOCK + i] = surface if alive & (not through) else state[BLOCK + i]
+        lost += 0 if through else 1
+    return lost
+
+
+drop_outdated(trace_kernel, {__name__, conic_kernel.__name__, intersection.__name__} | shapes.SOURCES)

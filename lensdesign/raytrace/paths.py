@@ -1,0 +1,102 @@
+"""Rays as polylines, for pictures: which fields, in which colours, from the object to the last plane."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import mechanical_semi_diameter_mm
+from lensdesign.raytrace.bundles import launch, pupil_rings
+from lensdesign.raytrace.rays import trace
+from lensdesign.raytrace.status import Status
+
+FIELD_SHARES = (0.0, 0.7, 1.0)
+"""Object points of the pictures, as shares of the half field."""
+
+FIELD_COLORS = ("#D55E00", "#009E73", "#0072B2")
+"""Red, green and blue that colour-blind readers can tell apart (Okabe and Ito)."""
+
+
+def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike) -> Array:
+    """Corners of rays of the first wavelength from an object point through stop points to the last plane.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    field_mm
+        x and y of the object point.
+    pupil_points
+        Points on the stop as shares of its semi-diameter, shape (n, 2).
+
+    Returns
+    -------
+    ndarray, shape (n, surfaces + 2, 3)
+        Object point, a point on each surface, and one on the plane, in mm. A failed ray ends where it
+        failed, or before that at the ground edge of the glass: its last corners coincide.
+    """
+    wavelength_um = lens.wavelengths_um[0]
+    origins, directions = launch(lens, [field_mm], pupil_points, wavelength_um)
+    rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=lens.sensor_z_mm[-1], record_hits=True)
+    assert rays.hits is not None  # asked for above
+    paths = np.concatenate([origins[:, None], rays.hits, rays.position[:, None]], axis=1)
+    for ray in np.flatnonzero(rays.status == Status.CLIPPED):
+        surface = int(rays.failed_surface[ray])
+        if surface - 1 in lens.glass_fronts:
+            radius = mechanical_semi_diameter_mm(lens, lens.glass_fronts.index(surface - 1))
+            paths[ray, surface + 1 :] = _to_edge(paths[ray, surface], paths[ray, surface + 1], radius)
+    return paths
+
+
+def _to_edge(start: Array, end: Array, radius: float) -> Array:
+    """The point where a line from `start` to `end` meets the edge cylinder, or `end` within it."""
+    step = end - start
+    a, b = step[:2] @ step[:2], start[:2] @ step[:2]
+    c = start[:2] @ start[:2] - radius**2
+    if end[:2] @ end[:2] <= radius**2 or c >= 0.0:
+        return end
+    share = (-b + np.sqrt(b * b - a * c)) / a
+    return np.asarray(start + share * step)
+
+
+def sized_lens(lens: Lens) -> Lens:
+    """A lens in which every surface has a clear semi-diameter: its own, or else that of its footprint.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+
+    Returns
+    -------
+    Lens
+        The same lens if nothing was missing.
+
+    Raises
+    ------
+    InputError
+        If a surface without semi_diameter_mm is reached by no ray, so that its size cannot be known.
+    """
+    missing = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None]
+    if not missing:
+        return lens
+    pupil = pupil_rings(edge=True).points
+    heights = np.linspace(0.0, lens.half_field_mm, 5)
+    fields = np.stack([np.zeros_like(heights), heights], axis=-1)
+    reached = np.zeros(len(lens.surfaces))
+    for wavelength_um in lens.wavelengths_um:
+        origins, directions = launch(lens, fields, pupil, wavelength_um)
+        rays = trace(lens, origins, directions, wavelength_um, record_hits=True)
+        assert rays.hits is not None  # asked for above
+        hits = rays.hits[rays.ok]
+        reached = np.maximum(reached, np.max(np.hypot(hits[..., 0], hits[..., 1]), axis=0, initial=0.0))
+    for i in missing:
+        if reached[i] == 0.0:
+            raise InputError(f"surface {i + 1} has no semi_diameter_mm and no ray reaches it; give it one")
+        surface = lens.surfaces[i]
+        semi = min(float(reached[i]), surface.shape.edge_radius_mm)
+        lens = lens.with_surface(i, semi_diameter_mm=semi)
+    return lens

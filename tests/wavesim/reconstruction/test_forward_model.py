@@ -1,0 +1,163 @@
+"""The model of a recording: pixels that integrate, weights, and the noise of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_twins import small_twin
+
+from lensdesign.lens.lens import Sensor
+from wavesim.fields.propagator import propagate
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.runtime import threads
+from wavesim.scene.bench import LightErrors
+from wavesim.scene.source import Source
+from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.sensor import light_on_pixels, on_sensor
+
+PITCH = 3.2e-3
+
+
+@pytest.fixture(scope="module", autouse=True)
+def two_threads() -> Iterator[None]:
+    """Whatever number of cores there is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threads, "THREADS", 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def model_parts() -> tuple:
+    return small_twin()
+
+
+@pytest.mark.parametrize(("fill_factor", "width_deg"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
+def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, fill_factor: float, width_deg: float) -> None:
+    """Against differences of the misfit, with weights, shifts, tilts, backgrounds and a wide source."""
+    engine, lit = model_parts
+    rng = np.random.default_rng(4)
+    t = 0.7 + 0.2 * rng.standard_normal(lit.grid.shape)
+    truth = 0.7 + 0.2 * rng.standard_normal(lit.grid.shape)
+    shape = engine.scene.exit_grid.shape
+    blank = [Measurement(d, np.ones(shape)) for d in (0.0, 0.6)]
+    seen = ForwardModel(engine, lit, blank, 1.0, fill_factor).amplitudes(truth.astype(complex))
+    planes = [
+        Measurement(
+            p.distance_mm,
+            a,
+            np.where(rng.random(shape) < 0.1, np.inf, 1.0 + rng.random(shape)),
+            (1e-3 * n, -2e-3 * n),
+            0.02 * n * np.mean(a * a) * rng.random(shape),
+            (0.9 * n, -1.4 * n),
+        )
+        for n, (p, a) in enumerate(zip(blank, seen, strict=True))
+    ]
+    modes = Source(width_deg).modes(0.532, 1, 4)
+    model = ForwardModel(engine, lit, planes, 1.0, fill_factor, modes=modes)
+    change, _ = model.step(t.astype(complex))
+
+    def cost(values: np.ndarray) -> float:
+        misfit = model.step(values.astype(complex))[1]
+        return 0.5 * (misfit * model.size) ** 2
+
+    cells = engine.scene.exit_grid.cell / lit.grid.cell
+    way = (truth - t) * lit.values.real
+    small = 1e-4
+    slope = (cost(t + small * way) - cost(t - small * way)) / (2.0 * small) * cells / len(planes)
+    assert float(np.vdot(change, way).real) == pytest.approx(-slope, rel=5e-3)
+
+
+def test_light_of_a_wide_source_is_that_of_its_directions_added_up(model_parts: tuple) -> None:
+    engine, lit = model_parts
+    rng = np.random.default_rng(5)
+    t = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape)).astype(complex)
+    blank = [Measurement(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
+    modes = Source(2.0).modes(0.532, 1, 4)
+    found = ForwardModel(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
+    apart = [
+        ForwardModel(engine, LightErrors(mode.tilt_deg).on(lit), blank, 1.0, 1.0).amplitudes(t)
+        for mode in modes
+    ]
+    for number, one in enumerate(found):
+        expected = sum(m.share * a[number] ** 2 for m, a in zip(modes, apart, strict=True))
+        assert np.allclose(one**2, expected, atol=1e-10 * expected.max())
+        assert np.linalg.norm(one - apart[0][number]) > 0.1 * np.linalg.norm(one)
+
+
+def test_the_noise_of_a_step_is_that_of_a_nearly_unitary_engine(model_parts: tuple) -> None:
+    """Less than the closed form by the part of the object's band beyond the aperture."""
+    engine, lit = model_parts
+    shape, sigma = engine.scene.exit_grid.shape, 0.02
+    planes = [Measurement(d, np.ones(shape), np.full(shape, sigma)) for d in (0.0, 0.6)]
+    found = ForwardModel(engine, lit, planes, 1.0).noise_of_step()
+    whole = sigma * np.sqrt(engine.scene.exit_grid.cell / (2.0 * len(planes) * lit.grid.cell))
+    band = np.pi * (0.5 / 0.532e-3 * lit.grid.pitch_mm) ** 2
+    assert 0.75 * np.sqrt(band) * whole < found < 1.1 * np.sqrt(band) * whole
+
+
+@pytest.mark.parametrize("fill_factor", [0.0, 1.0])
+def test_a_shifted_sensor_with_a_background_sees_the_light_shifted_and_added_to(
+    model_parts: tuple, fill_factor: float
+) -> None:
+    """By whole pixels, a shift is a roll of what the sensor in place sees."""
+    engine, lit = model_parts
+    shape = engine.scene.exit_grid.shape
+    background = np.full(shape, 0.03)
+    planes = [
+        Measurement(0.6, np.ones(shape)),
+        Measurement(0.6, np.ones(shape), None, (3 * PITCH, -PITCH), background),
+    ]
+    still, moved = ForwardModel(engine, lit, planes, 1.0, fill_factor).amplitudes(np.ones(lit.grid.shape))
+    expected = np.sqrt(np.roll(still**2, (1, -3), (0, 1)) + 0.03)
+    assert np.allclose(moved, expected, atol=1e-5 * still.max())
+
+
+@pytest.mark.parametrize("fill_factor", [0.0, 1.0])
+def test_a_tilt_of_the_sensor_changes_what_it_sees_as_in_simulated_frames(
+    model_parts: tuple, fill_factor: float
+) -> None:
+    engine, lit = model_parts
+    grid, tilt_deg = engine.scene.exit_grid, (2.4, -1.8)
+    t = 0.7 + 0.6 * np.random.default_rng(6).standard_normal(lit.grid.shape)
+    planes = [Measurement(0.3, np.ones(grid.shape), tilt_deg=tilt) for tilt in ((0.0, 0.0), tilt_deg)]
+    upright, tilted = ForwardModel(engine, lit, planes, 1.0, fill_factor).amplitudes(t)
+    finer = replace(grid, shape=(432, 432), pitch_mm=0.5 * PITCH, z_mm=grid.z_mm + 0.3)
+    there = propagate(engine.forward(lit.with_values(t * lit.values)), finer, coarse_output=True)
+    sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(216, 216), plane_distances_mm=(1.0,))
+    before, after = (
+        light_on_pixels(on_sensor(there, tilt), sensor, fill_factor=fill_factor)
+        for tilt in ((0.0, 0.0), tilt_deg)
+    )
+    change = after - before
+    assert np.linalg.norm(change) > 1e-3 * np.linalg.norm(after)
+    assert np.linalg.norm(tilted**2 - upright**2 - change) < 0.05 * np.linalg.norm(change)
+
+
+def test_once_a_plane_has_its_amplitudes_more_rounds_change_nothing(model_parts: tuple) -> None:
+    """Of one plane at points, a round of length 1 replaces the amplitudes, and leaves none to replace."""
+    engine, lit = model_parts
+    amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
+    model = ForwardModel(engine, lit, [Measurement(0.0, amplitude)], 1.0)
+    once, misfit = model.step(lit.values)
+    for rounds in (2, 4):
+        again, same = model.step(lit.values, rounds)
+        assert np.allclose(again, once, atol=1e-12 * np.abs(once).max())
+        assert same == misfit
+    short, _ = model.step(lit.values, 2, 0.5)
+    assert np.allclose(short, 1.5 * once, atol=1e-12 * np.abs(once).max())
+
+
+@pytest.mark.parametrize("rounds", [1, 3])
+def test_directions_that_are_all_the_same_are_one(model_parts: tuple, rounds: int) -> None:
+    engine, lit = model_parts
+    random = np.random.default_rng(9)
+    planes = [Measurement(d, 0.1 + random.random(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
+    one, many = (
+        ForwardModel(engine, lit, planes, 1.0, 1.0, modes=modes).step(lit.values, rounds, 1.3)
+        for modes in ((), Source(1e-9).few_modes(0.532))
+    )
+    assert np.allclose(many[0], one[0], atol=1e-8 * np.abs(one[0]).max())
+    assert many[1] == pytest.approx(one[1])

@@ -1,0 +1,56 @@
+"""Amplitudes and weights of recorded intensities."""
+
+import numpy as np
+import pytest
+
+from lensdesign.errors import InputError
+from wavesim.sensor.measurement import Measurement, noise_misfit, recorded_intensity, weights_of
+
+
+def test_amplitudes_of_an_estimated_intensity() -> None:
+    """Bright pixels: half the intensity's deviation over the amplitude. Dark ones: what noise leaves."""
+    rng = np.random.default_rng(6)
+    for intensity, deviation in ((400.0, 3.0), (0.0, 2.0)):
+        drawn = intensity + deviation * rng.standard_normal(200_000)
+        made = recorded_intensity(0.5, drawn, np.full(drawn.shape, deviation**2))
+        error = np.sqrt(np.mean((made.amplitude - np.sqrt(intensity)) ** 2))
+        at_truth = recorded_intensity(0.5, np.array([intensity]), np.array([deviation**2]))
+        assert at_truth.sigma is not None
+        assert at_truth.sigma[0] == pytest.approx(error, rel=0.03)
+    saturated = recorded_intensity(0.5, np.array([4.0, 9.0]), np.array([1.0, np.inf]))
+    assert saturated.sigma is not None
+    assert saturated.known is not None
+    np.testing.assert_array_equal(saturated.known, [True, False])
+    np.testing.assert_allclose(saturated.amplitude, [2.0, 3.0])
+    assert saturated.sigma[0] == pytest.approx(0.25)
+
+
+def test_weights_are_relative_to_the_brightest_pixel_and_none_exceeds_1() -> None:
+    planes = [
+        # The brightest is clipped, the faintest known far better than the brightest that is not.
+        Measurement(0.0, np.array([9.0, 4.0, 2.0, 0.5]), np.array([np.inf, 0.5, 1.0, 0.01])),
+        Measurement(1.0, np.array([3.0, 1.0]), np.array([2.0, np.inf])),
+        Measurement(2.0, np.ones(2)),
+    ]
+    first, second, third = weights_of(planes)
+    assert first is not None
+    assert second is not None
+    assert third is None
+    np.testing.assert_allclose(first, [0.0, 1.0, 0.25, 1.0])
+    np.testing.assert_allclose(second, [0.0625, 0.0])
+
+
+def test_the_misfit_of_noise_is_what_noise_leaves() -> None:
+    rng = np.random.default_rng(0)
+    amplitude = rng.uniform(1.0, 2.0, (200, 200))
+    sigma = np.full(amplitude.shape, 0.05)
+    noisy = amplitude + sigma * rng.standard_normal(amplitude.shape)
+    left = np.linalg.norm(noisy - amplitude) / np.linalg.norm(noisy)
+    assert noise_misfit([Measurement(0.0, noisy, sigma)]) == pytest.approx(left, rel=0.02)
+    assert noise_misfit([Measurement(0.0, noisy)]) is None
+
+
+def test_an_intensity_without_a_usable_variance_is_refused() -> None:
+    for variance in (np.zeros(3), np.ones(4), np.full(3, np.nan)):
+        with pytest.raises(InputError, match="variance"):
+            recorded_intensity(0.0, np.ones(3), variance)

@@ -1,0 +1,231 @@
+"""Light carried plane by plane and band by band: the same frames as through free space, within the memory."""
+
+from __future__ import annotations
+
+import errno
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dask_cluster import Cluster
+from wavesim_command import run_wavesim
+
+from lensdesign import load_design, save_design, scaled
+from lensdesign.common import clusters
+from lensdesign.lens.poses import Pose
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.whole_field import tile_store
+from wavesim.engines.whole_field.on_cpu import OnCpu
+from wavesim.fields.field import relative_error
+from wavesim.runtime.inventory import need_of
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
+from wavesim.sensor import recording as image_recording
+from wavesim.sensor.exposures import Electronics, estimate_intensity
+from wavesim.sensor.frames import Frame, read_frame
+from wavesim.sensor.memory import imaging_arrays
+from wavesim.sensor.recording import PARTS, Recording, drop_parts, image_patch
+from wavesim.sensor.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
+from wavesim.targets.patch import make_illumination, make_target, object_patch
+
+PLANES_MM = (0.0625, 0.6875)
+CAMERA = Electronics(full_well_electrons=1e8, read_noise_electrons=0.0, bits=16, offset_counts=0.0)
+TILES = (
+    "--engine",
+    "two-level",
+    "--patch-mm",
+    0.05,
+    "--error",
+    0.1,
+    "--tile-width-mm",
+    0.006,
+    "--planes-mm",
+    0.0625,
+)
+
+
+class Scenery:
+    """A small twin with a chart in front of it."""
+
+    def __init__(self) -> None:
+        self.engines: dict[Any, Engine] = {}
+        self.lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+        patch = object_patch(self.lens, 0.05)
+        light = make_illumination(patch)
+        chart = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
+        self.behind = light.with_values(light.values * chart.transmission.values)
+        self.sensor = sensor_window(self.lens, patch, PLANES_MM, 216)
+        self.windows = [light_window(self.lens, patch, self.sensor, z, Pose()) for z in PLANES_MM]
+        self.scene = exit_scene(self.lens, patch, self.windows[0], PLANES_MM[0], oversampling=OVERSAMPLING)
+
+    def engine(self, name: str, scene: Scene) -> Engine:
+        narrow = {"tile_width_mm": 0.006} if name == "two-level" else {}
+        place = name, scene.exit_grid
+        if place not in self.engines:
+            self.engines[place] = engine_for(scene, name, error=0.03, **narrow)
+        return self.engines[place]
+
+    def imaged(self, name: str, recording: Recording, **changes: Any) -> tuple[tuple[Frame, ...], float]:
+        make = lambda scene: self.engine(name, scene)  # noqa: E731
+        first, windows = self.engine(name, self.scene), self.windows[: len(recording.plane_distances_mm)]
+        return image_patch(first, self.behind, self.sensor, windows, recording, make, **changes)
+
+
+@pytest.fixture(scope="module")
+def scenery() -> Scenery:
+    return Scenery()
+
+
+def test_bands_give_the_frames_that_free_space_gives(
+    scenery: Scenery, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(image_recording, "BAND_ROWS", 100)
+    recording = Recording(PLANES_MM, CAMERA, None, stage_errors_mm=(0.0, 0.004), shift_um=(1.3, -0.7))
+    bands, beyond = scenery.imaged("two-level", recording)
+    free, expected_beyond = scenery.imaged("eikonal", recording)
+    for one, other in zip(bands, free, strict=True):
+        seen, expected = estimate_intensity(one)[0], estimate_intensity(other)[0]
+        assert relative_error(np.sqrt(np.maximum(seen, 0.0)), np.sqrt(np.maximum(expected, 0.0))) < 0.06
+    assert beyond == pytest.approx(expected_beyond, abs=2e-3)
+
+
+def test_a_run_that_was_cut_off_goes_on(
+    scenery: Scenery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = Recording(PLANES_MM[:1], CAMERA, 3)
+    whole, _ = scenery.imaged("two-level", recording)
+    carry, carried = OnCpu.carry, list[Any]()
+
+    def counted(self: OnCpu, way: Any, group: Any, values: Any) -> Any:
+        if len(carried) == 3:
+            raise KeyboardInterrupt
+        carried.append(group)
+        return carry(self, way, group, values)
+
+    monkeypatch.setattr(OnCpu, "carry", counted)
+    with pytest.raises(KeyboardInterrupt):
+        scenery.imaged("two-level", recording, folder=tmp_path)
+    assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
+    carried.clear()
+    monkeypatch.setattr(OnCpu, "carry", carry)
+    told: list[tuple[str, int, int]] = []
+    again, _ = scenery.imaged(
+        "two-level", recording, folder=tmp_path, progress=lambda *what: told.append(what)
+    )
+    for one, other in zip(again, whole, strict=True):
+        assert np.array_equal(one.counts, other.counts)
+    assert told[0][:2] == ("plane 1", 4)  # three were there
+    assert told[-1][1] == told[-1][2]
+    drop_parts(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_ends_plainly_where_a_disk_is_full_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), tmp_path / "twin.toml")
+    save, saved = np.save, list[Any]()
+
+    def full(*values: Any, **options: Any) -> None:
+        if len(saved) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        saved.append(values)
+        save(*values, **options)
+
+    command = ("image", tmp_path / "twin.toml", *TILES, "-o", tmp_path / "out")
+    with monkeypatch.context() as patched:
+        patched.setattr(tile_store.np, "save", full)
+        code, _, err = run_wavesim(monkeypatch, capsys, *command)
+    assert code == 2
+    assert "the disk is full. 2 parts are kept" in err
+    code, out, err = run_wavesim(monkeypatch, capsys, *command)
+    assert code == 0
+    assert err.startswith("memory: about ")
+    assert "two-level" in out
+    assert not (tmp_path / "out" / PARTS).exists()
+
+
+def test_the_command_takes_no_more_memory_than_it_may(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), tmp_path / "twin.toml")
+    command = ("image", tmp_path / "twin.toml", *TILES, "--memory-gb", 0.2, "-o", tmp_path / "out")
+    code, _, err = run_wavesim(monkeypatch, capsys, *command)
+    assert code == 2
+    assert "this picture needs 0.3" in err
+    assert "--memory-gb 0.4 or more" in err
+    assert not (tmp_path / "out").exists()
+
+
+MEASURE = """
+import sys
+sys.path[:0] = ["tests/support", "tests/wavesim/sensor"]
+from test_recording import CAMERA, PLANES_MM, Scenery
+from wavesim.sensor.memory import imaging_arrays
+from wavesim.sensor.recording import Recording, image_patch
+from wavesim.runtime.inventory import need_of
+from pathlib import Path
+import tempfile
+scenery = Scenery()
+recording = Recording(PLANES_MM, CAMERA, 1)
+engine = scenery.engine("two-level", scenery.scene)
+need = need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
+with tempfile.TemporaryDirectory() as folder:
+    make = lambda scene: scenery.engine("two-level", scene)
+    image_patch(engine, scenery.behind, scenery.sensor, scenery.windows, recording, make, folder=Path(folder))
+# Not ru_maxrss: that counts the process by which this one was started.
+told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(need.most_bytes, 1024 * int(told["VmHWM"].split()[0]))
+"""
+
+
+def test_the_estimate_is_about_what_a_process_takes() -> None:
+    done = subprocess.run([sys.executable, "-c", MEASURE], check=True, capture_output=True, text=True)
+    predicted, taken = map(float, done.stdout.split())
+    assert 0.7 < taken / predicted < 1.3
+
+
+def test_frames_from_a_cluster_are_those_made_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed")
+    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), tmp_path / "twin.toml")
+    (tmp_path / "cluster").mkdir()
+    cluster = Cluster(tmp_path / "cluster")
+    command = ("image", tmp_path / "twin.toml", *TILES, "--no-noise")
+    try:
+        cluster.worker()
+        code, _, _ = run_wavesim(
+            monkeypatch, capsys, *command, "--cluster", cluster.address, "-o", tmp_path / "there"
+        )
+    finally:
+        cluster.close()
+    assert code == 0
+    assert run_wavesim(monkeypatch, capsys, *command, "-o", tmp_path / "here")[0] == 0
+    here, there = (
+        read_frame(tmp_path / place / "frame_1.tif").counts.astype(int) for place in ("here", "there")
+    )
+    assert np.max(np.abs(here - there)) <= 1
+    monkeypatch.setattr(clusters, "CONNECT_SECONDS", 1.0)
+    code, _, err = run_wavesim(
+        monkeypatch, capsys, "image", tmp_path / "twin.toml", "--patch-mm", 0.05, "--engine", "eikonal",
+        "--error", 0.5, "--cluster", "tcp://127.0.0.1:1", "-o", tmp_path / "x",
+    )  # fmt: skip
+    assert code == 2
+    assert "no Dask scheduler answers" in err
+
+
+def test_the_need_grows_with_what_is_recorded(scenery: Scenery) -> None:
+    engine = scenery.engine("two-level", scenery.scene)
+    recordings = (Recording(PLANES_MM, CAMERA, exposures=times) for times in ((1.0,), (1.0, 30.0, 1000.0)))
+    needs = [
+        need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
+        for recording in recordings
+    ]
+    pixels = scenery.sensor.pixels[0] * scenery.sensor.pixels[1]
+    assert needs[1].most_bytes - needs[0].most_bytes == 2 * 2 * 2 * pixels
+    assert needs[0].least_bytes < needs[0].most_bytes
+    assert needs[0].file_bytes == 2 * engine.sums_bytes  # type: ignore[attr-defined]

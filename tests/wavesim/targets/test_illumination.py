@@ -1,0 +1,196 @@
+"""Illumination: directions, the paraxial beam against propagation, measured fields, field stops."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lensdesign.errors import InputError, SamplingError
+from wavesim.fields.coverage import Rectangle
+from wavesim.fields.field import Grid, relative_error
+from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.propagator import propagate
+from wavesim.targets.illumination import (
+    StopShape,
+    field_stop,
+    gaussian_beam,
+    measured_field,
+    plane_wave,
+    validate_within_stop,
+)
+
+GRID = Grid((120, 140), 1e-3, -1.0, (0.2, -0.1))
+WAVELENGTH_UM = 0.532
+
+
+def test_collimated_light_is_one_everywhere() -> None:
+    for grid in (GRID, Grid((50,), 1e-3, -1.0)):
+        np.testing.assert_array_equal(plane_wave(grid, WAVELENGTH_UM).values, 1.0)
+
+
+@given(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0), st.floats(1.0, 1.4))
+@settings(max_examples=40, deadline=None)
+def test_a_tilted_wave_has_its_direction(tilt_x: float, tilt_y: float, index: float) -> None:
+    values = plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=tilt_x, tilt_y_deg=tilt_y, index=index).values
+    np.testing.assert_allclose(abs(values), 1.0, atol=1e-12)
+    k = 2e3 * math.pi * index / WAVELENGTH_UM
+    step_x, step_y = np.angle(values[0, 1] / values[0, 0]), np.angle(values[1, 0] / values[0, 0])
+    p, q = step_x / GRID.pitch_mm / k, step_y / GRID.pitch_mm / k
+    cosine = math.sqrt(1.0 - p**2 - q**2)
+    assert math.degrees(math.atan2(p, cosine)) == pytest.approx(tilt_x, abs=1e-9)
+    assert math.degrees(math.atan2(q, cosine)) == pytest.approx(tilt_y, abs=1e-9)
+
+
+def test_a_tilt_beyond_the_grid_is_refused() -> None:
+    limit = math.degrees(math.asin(0.5 * WAVELENGTH_UM))
+    plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=0.99 * limit)
+    with pytest.raises(SamplingError, match="give one below"):
+        plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=1.01 * limit)
+    for bad in (90.0, math.nan):
+        with pytest.raises(InputError, match="tilt_y_deg"):
+            plane_wave(GRID, WAVELENGTH_UM, tilt_y_deg=bad)
+    with pytest.raises(InputError, match="no x"):
+        plane_wave(Grid((50,), 1e-3, -1.0), WAVELENGTH_UM, tilt_x_deg=1.0)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.3, -0.3])
+def test_a_gaussian_beam_keeps_its_energy_and_width(distance: float) -> None:
+    waist = 0.02
+    beam = gaussian_beam(GRID, WAVELENGTH_UM, waist, distance)
+    assert beam.energy == pytest.approx(0.5 * math.pi * waist**2, rel=1e-6)
+    rayleigh = 1e3 * math.pi * waist**2 / WAVELENGTH_UM
+    power = abs(beam.values) ** 2
+    second = (power.sum(axis=0) @ (GRID.x_mm - GRID.centre_mm[0]) ** 2) / power.sum()
+    assert 2.0 * math.sqrt(second) == pytest.approx(waist * math.hypot(1.0, distance / rayleigh), rel=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(256, 256), (256,)])
+def test_a_gaussian_beam_agrees_with_propagation_from_its_waist(shape: tuple[int, ...]) -> None:
+    grid, distance = Grid(shape, 1e-3, 0.0), 1.0
+    carried = propagate(gaussian_beam(grid, WAVELENGTH_UM, 0.02), distance)
+    piston = np.exp(1j * carried.wavenumber_per_mm * distance)
+    closed = gaussian_beam(grid, WAVELENGTH_UM, 0.02, distance).values * piston
+    assert relative_error(carried.values, closed) < 1e-4
+
+
+def test_a_beam_too_narrow_is_refused() -> None:
+    with pytest.raises(InputError, match="paraxial beam needs"):
+        gaussian_beam(GRID, WAVELENGTH_UM, 1e-3)
+    with pytest.raises(SamplingError, match="a Gaussian waist"):
+        gaussian_beam(Grid((50, 50), 5e-3, -1.0), WAVELENGTH_UM, 8e-3)
+
+
+def smooth(grid: Grid) -> np.ndarray:
+    y, x = np.meshgrid(grid.y_mm, grid.x_mm, indexing="ij")
+    return np.exp(-(x**2 + 2.0 * y**2) / 0.05**2 + 40j * x + 300j * x * y)
+
+
+def test_a_measured_field_is_carried_to_another_pitch(tmp_path: Path) -> None:
+    fine = Grid((160, 180), 1.0e-3, -1.0)
+    np.save(tmp_path / "field.npy", smooth(fine))
+    target = Grid((100, 90), 1.3e-3, -1.0)
+    field = measured_field(tmp_path / "field.npy", target, WAVELENGTH_UM, 1.0)
+    assert relative_error(field.values, smooth(target)) < 1e-4
+    np.savez(tmp_path / "field.npz", values=smooth(fine), pitch_um=1.0, wavelength_um=WAVELENGTH_UM)
+    again = measured_field(tmp_path / "field.npz", target, WAVELENGTH_UM)
+    np.testing.assert_array_equal(again.values, field.values)
+    same = measured_field(tmp_path / "field.npz", fine, WAVELENGTH_UM)
+    np.testing.assert_array_equal(same.values, smooth(fine))
+
+
+def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    rough = rng.normal(size=(64, 64)) + 1j * rng.normal(size=(64, 64))
+    np.save(tmp_path / "rough.npy", rough)
+    with pytest.raises(SamplingError, match="too fine"):
+        measured_field(tmp_path / "rough.npy", Grid((40, 40), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
+    kept = measured_field(tmp_path / "rough.npy", Grid((64, 64), 1e-3, -1.0), WAVELENGTH_UM, 1.0)
+    np.testing.assert_array_equal(kept.values, rough)
+    slanted = plane_wave(Grid((128, 128), 1e-3, -1.0), WAVELENGTH_UM, tilt_x_deg=3.0)
+    np.save(tmp_path / "slanted.npy", slanted.values)
+    with pytest.raises(SamplingError, match="pitch of 6 um"):
+        measured_field(tmp_path / "slanted.npy", Grid((15, 15), 6e-3, -1.0), WAVELENGTH_UM, 1.0)
+    mixed = np.ones((128, 128), complex) + 0.02 * rng.normal(size=(128, 128))
+    np.save(tmp_path / "mixed.npy", mixed)
+    with pytest.warns(SamplingWarning, match="too fine"):
+        measured_field(tmp_path / "mixed.npy", Grid((60, 60), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
+
+
+def test_files_that_hold_no_field_are_refused(tmp_path: Path) -> None:
+    grid, values = Grid((8, 8), 1e-3, -1.0), np.ones((8, 8), complex)
+
+    def refused(name: str, message: str, pitch_um: float | None = 1.0) -> None:
+        with pytest.raises(InputError, match=message):
+            measured_field(tmp_path / name, grid, WAVELENGTH_UM, pitch_um)
+
+    refused("none.npy", "No such file")
+    (tmp_path / "text.npy").write_text("no array")
+    refused("text.npy", "cannot read the measured field")
+    np.save(tmp_path / "cut.npy", values)
+    (tmp_path / "cut.npy").write_bytes((tmp_path / "cut.npy").read_bytes()[:400])
+    refused("cut.npy", "cannot read the measured field")
+    np.save(tmp_path / "object.npy", np.array([{}]), allow_pickle=True)
+    refused("object.npy", "cannot read the measured field")
+    np.save(tmp_path / "real.npy", values.real)
+    refused("real.npy", "give a complex array")
+    np.save(tmp_path / "nan.npy", values * math.nan)
+    refused("nan.npy", "not finite")
+    np.savez(tmp_path / "other.npz", field=values)
+    refused("other.npz", "no array `values`")
+    np.savez_compressed(tmp_path / "damaged.npz", values=values)
+    damaged = bytearray((tmp_path / "damaged.npz").read_bytes())
+    for place in range(60, 100):
+        damaged[place] ^= 0xFF
+    (tmp_path / "damaged.npz").write_bytes(damaged)
+    refused("damaged.npz", "cannot read the measured field")
+    np.savez(tmp_path / "stated.npz", values=values, pitch_um=2.0)
+    refused("stated.npz", "states pitch_um = 2, not 1")
+    np.savez(tmp_path / "colour.npz", values=values, pitch_um=1.0, wavelength_um=0.6)
+    refused("colour.npz", "made at wavelength_um")
+    np.save(tmp_path / "good.npy", values)
+    refused("good.npy", "does not state its pitch_um", None)
+    refused("good.npy", "larger measurement", 0.5)
+    np.save(tmp_path / "dark.npy", 0.0 * values)
+    refused("dark.npy", "dark", 2.0)
+
+
+@pytest.mark.parametrize(("shape", "area"), [("disc", 0.25 * math.pi), ("square", 1.0)])
+def test_a_field_stop_has_its_area_with_hard_and_soft_edges(shape: StopShape, area: float) -> None:
+    width, edge = 0.0833, 0.02
+    hard = field_stop(GRID, shape, width)
+    assert hard.sum() * GRID.cell == pytest.approx(area * width**2, rel=1e-9)
+    soft = field_stop(GRID, shape, width, edge)
+    # A symmetric edge leaves the square's area; a disc's gains pi times the variance of the edge's place.
+    variance = edge**2 * (0.25 - 2.0 / math.pi**2)
+    extra = math.pi * variance if shape == "disc" else 0.0
+    assert soft.sum() * GRID.cell == pytest.approx(area * width**2 + extra, rel=1e-4)
+    for stop in (hard, soft):
+        np.testing.assert_allclose(stop, stop[::-1, ::-1], atol=1e-12)
+        assert 0.0 <= stop.min() < stop.max() <= 1.0 + 1e-12
+    middle = hard.shape[0] // 2
+    assert np.count_nonzero((hard[middle] > 1e-9) & (hard[middle] < 1.0 - 1e-9)) <= 4
+    assert np.count_nonzero((soft[middle] > 1e-9) & (soft[middle] < 1.0 - 1e-9)) >= 36
+
+
+def test_field_stops_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match="wider than the grid's"):
+        field_stop(GRID, "disc", 0.13)
+    with pytest.raises(InputError, match="edge_mm"):
+        field_stop(GRID, "disc", 0.05, -0.1)
+    with pytest.raises(SamplingError, match="a soft edge"):
+        field_stop(GRID, "square", 0.05, 1e-3)
+    with pytest.raises(InputError, match="allowed: disc, square"):
+        field_stop(GRID, "oval", 0.05)  # type: ignore[arg-type]
+
+
+def test_an_object_larger_than_the_stop_is_refused() -> None:
+    outline = Rectangle(-0.1, 0.1, -0.1, 0.1)
+    validate_within_stop(outline, "square", 0.2)
+    validate_within_stop(outline, "disc", 0.283)
+    with pytest.raises(InputError, match=r"needs 0\.2828 mm"):
+        validate_within_stop(outline, "disc", 0.28)
+    with pytest.raises(InputError, match=r"needs 0\.22 mm"):
+        validate_within_stop(outline, "square", 0.2, (0.01, 0.0))

@@ -1,0 +1,137 @@
+"""What compensators take of predicted wavefronts.
+
+A compensator adapts the reconstruction's model, whose path is taken from that of the lens as built. So a
+model's derivatives by its compensators stand beside the lens's by its perturbations, with the other sign and
+without products of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from tolerancing.merits.compensators import ROUNDS, steadied
+from tolerancing.prediction.derivatives import FieldDifferentials
+from tolerancing.prediction.system import pair_places
+
+MOST_PIVOTS = 60
+"""Exchanges between free and bound compensators; a few suffice, and each lens ends where it has come to."""
+
+ALL_AT_ONCE = 10
+"""Exchanges after which compensators change over one at a time, which ends surely (Murty, 1974)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Compensators of lenses whose wavefronts are predicted; k of them, d changes.
+
+    Attributes
+    ----------
+    limits : ndarray, shape (k,)
+        Largest value of either sign.
+    fields, models : tuple of FieldDifferentials
+        At the object points that tell compensators their values: by the changes of the lens, and by the
+        compensators of the model.
+    """
+
+    limits: Array
+    fields: tuple[FieldDifferentials, ...]
+    models: tuple[FieldDifferentials, ...]
+
+    def values(self, amounts: Array) -> Array:
+        """Values that leave the least of trials' wavefronts within the limits, shape (trials, k).
+
+        As :func:`tolerancing.merits.compensators.compensate` finds them in a trial's pupils.
+
+        Parameters
+        ----------
+        amounts : ndarray, shape (trials, d)
+            How much of each change each trial has.
+        """
+        shares = np.zeros((len(amounts), len(self.limits)))
+        if not len(self.limits):
+            return shares
+        slopes = [model.registered * self.limits for model in self.models]
+        matrix = np.sum(
+            [(own.T * m.weights) @ own for own, m in zip(slopes, self.models, strict=True)], axis=0
+        )
+        steady = steadied(matrix)
+        waves = [field.waves(amounts) for field in self.fields]
+        for _ in range(ROUNDS):
+            wanted = np.zeros_like(shares)
+            for whole, model, own in zip(waves, self.models, slopes, strict=True):
+                wanted += (whole - model.waves(shares * self.limits)) * model.weights @ own
+            shares, _ = bounded_least_squares(steady, wanted + shares @ steady)
+        return shares * self.limits
+
+    def following(self, count: int) -> Array:
+        """How lens and compensators follow the changes to first order, within no limits; shape (d + k, d)."""
+        changes = np.eye(count)
+        if not len(self.limits):
+            return changes
+        pairs = list(zip(self.fields, self.models, strict=True))
+        matrix = np.sum([(m.registered.T * m.weights) @ m.registered for _, m in pairs], axis=0)
+        wanted = np.sum([(m.registered.T * m.weights) @ f.registered for f, m in pairs], axis=0)
+        return np.concatenate([changes, np.linalg.solve(steadied(matrix), wanted)])
+
+
+def less_model(field: FieldDifferentials, model: FieldDifferentials) -> FieldDifferentials:
+    """Derivatives by d changes of the lens and then by k compensators of the model that is taken from it."""
+    d, k = field.first.shape[1], model.first.shape[1]
+    first = np.concatenate([field.first, -model.first], axis=1)
+    if not field.second.shape[1]:
+        return replace(field, first=first)
+    second = np.zeros((len(first), (d + k) * (d + k + 1) // 2))
+    i, j = np.triu_indices(d)
+    second[:, pair_places(d + k, i, j)] = field.second
+    i, j = np.triu_indices(k)
+    second[:, pair_places(d + k, d + i, d + j)] = -model.second
+    return replace(field, first=first, second=second)
+
+
+def bounded_least_squares(matrix: Array, wanted: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Minimize x^T N x / 2 - w^T x within -1 and 1 for many w at once.
+
+    Block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63, 625, 1994): bound variables whose
+    gradient points inwards are freed and free ones beyond a bound are bound, until there are none.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (k, k)
+        Positive definite.
+    wanted : ndarray, shape (t, k)
+
+    Returns
+    -------
+    values : ndarray, shape (t, k)
+    free : ndarray of bool, shape (t, k)
+    """
+    count = wanted.shape[1]
+    bound = np.zeros(wanted.shape)  # -1, 1 where bound, 0 where free
+    values = np.zeros(wanted.shape)
+    left = np.arange(len(wanted))
+    for turn in range(MOST_PIVOTS):
+        patterns, own = np.unique(bound[left], axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            rows, free = left[own.ravel() == number], pattern == 0.0
+            values[rows] = pattern
+            if np.any(free):
+                rest = wanted[np.ix_(rows, free)] - pattern[~free] @ matrix[np.ix_(~free, free)]
+                part = matrix[np.ix_(free, free)]
+                values[np.ix_(rows, free)] = np.linalg.solve(part, rest.T).T
+        at, slope = bound[left], wanted[left] - values[left] @ matrix
+        beyond = np.where((at == 0.0) & (np.abs(values[left]) > 1.0), np.sign(values[left]), 0.0)
+        inward = (at != 0.0) & (slope * at < 0.0)
+        wrong = (beyond != 0.0) | inward
+        going = np.any(wrong, axis=1)
+        if not np.any(going):
+            break
+        if turn >= ALL_AT_ONCE:
+            last = count - 1 - np.argmax(wrong[:, ::-1], axis=1)
+            wrong &= np.arange(count) == last[:, None]
+        bound[left] = np.where(wrong, beyond, at)
+        left = left[going]
+    return np.clip(values, -1.0, 1.0), bound == 0.0

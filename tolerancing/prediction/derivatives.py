@@ -1,0 +1,266 @@
+"""Derivatives of reconstruction pupils by perturbations, from the rays of the nominal lens.
+
+The pupil's path difference dV(p) (:mod:`wavesim.pupil.pupil`) is a change of path between fixed object and
+sensor points, which is what :mod:`tolerancing.prediction.paths` differentiates. Means over the pupil are by
+Gauss-Legendre rings over the stop (Forbes, J. Opt. Soc. Am. A 5, 1943, 1988), weighted by the direction
+cosines at the object that each part of the stop stands for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.zernikes import zernike
+from lensdesign.raytrace.bundles import PupilSamples, launch_compiled, pupil_rings
+from lensdesign.raytrace.compiled import compile_system
+from lensdesign.raytrace.rays import trace_compiled
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.prediction.motions import pair_weights, second_by_pairs
+from tolerancing.prediction.paths import Figures, Paths
+from tolerancing.prediction.system import Changes, changes_of
+
+RINGS, ARMS = 6, 14
+"""Of rays over the stop."""
+
+BLOCK = 512
+"""Trials whose products of perturbations are held at one time."""
+
+POLYNOMIALS = 28
+"""Of Zernike, to the sixth radial order: direction cosines are followed over the stop by them."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldDifferentials:
+    """Derivatives at one object point; n rays, d changes.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (n,)
+        Of means over the pupil; they sum to 1.
+    basis : ndarray, shape (4, n)
+        What registration and refocusing take out: 1 and the direction cosines.
+    first : ndarray, shape (n, d)
+        Of the path difference in waves, by the changes.
+    second : ndarray, shape (n, d (d + 1) / 2)
+        By pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`; no columns where it was not
+        asked for.
+    """
+
+    weights: Array
+    basis: Array
+    first: Array
+    second: Array
+
+    @cached_property
+    def registered(self) -> Array:
+        """First derivatives with shift and focus taken out, shape (n, d)."""
+        return self.without_focus(self.first)
+
+    @cached_property
+    def registered_second(self) -> Array:
+        """Second derivatives with shift and focus taken out, shape (n, pairs)."""
+        return self.without_focus(self.second)
+
+    def waves(self, amounts: Array) -> Array:
+        """Path differences of trials with shift and focus taken out, shape (trials, n).
+
+        Parameters
+        ----------
+        amounts : ndarray, shape (trials, d)
+            How much of each change each trial has.
+        """
+        found = amounts @ self.registered.T
+        if self.second.shape[1]:
+            i, j = np.triu_indices(amounts.shape[1])
+            halves = np.where(i == j, 0.5, 1.0)
+            for start in range(0, len(amounts), BLOCK):
+                part = amounts[start : start + BLOCK]
+                found[start : start + BLOCK] += (halves * part[:, i] * part[:, j]) @ self.registered_second.T
+        return np.asarray(found)
+
+    def without_focus(self, waves: Array) -> Array:
+        """Path differences, shape (n, ...), less the piston, shift and refocus that fit them best."""
+        basis = self.basis
+        heavy = basis * self.weights
+        return np.asarray(waves - basis.T @ np.linalg.solve(heavy @ basis.T, heavy @ waves))
+
+
+@dataclass(frozen=True, eq=False)
+class Differentials:
+    """Derivatives of a lens's pupils by its perturbations.
+
+    Attributes
+    ----------
+    changes : Changes
+        What the perturbations are.
+    fields : tuple of FieldDifferentials
+        One for each object point.
+    """
+
+    changes: Changes
+    fields: tuple[FieldDifferentials, ...]
+
+
+def differentials(
+    lens: Lens,
+    parameters: Sequence[PerturbedParameter],
+    sizes: Array,
+    fields_mm: Sequence[tuple[float, float]],
+    *,
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 3.0,
+    pivot_z_mm: float = 0.0,
+    second: bool = True,
+) -> Differentials:
+    """Differentiate the reconstruction pupils of a lens by perturbations.
+
+    What it neglects: that the perturbed stop lets other rays through.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    parameters
+        What is perturbed.
+    sizes : ndarray, shape (parameters,)
+        Roughly by how much.
+    fields_mm
+        Object points (x, y).
+    wavelength_um
+        Vacuum wavelength; the lens's first by default.
+    plane_distance_mm
+        From the exit vertex to the plane to which paths are taken.
+    pivot_z_mm
+        Where on the axis the whole lens turns, from its front vertex.
+    second
+        Whether second derivatives are asked for.
+
+    Raises
+    ------
+    InputError
+        If a perturbation is none of this lens.
+    DesignError
+        If not all rays pass.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    changes = changes_of(lens, parameters, sizes, pivot_z_mm, wavelength, second)
+    stop = pupil_rings(RINGS, ARMS)
+    paths = nominal_paths(lens, fields_mm, stop, wavelength, plane_distance_mm)
+    weights = pair_weights(changes) if second else None
+    n, waves = len(stop.points), 1e3 / wavelength
+    fields = [
+        _field(paths.part(slice(k * n, (k + 1) * n)), changes, stop, waves, weights)
+        for k in range(len(fields_mm))
+    ]
+    return Differentials(changes, tuple(fields))
+
+
+def _field(
+    paths: Paths, changes: Changes, stop: PupilSamples, waves_per_mm: float, weights: csr_array | None
+) -> FieldDifferentials:
+    figures = figures_on(paths, changes)
+    first = waves_per_mm * first_by(paths, changes, figures)
+    if weights is None:
+        second = np.zeros((len(first), 0))
+    else:
+        second = second_by_pairs(paths, weights, figures)
+        second *= waves_per_mm
+    cosines = paths.cosines
+    return FieldDifferentials(weights_over_stop(cosines, stop), basis_of(cosines), first, second)
+
+
+def first_by(paths: Paths, changes: Changes, figures: Sequence[Figures]) -> Array:
+    """First derivatives of paths in mm by changes, shape (n, d)."""
+    found = paths.by_numbers @ changes.first
+    for figure in figures:
+        found[:, figure.columns] += paths.by_figure(figure.surface, figure.sag)
+    return np.asarray(found)
+
+
+def figures_on(paths: Paths, changes: Changes) -> list[Figures]:
+    """The sag errors of irregularities at the rays."""
+    found = []
+    for surface, columns, figure in changes.figures:
+        x, y = paths.heights_mm[:, surface, 0], paths.heights_mm[:, surface, 1]
+        sag, across, down = (part.T for part in figure.sag_and_slopes(x, y))
+        found.append(Figures(surface, columns, sag, across, down))
+    return found
+
+
+def nominal_paths(
+    lens: Lens,
+    fields_mm: Sequence[tuple[float, float]],
+    stop: PupilSamples,
+    wavelength_um: float,
+    plane_distance_mm: float,
+    whole: bool = True,
+) -> Paths:
+    """Trace rays from object points, one after the other, through the stop.
+
+    Those that do not arrive are left out unless the `whole` pupil is asked for.
+
+    Raises
+    ------
+    DesignError
+        If not all of a whole pupil arrive, or none at all.
+    """
+    system = compile_system(lens, wavelength_um)
+    plane_z = lens.exit_vertex_z_mm + plane_distance_mm
+    origins, directions = launch_compiled(
+        system, fields_mm, stop.points, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
+    )
+    rays = trace_compiled(system, origins, directions, plane_z, record_hits=True)
+    assert rays.hits is not None  # they were asked for
+    if not np.any(rays.ok):
+        raise DesignError("no ray from the object points passes the lens")
+    if whole and not np.all(rays.ok):
+        lost = np.flatnonzero(~rays.ok)[0] // len(stop.points)
+        raise DesignError(
+            f"rays from the object point ({fields_mm[lost][0]:g}, {fields_mm[lost][1]:g}) mm do not all pass "
+            "the lens: its wavefront has no derivatives there"
+        )
+    return Paths(
+        system.shapes,
+        system.vertex[0, :, 2],
+        system.index[0],
+        origins[rays.ok],
+        rays.hits[rays.ok, :, :2],
+        rays.position[rays.ok],
+    )
+
+
+def basis_of(cosines: Array) -> Array:
+    """1 and the direction cosines, less their means, shape (4, n)."""
+    rows = cosines.T - np.mean(cosines, axis=0)[:, None]
+    return np.concatenate([np.ones_like(rows[:1]), rows])
+
+
+def weights_over_stop(cosines: Array, stop: PupilSamples) -> Array:
+    """Shares of the pupil, which is evenly filled in direction cosines, that rays stand for; shape (n,)."""
+    across, down = _slopes_over_stop()
+    by_x, by_y = across @ cosines[:, :2], down @ cosines[:, :2]
+    area = stop.weights * (by_x[:, 0] * by_y[:, 1] - by_x[:, 1] * by_y[:, 0])
+    return np.asarray(area / np.sum(area))
+
+
+@lru_cache(maxsize=1)
+def _slopes_over_stop() -> tuple[Array, Array]:
+    """Matrices that take values at the rings' points to derivatives along x and y of the stop."""
+    points = pupil_rings(RINGS, ARMS).points
+    ways = [np.zeros(2), *(step * axis for axis in np.eye(2) for step in (1e-4, -1e-4))]
+    here, right, left, up, low = (_polynomials(points + way) for way in ways)
+    fit = np.linalg.pinv(here)
+    return (right - left) / 2e-4 @ fit, (up - low) / 2e-4 @ fit
+
+
+def _polynomials(points: Array) -> Array:
+    rho, theta = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
+    return np.stack([zernike(index, rho, theta) for index in range(POLYNOMIALS)], axis=1)

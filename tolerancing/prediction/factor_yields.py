@@ -1,0 +1,89 @@
+"""Yields of a study with each tolerance multiplied by a factor of its own, many times over.
+
+Derivatives are taken once; a yield then takes milliseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from tolerancing.prediction.ray_prediction import BLOCK, FirstOrderRays, predicted_merits
+from tolerancing.prediction.system import amounts_of
+from tolerancing.prediction.wavefront_prediction import (
+    drawn_batch,
+    first_order,
+    is_predicted_wavefront,
+    judged_points,
+    study_derivatives,
+)
+from tolerancing.study.study import Study
+
+JOINT_EVERY = 16
+"""Every so many of a prediction's draws serve for joint yields."""
+
+
+class FirstOrderYield:
+    """Yield of a study by its wavefronts, to first order, with each tolerance multiplied.
+
+    Parameters
+    ----------
+    lens, study
+        As :func:`tolerancing.prediction.wavefront_prediction.predict` takes them.
+    every
+        Every so many of a prediction's draws serve.
+
+    Raises
+    ------
+    InputError
+        If the study has no merit that judges the refocused wavefront.
+    DesignError
+        If rays from a field point do not pass.
+    """
+
+    def __init__(self, lens: Lens, study: Study, every: int = 1) -> None:
+        judged = judged_points(study)
+        self._known = study_derivatives(lens, study, judged, second=False)
+        self._forms = [first_order(field) for field in self._known.fields]
+        self._amounts = amounts_of(drawn_batch(study, every))
+        self._limits = np.array([point.limit_waves**2 for point in judged])
+
+    def at(self, factors: Array) -> float:
+        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        return float(np.mean(self.passed(factors)))
+
+    def passed(self, factors: Array) -> NDArray[np.bool_]:
+        """Which of the drawn lenses keep the limits then, shape (draws,)."""
+        changed = self._amounts.copy()
+        for columns, factor in zip(self._known.changes.columns, factors, strict=True):
+            changed[:, columns] *= factor
+        together = np.concatenate([changed, self._known.compensation.values(changed)], axis=1)
+        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in self._forms], axis=1)
+        return np.asarray(np.all(squares <= self._limits, axis=1))
+
+
+class JointYield:
+    """Joint yield of all predicted limits to first order, by some of a prediction's draws."""
+
+    def __init__(self, lens: Lens, study: Study) -> None:
+        waves = any(is_predicted_wavefront(merit) for merit in study.merits)
+        self._waves = FirstOrderYield(lens, study, JOINT_EVERY) if waves else None
+        self._merits = predicted_merits(study)
+        self._rays = FirstOrderRays(lens, study)
+        self._batch = drawn_batch(study, JOINT_EVERY)
+
+    def at(self, factors: Array) -> float:
+        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        good = np.ones(len(self._batch), bool)
+        if self._waves is not None:
+            good &= self._waves.passed(factors)
+        changed = replace(self._batch, values=self._batch.values * factors)
+        for start in range(0, len(good), BLOCK) if self._merits else ():
+            part = slice(start, start + BLOCK)
+            for merit in self._merits:
+                good[part] &= merit.passed(merit.scores(self._rays, changed.part(part)))
+        return float(np.mean(good))

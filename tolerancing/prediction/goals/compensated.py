@@ -1,0 +1,123 @@
+"""Wavefronts of drawn lenses once compensators are taken out, with exact derivatives.
+
+With the amounts a of a lens's perturbations and the values x of the compensators, the mean square at an
+object point p is z^T Q_p z, z = (a, x). The compensators make the sum over the object points that determine
+them, z^T C z, as small as it gets within their limits. Those at a limit stay there; for the free ones
+(C z)_f = 0, so a change of the lens moves them by dx_f = -C_ff^-1 (dC z)_f, and
+
+    d(z^T Q_p z) = z^T dQ_p z - 2 l^T dC z,    l_f = C_ff^-1 (Q_p z)_f, 0 elsewhere.
+
+Where Q_p is C itself the second term vanishes (the envelope theorem); at a single object point it does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from tolerancing.merits.compensators import steadied
+from tolerancing.prediction.compensation import bounded_least_squares
+from tolerancing.prediction.goals.joint import WAVEFRONT_SOFTNESS
+
+
+@dataclass(frozen=True, eq=False)
+class CompensatedWaves:
+    """Mean squares of drawn lenses at object points; t lenses, d changes, k compensators, v variables.
+
+    Attributes
+    ----------
+    forms, forms_by : ndarray, shapes (p, d + k, d + k) and (v, p, d + k, d + k)
+        Quadratic forms at all object points.
+    total, total_by : ndarray, shapes (d + k, d + k) and (v, d + k, d + k)
+        Their sum over the object points that determine the compensators.
+    amounts : ndarray, shape (t, d)
+    limits : ndarray, shape (k,)
+        Largest value of each compensator.
+    """
+
+    forms: Array
+    forms_by: Array
+    total: Array
+    total_by: Array
+    amounts: Array
+    limits: Array
+
+    @cached_property
+    def _solved(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Amounts and compensators' values, shape (t, d + k), and which of the latter are free."""
+        d, limits = self.amounts.shape[1], self.limits
+        if not len(limits):
+            return self.amounts, np.zeros((len(self.amounts), 0), bool)
+        wanted = -(self.amounts @ self.total[:d, d:]) * limits
+        shares, free = bounded_least_squares(self._normal, wanted)
+        return np.concatenate([self.amounts, shares * limits], axis=1), free
+
+    @cached_property
+    def _normal(self) -> Array:
+        """Normal equations of the compensators' values as fractions of their limits."""
+        d = self.amounts.shape[1]
+        return steadied(self.total[d:, d:] * self.limits * self.limits[:, None])
+
+    @property
+    def together(self) -> Array:
+        """Amounts of the changes and values of the compensators, shape (t, d + k)."""
+        return self._solved[0]
+
+    def squares(self, point: int) -> Array:
+        """Mean square of each lens at one object point, shape (t,)."""
+        return np.asarray(np.sum((self.together @ self.forms[point]) * self.together, axis=1))
+
+    def weighted(self, point: int, weights: Array) -> Array:
+        """Derivatives of the sum of the mean squares with these weights, shape (v,)."""
+        together, free = self._solved
+        moments = (together.T * weights) @ together
+        by = np.tensordot(self.forms_by[:, point], moments, 2)
+        if len(self.limits):
+            pulled = self._adjoint(together @ self.forms[point], free)
+            crossed = (pulled.T * weights) @ together
+            by = by - 2.0 * np.tensordot(self.total_by[:, -len(self.limits) :], crossed, 2)
+        return np.asarray(by)
+
+    def _adjoint(self, response: Array, free: NDArray[np.bool_]) -> Array:
+        """The vectors l of each lens, shape (t, k)."""
+        wanted = response[:, -len(self.limits) :] * self.limits
+        found = np.zeros_like(wanted)
+        patterns, own = np.unique(free, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            rows = np.flatnonzero(own.ravel() == number)
+            if np.any(pattern):
+                part = self._normal[np.ix_(pattern, pattern)]
+                found[np.ix_(rows, pattern)] = np.linalg.solve(part, wanted[np.ix_(rows, pattern)].T).T
+        return found * self.limits
+
+
+@dataclass(frozen=True, eq=False)
+class WavefrontLoads:
+    """Loads on a limit of the wavefront at one object point.
+
+    Attributes
+    ----------
+    waves : CompensatedWaves
+    point : int
+        Which of its object points.
+    limit_waves : float
+    """
+
+    waves: CompensatedWaves
+    point: int
+    limit_waves: float
+    softness: float | None = WAVEFRONT_SOFTNESS
+    sign: float = 1.0
+
+    @cached_property
+    def loads(self) -> Array:
+        """Mean squares over the limit's square."""
+        return self.waves.squares(self.point) / self.limit_waves**2
+
+    def weighted(self, weights: Array) -> Array:
+        """Derivatives of the sum of the loads with these weights, shape (v,)."""
+        return self.waves.weighted(self.point, weights / self.limit_waves**2)

@@ -1,0 +1,291 @@
+"""A lens of a search at one wavelength, its perturbations, and both a complex step of a variable away.
+
+First-order responses to perturbations are differentiated by design variables by complex step through
+:mod:`tolerancing.prediction.paths`, along rays that keep their points on the stop. What a perturbation is in
+numbers of the lens changes smoothly with the design, and is differentiated by central differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.problem import DesignProblem, Rays
+from lensdesign.raytrace.gradients import GradientTrace, Variable
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.prediction.derivatives import figures_on
+from tolerancing.prediction.paths import Figures, Paths
+from tolerancing.prediction.system import Changes, amounts_of, changes_of
+from tolerancing.prediction.wavefront_prediction import replace_draws
+from tolerancing.study.evaluate import sample_perturbations
+from tolerancing.study.study import Study
+
+SEARCH_DRAWS = 2048
+"""Sobol draws of a study's perturbations by which a search knows its yield."""
+
+RIM_POINTS = 16
+"""Rays that determine the clear height of a surface that has none."""
+
+FLATTEST_PER_MM = 1e-7
+"""Curvature that stands for a plane, whose radius cannot err."""
+
+STEP, SHARE = 1e-30, 1e-4
+"""The complex step; and the fraction of a variable's range over which perturbations are differenced."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """What scatters in a study and what compensates it, in the order of all matrices of a search.
+
+    Attributes
+    ----------
+    study : Study
+    factor
+        By which the tolerances of a lens are multiplied.
+    """
+
+    study: Study
+    factor: Callable[[Lens], float]
+
+    @cached_property
+    def parameters(self) -> tuple[PerturbedParameter, ...]:
+        """Perturbations, and behind them the compensators."""
+        return (*self.study.perturbations, *self.study.compensators)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Roughly how large each of them is."""
+        study = self.study
+        return np.array([*(p.tolerance for p in study.perturbations), *(c.limit for c in study.compensators)])
+
+    @cached_property
+    def limits(self) -> Array:
+        """Largest value of each compensator, shape (k,)."""
+        return np.array([c.limit for c in self.study.compensators])
+
+    @cached_property
+    def amounts(self) -> Array:
+        """How much of each change each drawn lens has, shape (draws, d)."""
+        return amounts_of(sample_perturbations(replace_draws(self.study, SEARCH_DRAWS), range(SEARCH_DRAWS)))
+
+
+class DesignPoint:
+    """The lens at a point of a search's unit box, at one wavelength.
+
+    Parameters
+    ----------
+    scatter
+    problem, point
+        Where the lens stands.
+    variables
+        What derivatives are by; none for none.
+    wavelength
+        Index of the specification's wavelength.
+
+    Attributes
+    ----------
+    changes : Changes
+        Of perturbations and compensators.
+    multiplier : ndarray, shape (d + k,)
+        By which responses to a unit of each change count: the factor of the tolerances, and -1 for
+        compensators, whose path is subtracted.
+
+    Raises
+    ------
+    DesignError
+        If the rays by which surfaces get their clear heights do not pass.
+    """
+
+    def __init__(
+        self,
+        scatter: Scatter,
+        problem: DesignProblem,
+        point: Array,
+        variables: tuple[Variable, ...],
+        wavelength: int,
+    ) -> None:
+        self.scatter, self.problem, self.point, self.variables = scatter, problem, point, variables
+        self.wavelength = wavelength
+        self.wavelength_um = problem.base.wavelengths_um[wavelength]
+        self.lens = problem.lens_at(point)
+        self._rim = _rim_trace(problem, point, bool(variables), wavelength)
+        self.changes, self._factor = self._changes_of(self.lens, self._clear(None, 0.0))
+        self.multiplier = self._multiplier(self._factor)
+        self._ends: dict[int, tuple[Changes, Changes, float, complex]] = {}
+
+    def moved_changes(self, variable: int) -> tuple[Changes, Array]:
+        """Changes and multiplier a complex step of a variable away."""
+        high, low, width, factor = self._moved(variable)
+        first = self.changes.first + 1j * STEP * (high.first - low.first) / width
+        return replace(self.changes, first=first), self._multiplier(factor)
+
+    def figures(self, paths: Paths) -> list[Figures]:
+        """Sag errors of irregularities at rays."""
+        return figures_on(paths, self.changes)
+
+    def moved_figures(self, paths: Paths, still: Paths, variable: int) -> list[Figures]:
+        """Those of rays and lens a complex step of a variable away from where they stand `still`."""
+        high, low, width, _ = self._moved(variable)
+        share = 1j * STEP / width
+        found = []
+        for own, upper, lower in zip(
+            self.figures(paths), figures_on(still, high), figures_on(still, low), strict=True
+        ):
+            found.append(
+                replace(
+                    own,
+                    sag=own.sag + share * (upper.sag - lower.sag),
+                    slope_x=own.slope_x + share * (upper.slope_x - lower.slope_x),
+                    slope_y=own.slope_y + share * (upper.slope_y - lower.slope_y),
+                )
+            )
+        return found
+
+    def _moved(self, k: int) -> tuple[Changes, Changes, float, complex]:
+        """Changes of the lens on both sides of a variable, how far they lie apart, and the complex factor."""
+        if k not in self._ends:
+            axis, step = np.eye(len(self.point))[k], SHARE * self.problem.width[k]
+            (high, more), (low, less) = (
+                self._changes_of(
+                    self.problem.lens_at(self.point + sign * SHARE * axis), self._clear(k, sign * step)
+                )
+                for sign in (1.0, -1.0)
+            )
+            factor = self._factor + 1j * STEP * (more - less) / (2.0 * step)
+            self._ends[k] = high, low, 2.0 * step, factor
+        return self._ends[k]
+
+    def _multiplier(self, factor: complex) -> Array:
+        compensators = len(self.scatter.limits)
+        perturbed = self.changes.count - compensators
+        return np.concatenate([np.full(perturbed, factor), np.full(compensators, -1.0)])
+
+    def _clear(self, variable: int | None, step: float) -> Array:
+        """Clear height of each surface, and how it follows a variable; of the stop its semi-diameter."""
+        trace, stop = self._rim, self.lens.stop_index
+        squares = np.sum(trace.heights**2, axis=-1)
+        rays = np.argmax(squares, axis=0)
+        surfaces = np.arange(squares.shape[1])
+        clear = np.sqrt(squares[rays, surfaces])
+        clear[stop] = trace.stop_semi_diameter_mm
+        if variable is None:
+            return np.asarray(clear)
+        by = np.sum(
+            trace.heights[rays, surfaces] * trace.heights_by[rays, surfaces, :, variable], axis=-1
+        ) / np.maximum(clear, np.finfo(float).tiny)
+        by[stop] = trace.stop_semi_diameter_by[variable]
+        return np.asarray(clear + step * by)
+
+    def _changes_of(self, lens: Lens, clear_mm: Array) -> tuple[Changes, float]:
+        """Changes of a lens whose surfaces all have clear heights and radii; and the tolerances' factor."""
+        whole, scatter = sized(lens, clear_mm), self.scatter
+        pivot = scatter.study.pivot_z_mm
+        changes = changes_of(whole, scatter.parameters, scatter.sizes, pivot, self.wavelength_um, False)
+        return changes, scatter.factor(whole)
+
+
+def rim_heights(problem: DesignProblem, point: Array) -> Array:
+    """Return the clear height of each surface of the lens at a point of the unit box, in mm.
+
+    Of the stop it is the semi-diameter.
+
+    Raises
+    ------
+    DesignError
+        If rays from the rim of the field do not all pass.
+    """
+    trace = _rim_trace(problem, point, False, 0)
+    heights = np.max(np.hypot(trace.heights[..., 0], trace.heights[..., 1]), axis=0)
+    heights[problem.base.stop_index] = trace.stop_semi_diameter_mm
+    return np.asarray(heights)
+
+
+def _rim_trace(problem: DesignProblem, point: Array, derivatives: bool, wavelength: int) -> GradientTrace:
+    """Rays from the edge of the field through the rim of the stop."""
+    angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    edge = np.tile([0.0, problem.lens_at(point).half_field_mm], (RIM_POINTS, 1))
+    rim = Rays(edge, np.column_stack([np.cos(angles), np.sin(angles)]))
+    trace = problem.trace(point, rim, derivatives, np.zeros(1), wavelength)
+    if not np.all(trace.ok):
+        raise DesignError("rays from the rim of the field do not all pass the lens")
+    return trace
+
+
+class TracedRays:
+    """Rays of a design to a plane, with their paths a complex step of each variable away.
+
+    Parameters
+    ----------
+    design
+    rays
+        Object points and stop points.
+    plane_mm
+        Distance of the plane from the exit vertex; None is the first sensor plane, which heat moves.
+
+    Attributes
+    ----------
+    trace : GradientTrace
+    """
+
+    def __init__(self, design: DesignPoint, rays: Rays, plane_mm: float | None) -> None:
+        self.design, self.rays = design, rays
+        problem, derivatives = design.problem, bool(design.variables)
+        planes = None if plane_mm is None else np.array([plane_mm])
+        self.trace: GradientTrace = problem.trace(design.point, rays, derivatives, planes, design.wavelength)
+        self.ok: NDArray[np.bool_] = self.trace.ok
+        self.plane_mm = design.lens.sensor.plane_distances_mm[0] if plane_mm is None else plane_mm
+        self._of_sensor = plane_mm is None
+
+    @cached_property
+    def still(self) -> Paths:
+        """Paths through the lens itself."""
+        return self._paths(None)
+
+    def moved(self, variable: int) -> Paths:
+        """Paths a complex step of a variable away."""
+        return self._paths(variable)
+
+    def _paths(self, moved: int | None) -> Paths:
+        design, trace = self.design, self.trace
+        heights, ends = trace.heights, trace.plane_points[:, 0]
+        shapes = [surface.shape for surface in design.lens.surfaces]
+        vertices: Array = design.lens.vertex_z_mm
+        object_z: complex = design.lens.object_z_mm
+        plane: complex = self.plane_mm
+        if moved is not None:
+            heights = heights + 1j * STEP * trace.heights_by[..., moved]
+            ends = ends + 1j * STEP * trace.plane_points_by[:, 0, :, moved]
+            shapes, vertices, object_z = design.problem.placed(design.point, moved, 1j * STEP)
+            if self._of_sensor:
+                plane = plane + 1j * STEP * design.problem.planes_by(design.point, moved)[0]
+        origins = np.column_stack([self.rays.fields_mm, np.full(len(heights), object_z)])
+        arrivals = np.column_stack([ends, np.full(len(heights), vertices[-1] + plane)])
+        index = design.problem.compiled[design.wavelength].index[0]
+        return Paths(tuple(shapes), vertices, index, origins, heights, arrivals)
+
+
+def sized(lens: Lens, clear_mm: Array) -> Lens:
+    """The lens with clear heights where it has none, the stop's as its rays fill it, and no planes."""
+    surfaces = [
+        s
+        if s.semi_diameter_mm is not None and number != lens.stop_index
+        else s.model_copy(update={"semi_diameter_mm": float(c)})
+        for number, (s, c) in enumerate(zip(lens.surfaces, clear_mm, strict=True))
+    ]
+    return bent(lens.model_copy(update={"surfaces": tuple(surfaces)}))
+
+
+def bent(lens: Lens) -> Lens:
+    """The lens with planes that are bent by next to nothing, so that radii may err by nothing."""
+    surfaces = []
+    for surface in lens.surfaces:
+        keys = [k for k in surface.shape_keys if k.startswith("radius") and getattr(surface, k) is None]
+        surfaces.append(surface.model_copy(update=dict.fromkeys(keys, 1.0 / FLATTEST_PER_MM)))
+    return lens.model_copy(update={"surfaces": tuple(surfaces)})

@@ -1,0 +1,154 @@
+"""Fresh trials and predictions of finished lenses: what searches show of them in the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, TransferLensError
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.as_built import AsBuiltPrediction, MeritLoss, MeritYield, TrialsOf
+from tolerancing.merits.base import Merit
+from tolerancing.merits.context import Context
+from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.perturbations.draws import replicates
+from tolerancing.prediction.losses import mean_loss
+from tolerancing.prediction.study_prediction import predict_study
+from tolerancing.prediction.wavefront_prediction import Judged
+from tolerancing.statistics.yields import yield_of
+from tolerancing.study.evaluate import context_of, decide_levels, sample_perturbations
+from tolerancing.study.scoring import score_batch
+from tolerancing.study.study import Study
+
+
+def predicted_of(lens: Lens, study: Study) -> AsBuiltPrediction:
+    """What is predicted of a lens.
+
+    Raises
+    ------
+    DesignError
+        If rays from a field point do not pass.
+    """
+    found = predict_study(lens, study)
+    points = () if found.wavefronts is None else found.wavefronts.points
+    return AsBuiltPrediction(
+        tuple(point.rms_waves for point in points),
+        found.yield_fraction,
+        {limit.merit.label: limit.yield_fraction for limit in found.limits},
+    )
+
+
+def trials_of(
+    name: str, lens: Lens, study: Study, judged: Sequence[Judged], predicted: AsBuiltPrediction
+) -> TrialsOf:
+    """Score all trials of a study of a lens as a run of it does.
+
+    Parameters
+    ----------
+    name
+        What to call the lens.
+    lens, study
+        What is tried.
+    judged
+        Object points of the wavefront whose root mean square is asked for.
+    predicted
+        What is predicted of the lens by the draws of the study as it is, whatever seed the trials have.
+
+    Raises
+    ------
+    TransferLensError
+        If the lens cannot be scored.
+    """
+    study = study.with_levels(decide_levels(lens, study))
+    context = context_of(lens, study)
+    size = min(merit.trials_per_chunk for merit in study.merits)
+    scores, squares = [], []
+    for start in range(0, study.trials, size):
+        batch = sample_perturbations(study, range(start, min(start + size, study.trials)))
+        found, messages = score_batch(study.merits, context, batch)
+        scores.append(found)
+        squares.append(_mean_squares(context, batch, judged))
+        if start == 0 and all(messages):
+            raise InputError(f"{name or 'the lens'}: no trial can be scored: {messages[0]}")
+    scored = np.concatenate(scores)
+    summary = _summary(name, study, scored, np.concatenate(squares), predicted)
+    return replace(summary, losses=_losses(lens, study, scored))
+
+
+def _losses(lens: Lens, study: Study, scores: Array) -> tuple[MeritLoss, ...]:
+    """Mean reconstruction losses; a trial without a score has lost all."""
+    found = []
+    for k, merit in enumerate(study.merits):
+        if isinstance(merit, ReconstructionLoss):
+            own = np.where(np.isfinite(scores[:, k]), scores[:, k], 1.0)
+            error = float(np.std(own) / np.sqrt(len(own)))
+            words = ", ".join(merit.details)
+            predicted = mean_loss(lens, study, merit)
+            calibrated = bool(study.compensators)
+            found.append(MeritLoss(merit.label, words, calibrated, float(np.mean(own)), error, predicted))
+    return tuple(found)
+
+
+def _summary(
+    name: str, study: Study, scores: Array, squares: Array, predicted: AsBuiltPrediction
+) -> TrialsOf:
+    turns = replicates(study.draws, range(study.trials))
+    passed = [merit.passed(scores[:, k]) for k, merit in enumerate(study.merits)]
+    good = yield_of(np.all(passed, axis=0), turns)
+    assert good is not None  # there are trials
+    rows = tuple(
+        _merit_yield(merit, passed[k], turns, predicted.merits.get(merit.label))
+        for k, merit in enumerate(study.merits)
+    )
+    scored = np.sum(np.isfinite(squares), axis=0)
+    rms = np.sqrt(np.nanmean(squares, axis=0)) if len(squares.T) else np.zeros(0)
+    errors = np.nanstd(squares, axis=0) / np.sqrt(scored) / (2.0 * rms) if len(squares.T) else rms
+    return TrialsOf(
+        name,
+        study.trials,
+        tuple(rms.tolist()),
+        tuple(errors.tolist()),
+        predicted.rms_waves,
+        good.share,
+        good.low,
+        good.high,
+        None if math.isnan(predicted.good) else predicted.good,
+        rows,
+    )
+
+
+def _merit_yield(
+    merit: Merit, passed: NDArray[np.bool_], turns: NDArray[np.int64] | None, predicted: float | None
+) -> MeritYield:
+    found = yield_of(passed, turns)
+    assert found is not None  # there are trials
+    return MeritYield(
+        merit.label,
+        merit.limit_text,
+        ", ".join(merit.details),
+        found.share,
+        found.low,
+        found.high,
+        predicted,
+    )
+
+
+def _mean_squares(context: Context, batch: PerturbationBatch, judged: Sequence[Judged]) -> Array:
+    """Mean squares of the refocused path difference, shape (trials, points); NaN where there is none."""
+    found = np.full((len(batch), len(judged)), np.nan)
+    for k, point in enumerate(judged):
+        try:
+            pupils = context.pupils(batch, point.field_mm, point.wavelength_um, True, True)
+        except TransferLensError:
+            if len(batch) > 1:
+                singly = [_mean_squares(context, one, judged[k : k + 1]) for one in batch.single_trials()]
+                found[:, k] = np.concatenate(singly)[:, 0]
+            continue
+        found[:, k] = [np.mean(pupil.opd_waves[pupil.valid] ** 2) for pupil in pupils]
+    return found

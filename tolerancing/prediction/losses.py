@@ -1,0 +1,313 @@
+"""Expected loss of reconstructions as built, without a trial.
+
+The merit `reconstruction_loss` (:mod:`tolerancing.merits.loss`) traces rays through each perturbed lens. Here
+the change of path on a meridian is linear in the perturbations, by Fermat's principle along nominal rays
+(:mod:`tolerancing.prediction.paths`); all else is as in the merit (:mod:`wavesim.pupil.chain_draws`).
+Compensators of the study are those of a calibrated reconstruction. They follow the perturbations by least
+squares in what intensities show, within their limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.raytrace.compiled import CompiledSystem, compile_system
+from lensdesign.raytrace.rays import trace_compiled
+from tolerancing.merits.compensators import steadied
+from tolerancing.merits.loss import AZIMUTHS_DEG, ReconstructionLoss
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.prediction.compensation import bounded_least_squares
+from tolerancing.prediction.derivatives import figures_on, first_by
+from tolerancing.prediction.paths import Paths
+from tolerancing.prediction.system import Changes, amounts_of, changes_of, columns_of
+from tolerancing.prediction.wavefront_prediction import replace_draws
+from tolerancing.study.evaluate import sample_perturbations
+from tolerancing.study.study import Study
+from wavesim.pupil import LinearisedChain
+from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
+from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
+
+DEPTH = 11
+"""Place of a station's shift along the axis among the numbers of its pose."""
+
+DRAWS = 256
+"""Lenses by which the mean loss of a finished lens is predicted."""
+
+FANS = 9
+"""Object points of a meridian from which nominal rays are traced."""
+
+
+@dataclass(frozen=True, eq=False)
+class LossPaths:
+    """Changes of path that perturbations of a lens bring; d changes, k compensators.
+
+    Attributes
+    ----------
+    lens : ndarray, shape (points, meridians, terms, d)
+        Coefficients of the change of path in waves, for a unit of each change of the lens.
+    model : ndarray, shape (points, meridians, terms, k)
+        The same for each compensator at its limit.
+    """
+
+    lens: Array
+    model: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LossChains:
+    """The chains of a merit's object points.
+
+    Attributes
+    ----------
+    points : tuple of tuple of ChainDraws
+        For each object point one for each meridian.
+    """
+
+    points: tuple[tuple[ChainDraws, ...], ...]
+
+    def coefficients(self, paths: LossPaths, amounts: Array) -> Array:
+        """Return the change of path that the model of the reconstruction leaves of each lens.
+
+        Parameters
+        ----------
+        paths : LossPaths
+        amounts : ndarray, shape (lenses, d)
+            How much of each change each lens has.
+
+        Returns
+        -------
+        ndarray, shape (points, meridians, lenses, terms)
+        """
+        found = np.einsum("pmtd,nd->pmnt", paths.lens, amounts, optimize=True)
+        if paths.model.shape[-1]:
+            for k, chains in enumerate(self.points):
+                shares = _calibrated(chains, paths.lens[k], paths.model[k], amounts)
+                found[k] -= np.einsum("mtk,nk->mnt", paths.model[k], shares)
+        return found
+
+    def losses(self, coefficients: Array, derivatives: bool = False) -> tuple[Array, Array]:
+        """Return the expected loss at each object point of each lens.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (points, meridians, lenses, terms)
+            As of :meth:`coefficients`.
+        derivatives : bool
+            Whether derivatives are wanted.
+
+        Returns
+        -------
+        losses : ndarray, shape (points, lenses)
+        by : ndarray, shape (points, meridians, lenses, terms)
+            Derivatives by the coefficients; zeros where they are not wanted.
+        """
+        losses, by = np.empty((len(self.points), coefficients.shape[2])), np.zeros(coefficients.shape)
+        for k, chains in enumerate(self.points):
+            pairs = [c.correlations(own, derivatives) for c, own in zip(chains, coefficients[k], strict=True)]
+            squares = 1.0 + np.maximum(sum(r**-2 - 1.0 for r, _ in pairs), 0.0)
+            losses[k] = 1.0 - squares**-0.5
+            for m, (r, slopes) in enumerate(pairs):
+                by[k, m] = (-(squares**-1.5) * r**-3)[:, None] * slopes
+        return losses, by
+
+
+def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float | None = None) -> LossChains:
+    """Work out the chains of a merit.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    merit
+        Which loss.
+    pixels_per_sample
+        Makes a coarser chain: pixels of each plane that are looked at, for each sample of the object. None
+        leaves the chain as the merit has it.
+
+    Raises
+    ------
+    InputError
+        If rays of a line do not get through.
+    """
+
+    def chains(point: tuple[float, float]) -> tuple[ChainDraws, ...]:
+        own = merit.chains(lens, point)
+        if pixels_per_sample is not None:
+            own = [_coarser(chain, pixels_per_sample) for chain in own]
+        return tuple(map(ChainDraws, own))
+
+    return LossChains(tuple(map(chains, merit.points)))
+
+
+def loss_paths(lens: Lens, study: Study, merit: ReconstructionLoss) -> LossPaths:
+    """Work out the changes of path of a merit, to first order in the perturbations.
+
+    Raises
+    ------
+    InputError
+        If rays of a line do not get through, or a perturbation is none of this lens.
+    """
+    wavelength = lens.wavelengths_um[0] if merit.wavelength_um is None else merit.wavelength_um
+    scatter = [p.tolerance for p in study.perturbations]
+    limits = np.array([c.limit for c in study.compensators])
+    perturbed = _changed(lens, study.perturbations, scatter, study.pivot_z_mm, wavelength)
+    adapted = _changed(lens, study.compensators, limits.tolist(), study.pivot_z_mm, wavelength)
+    system, own, model = compile_system(lens, wavelength), [], []
+    for point in merit.points:
+        nodes = [_Nodes(lens, system, merit, point, azimuth) for azimuth in AZIMUTHS_DEG]
+        own.append([one.coefficients(perturbed) for one in nodes])
+        model.append([one.coefficients(adapted) * limits for one in nodes])
+    return LossPaths(np.array(own), np.array(model))
+
+
+def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts: Array) -> Array:
+    """Predict the scores of a merit: for each lens the largest loss of the merit's object points.
+
+    What it neglects: second order of paths in the perturbations, and all that the merit neglects.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    study
+        Its perturbations and compensators.
+    merit
+        Which loss.
+    amounts : ndarray, shape (lenses, d)
+        How much of each change each lens has (:func:`tolerancing.prediction.system.amounts_of`).
+
+    Returns
+    -------
+    ndarray, shape (lenses,)
+
+    Raises
+    ------
+    InputError
+        If rays of a line do not get through, or a perturbation is none of this lens.
+    """
+    chains = loss_chains(lens, merit)
+    losses, _ = chains.losses(chains.coefficients(loss_paths(lens, study, merit), amounts))
+    return np.asarray(losses.max(axis=0))
+
+
+def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = DRAWS) -> float:
+    """Predict the mean of a merit over lenses as built.
+
+    The lenses are drawn from the perturbations of the study by a Sobol sequence.
+
+    Parameters
+    ----------
+    lens, study, merit
+        As of :func:`expected_losses`.
+    draws
+        How many lenses.
+    """
+    return float(np.mean(expected_losses(lens, study, merit, drawn_losses(study, draws))))
+
+
+def drawn_losses(study: Study, draws: int) -> Array:
+    """Return amounts of the study's perturbations, drawn by a Sobol sequence; shape (draws, d)."""
+    return amounts_of(sample_perturbations(replace_draws(study, draws), range(draws)))
+
+
+def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:
+    """The chain with fewer fans, and with fewer pixels that hold as much light."""
+    meridian = replace(chain.meridian, fans=FANS, pixels_per_sample=pixels_per_sample)
+    return replace(
+        chain, meridian=meridian, electrons=chain.electrons * PIXELS_PER_SAMPLE / pixels_per_sample
+    )
+
+
+def _calibrated(chains: Sequence[ChainDraws], lens: Array, model: Array, amounts: Array) -> Array:
+    """What a calibration finds of each lens, as shares of the compensators' limits; shape (lenses, k)."""
+    sees = [chain.visible for chain in chains]
+    matrix = sum(m.T @ see @ m for see, m in zip(sees, model, strict=True))
+    across = sum(m.T @ see @ own for see, own, m in zip(sees, lens, model, strict=True))
+    wanted = amounts @ across.T
+    return bounded_least_squares(steadied(np.asarray(matrix)), wanted)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Changed:
+    """Changes of a lens, and how much farther than the mean each plane of the design moves with them."""
+
+    changes: Changes
+    farther: Array
+
+
+def _changed(
+    lens: Lens,
+    parameters: Sequence[PerturbedParameter],
+    sizes: Sequence[float],
+    pivot_z_mm: float,
+    wavelength_um: float,
+) -> _Changed:
+    changes = changes_of(lens, parameters, np.array(sizes), pivot_z_mm, wavelength_um, False)
+    columns, count = columns_of(parameters)
+    steps = np.diag(np.array(sizes, float))
+    ends = [
+        PerturbationBatch(tuple(parameters), sign * steps, pivot_z_mm).plane_distances_mm(lens)
+        for sign in (0.5, -0.5)
+    ]
+    slopes = (ends[0] - ends[1]) / np.array(sizes, float)[:, None]
+    farther = np.zeros((slopes.shape[1], count))
+    for k, own in enumerate(columns):
+        if not parameters[k].is_irregularity:
+            farther[:, own.start] = slopes[k] - slopes[k].mean()
+    return _Changed(changes, farther)
+
+
+class _Nodes:
+    """Nominal rays of a meridian to each plane, along which changes of path are known."""
+
+    def __init__(
+        self,
+        lens: Lens,
+        system: CompiledSystem,
+        merit: ReconstructionLoss,
+        point: tuple[float, float],
+        azimuth_deg: float,
+    ) -> None:
+        distances = np.array(merit.planes_mm or lens.sensor.plane_distances_mm)
+        self.wavelength_um = lens.wavelengths_um[0] if merit.wavelength_um is None else merit.wavelength_um
+        nodes = (np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in NODES)
+        x, p = (part.ravel() for part in np.meshgrid(*nodes, indexing="ij"))
+        angle = np.deg2rad(azimuth_deg)
+        along = np.array([np.cos(angle), np.sin(angle), 0.0])
+        origins = np.array([*point, lens.object_z_mm]) + 0.5 * merit.patch_mm * x[:, None] * along
+        directions = lens.object.numerical_aperture * p[:, None] * along
+        directions[:, 2] = np.sqrt(1.0 - np.sum(directions**2, axis=1))
+        plane_z = lens.exit_vertex_z_mm + distances
+        # No stop clips them, so that all lenses of a search are known by the same rays.
+        rays = trace_compiled(system, origins, directions, float(plane_z[0]), record_hits=True, clip=False)
+        assert rays.hits is not None  # they were asked for
+        ok = rays.ok
+        if np.count_nonzero(ok) <= TERMS:
+            raise InputError(
+                f"only {np.count_nonzero(ok)} rays of a line of {merit.patch_mm:g} mm about {point} mm pass "
+                f"the lens; its expected loss needs more than {TERMS}"
+            )
+        heights, behind = rays.hits[ok, :, :2], rays.direction[ok]
+        steps = (plane_z - plane_z[0])[:, None, None] * behind / behind[:, 2:]
+        lens_parts = system.shapes, system.vertex[0, :, 2], system.index[0], origins[ok], heights
+        self.planes = [Paths(*lens_parts, rays.position[ok] + step) for step in steps]
+        self.fit = np.linalg.pinv(polynomial_terms(x[ok], p[ok]), rcond=1e-9)
+
+    def coefficients(self, changed: _Changed) -> Array:
+        """Polynomials of the changes of path, in waves for a unit of each; shape (planes * TERMS, d)."""
+        changes, found = changed.changes, []
+        sensor = changes.layout.pose(changes.layout.surfaces + 1).start + DEPTH
+        for number, paths in enumerate(self.planes):
+            path = first_by(paths, changes, figures_on(paths, changes))
+            # Planes beyond those of the design move with the mean of these.
+            if number < len(changed.farther):
+                path = path + np.outer(paths.by_numbers[:, sensor], changed.farther[number])
+            found.append(1e3 / self.wavelength_um * self.fit @ (path - path.mean(axis=0)))
+        return np.concatenate(found)

@@ -1,0 +1,199 @@
+"""What all changes of a lens are made of to first order, and how paths answer to it to second.
+
+A change turns and shifts the object, surfaces and sensor, and alters terms of shapes, indices, figures and
+the wavelength: few motions, in which the changes are sparse. Second derivatives of paths are dense in the
+motions alone, and go over to the changes by the chain rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.shapes.base import Shape
+from tolerancing.prediction.paths import POSE, Figures, Paths
+from tolerancing.prediction.system import Changes
+
+OF_POSE = (7, 2, 3, 9, 10, 11)
+"""Numbers of a pose that tell its first-order turns about x, y and z, and its shifts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Answers of rays to q motions: n rays, s surfaces.
+
+    Motions are turns about x, y and z in radians and shifts of each station, terms of the shapes, indices,
+    the share of wavelengths, and a unit of each figure, in this order.
+
+    Attributes
+    ----------
+    paths : Paths
+    figures : sequence of Figures
+        Sag errors that changes may bring.
+    """
+
+    paths: Paths
+    figures: Sequence[Figures] = ()
+
+    @cached_property
+    def _first_term(self) -> int:
+        return 6 * (self.paths.layout.surfaces + 2)
+
+    def _place(self, numbers: slice) -> slice:
+        """Motions that are numbers behind the poses."""
+        shift = self._first_term - POSE * (self.paths.layout.surfaces + 2)
+        return slice(numbers.start + shift, numbers.stop + shift)
+
+    @cached_property
+    def _indices(self) -> slice:
+        return self._place(self.paths.layout.indices)
+
+    @cached_property
+    def count(self) -> int:
+        """How many motions there are."""
+        return self._indices.stop + 1 + sum(figure.sag.shape[1] for figure in self.figures)
+
+    @cached_property
+    def _sags(self) -> list[tuple[int, slice, Array]]:
+        """Of each shape and figure: its surface, motions, and sag with slopes, shape (n, 3, motions)."""
+        paths, layout = self.paths, self.paths.layout
+        found = []
+        for k, shape in enumerate(paths.shapes):
+            terms = [np.stack(paths.by_term(k, t), axis=1) for t in shape.TERMS[: layout.terms[k]]]
+            found.append((k, self._place(layout.of_shape(k)), np.stack(terms, axis=2)))
+        place = self._indices.stop + 1
+        for figure in self.figures:
+            parts = np.stack([figure.sag, figure.slope_x, figure.slope_y], axis=1)
+            found.append((figure.surface, slice(place, place + parts.shape[2]), parts))
+            place += parts.shape[2]
+        return found
+
+    @cached_property
+    def points(self) -> Array:
+        """Change of the stations' points, rays staying where they are on each; shape (n, 3 (s + 2), q)."""
+        own = self.paths.own_points
+        n, stations = own.shape[:2]
+        kinds = (own, *(sag for _, _, sag in self._sags))
+        found = np.zeros((n, stations, 3, self.count), np.result_type(*kinds))
+        for k in range(stations):
+            found[:, k, :, 6 * k : 6 * k + 3] = _turns(own[:, k])
+            found[:, k, :, 6 * k + 3 : 6 * k + 6] = np.eye(3)
+        for k, columns, sag in self._sags:
+            found[:, k + 1, 2, columns] = sag[:, 0]
+        return found.reshape(n, 3 * stations, self.count)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Change of each segment's length, shape (n, s + 1, q)."""
+        n = len(self.points)
+        moves = np.diff(self.points.reshape(n, -1, 3, self.count), axis=1)
+        return np.asarray((self.paths.directions[:, :, None] @ moves)[:, :, 0])
+
+    @cached_property
+    def slide(self) -> Array:
+        """Derivatives of the path by x and y on the surfaces and by motions, shape (n, 2 s, q)."""
+        paths, tangents = self.paths, self.paths.tangents
+        bent = paths.stiffness @ self.points
+        for k in range(len(paths.shapes)):
+            # The pull at a surface is the optical direction before it less the one behind it.
+            bent[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k] += paths.directions[:, k]
+            bent[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k + 1] -= paths.directions[:, k + 1]
+        found = paths.along_surfaces(bent)
+        for k in range(len(paths.shapes)):
+            pull = paths.pulls[:, k + 1]
+            for c in range(2):
+                turned = np.cross(tangents[:, k, :, c], pull)
+                found[:, 2 * k + c, 6 * k + 6 : 6 * k + 9] += turned
+        for k, columns, sag in self._sags:
+            found[:, 2 * k : 2 * k + 2, columns] += paths.pulls[:, k + 1, 2, None, None] * sag[:, 1:]
+        return found
+
+    @cached_property
+    def second(self) -> Array:
+        """Second derivatives of the path, object and sensor points kept, shape (n, q, q)."""
+        paths, points, slide = self.paths, self.points, self.slide
+        found = np.swapaxes(points, 1, 2) @ (paths.stiffness @ points)
+        found -= np.swapaxes(slide, 1, 2) @ np.linalg.solve(paths.sliding, slide)
+        crossed = np.zeros_like(found)
+        crossed[:, self._indices] += self.lengths
+        share = self._indices.stop
+        crossed[:, share] = (paths.pulls.reshape(len(points), 1, -1) @ points)[:, 0]
+        crossed[:, share, self._indices] = paths.lengths
+        for k, columns, sag in self._sags:
+            pull = paths.pulls[:, k + 1]
+            # A sag stands along the axis of a surface that turns.
+            turned = np.cross(np.array([0.0, 0.0, 1.0]), pull)
+            crossed[:, 6 * k + 6 : 6 * k + 9, columns] += turned[:, :, None] * sag[:, :1]
+        found += crossed + np.swapaxes(crossed, 1, 2)
+        for k, shape in enumerate(paths.shapes):
+            own = self._place(paths.layout.of_shape(k))
+            bends = _sag_bends(shape, paths.heights_mm[:, k])
+            found[:, own, own] += paths.pulls[:, k + 1, 2, None, None] * bends
+        return found
+
+
+def motions_of(changes: Changes) -> Array:
+    """Motions that d changes are, shape (q, d)."""
+    layout, first = changes.layout, changes.first
+    poses = POSE * np.arange(layout.surfaces + 2)[:, None] + np.array(OF_POSE)
+    rest = np.arange(POSE * (layout.surfaces + 2), layout.size)
+    units = np.eye(changes.count)
+    rows = [units[columns] for _, columns, _ in changes.figures]
+    return np.concatenate([first[poses.ravel()], first[rest], *rows])
+
+
+def pair_weights(changes: Changes) -> sparse.csr_array:
+    """The chain rule: what takes second derivatives by motions and first ones by numbers to those by changes.
+
+    Of shape (d (d + 1) / 2, q^2 + numbers), by pairs of changes (i, j), i <= j, in the order of
+    `numpy.triu_indices`.
+    """
+    moved = sparse.csr_array(motions_of(changes).T)
+    i, j = np.triu_indices(changes.count)
+    products = sparse.kron(moved, moved, format="csr")[i * changes.count + j]
+    return sparse.hstack([products, changes.second], format="csr")
+
+
+def second_by_pairs(paths: Paths, weights: sparse.csr_array, figures: Sequence[Figures] = ()) -> Array:
+    """Second derivatives of paths in mm by d changes, object and sensor points kept.
+
+    Parameters
+    ----------
+    paths
+    weights
+        Of the changes, by :func:`pair_weights`.
+    figures
+        Sag errors that come with the changes.
+
+    Returns
+    -------
+    ndarray, shape (n, d (d + 1) / 2)
+    """
+    by_motions = Motions(paths, figures).second
+    own = np.concatenate([by_motions.reshape(len(by_motions), -1), paths.by_numbers], axis=1)
+    return np.asarray((weights @ own.T).T)
+
+
+def _turns(points: Array) -> Array:
+    """Change of points with turns about x, y and z, shape (n, 3, 3)."""
+    return np.swapaxes(np.cross(np.eye(3), points[:, None]), 1, 2)
+
+
+def _sag_bends(shape: Shape, heights_mm: Array) -> Array:
+    """Second derivatives of a sag by its shape's terms, shape (n, terms, terms), at real points.
+
+    By complex step, exact to rounding.
+    """
+    names = shape.TERMS[: shape.terms.shape[-1]]
+    x, y = heights_mm[:, 0], heights_mm[:, 1]
+    step = 1e-30
+    columns = [
+        np.stack([shape.moved(b, step * 1j).derivatives_by(a, x, y)[0].imag / step for a in names], axis=1)
+        for b in names
+    ]
+    return np.stack(columns, axis=2)

@@ -1,0 +1,236 @@
+"""Merits of rays without trials, from the derivatives of the nominal lens's rays.
+
+Each ray follows the perturbations to first order; which is the outermost is asked anew for each draw, so that
+an extreme that goes from ray to ray is told as it is. A few draws are traced all the same, to know whether
+first order suffices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from lensdesign.raytrace.bundles import PupilSamples
+from tolerancing.merits.arrival import Arrival
+from tolerancing.merits.base import Merit
+from tolerancing.merits.context import Context, Points
+from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.wavefront_prediction import drawn_batch
+from tolerancing.study.study import Study
+
+BLOCK = 128
+"""Draws whose rays are held at one time; and those that tell what each perturbation does by itself."""
+
+TRACED = 64
+"""Draws that are traced."""
+
+CLOSE = 0.5
+"""A ray is followed for all draws if it comes so close to the extreme of one of the first, or of the nominal
+lens, in standard deviations of the extreme."""
+
+FIRST_SUFFICES = 0.05
+"""Root mean square that first order may leave of the traced draws, as a share of their deviation."""
+
+ROUNDING = 1e-9
+"""Deviations below this share of the nominal value are none."""
+
+
+@dataclass(frozen=True, eq=False)
+class RayPrediction:
+    """What is predicted of a merit of rays, in its unit.
+
+    Attributes
+    ----------
+    merit : RayMerit
+    nominal : float
+        Of the nominal lens.
+    mean, deviation : float
+        Over lenses.
+    passed : ndarray of bool, shape (draws,)
+        Which of the drawn lenses are within the limit.
+    alone : ndarray, shape (perturbations,)
+        Deviation that each perturbation brings by itself.
+    left : float
+        Root mean square by which predictions of the traced draws are off, as a share of their deviation.
+    """
+
+    merit: RayMerit
+    nominal: float
+    mean: float
+    deviation: float
+    passed: NDArray[np.bool_]
+    alone: Array
+    left: float
+
+    @property
+    def good(self) -> float:
+        """Fraction of lenses within the limit."""
+        return float(np.mean(self.passed))
+
+    @property
+    def shares(self) -> Array:
+        """Of the sum of these squares that each perturbation brings, shape (perturbations,)."""
+        squares = self.alone**2
+        return np.asarray(squares / max(float(np.sum(squares)), np.finfo(float).tiny))
+
+    @property
+    def first_order_suffices(self) -> bool:
+        """Whether what first order leaves is small."""
+        return self.left <= FIRST_SUFFICES
+
+
+class FirstOrderRays(Context):
+    """What ray merits score by: rays that follow the perturbations to first order, none clipped."""
+
+    def __init__(self, lens: Lens, study: Study) -> None:
+        super().__init__(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
+        self._study = study
+
+    def rays(
+        self,
+        batch: PerturbationBatch,
+        field_points_mm: Points,
+        wavelength_um: float | None,
+        stop: PupilSamples | None = None,
+    ) -> Arrival:
+        wavelength, study = self.wavelength_um(wavelength_um), self._study
+        samples = self.stop_samples() if stop is None else stop
+
+        def make() -> ArrivalDifferentials:
+            return arrival_differentials(
+                self.lens,
+                study.perturbations,
+                np.array([p.tolerance for p in study.perturbations]),
+                field_points_mm,
+                samples,
+                wavelength_um=wavelength,
+                pivot_z_mm=study.pivot_z_mm,
+            )
+
+        known = self.kept(("arrivals", field_points_mm, wavelength, id(stop)), make)
+        return self.once(
+            batch,
+            ("rays", field_points_mm, wavelength, id(stop)),
+            lambda: known.arrival(known.changes.amounts(batch)),
+        )
+
+    def narrow(self, batch: PerturbationBatch, distances_mm: tuple[float, ...]) -> None:
+        """Leave out the rays that are never near the extreme of one of these lenses or of the nominal one.
+
+        Parameters
+        ----------
+        batch
+            The lenses.
+        distances_mm
+            Planes on which footprints are judged, from the first sensor plane.
+        """
+        for key, known in self._kept.items():
+            if isinstance(known, ArrivalDifferentials):
+                self._kept[key] = known.part(_extreme_rays(known, batch, distances_mm))
+
+
+def _extreme_rays(
+    known: ArrivalDifferentials, batch: PerturbationBatch, distances_mm: tuple[float, ...]
+) -> NDArray[np.int64]:
+    """Rays with the largest angles and footprints, and those that come close to them."""
+    amounts = known.changes.amounts(batch)
+    found = known.arrival(np.concatenate([amounts, np.zeros_like(amounts[:1])]))
+    across = found.direction[..., :2] / found.direction[..., 2:]
+    kept = np.zeros(across.shape[1], bool)
+    for distance in (None, *distances_mm):
+        ends = found.direction[..., :2] if distance is None else found.position_mm + distance * across
+        sizes = np.hypot(ends[..., 0], ends[..., 1])
+        largest = np.max(sizes, axis=1)
+        near = largest - CLOSE * np.std(largest) - ROUNDING * largest
+        kept |= np.any(sizes >= near[:, None], axis=0)
+    return np.flatnonzero(kept)
+
+
+def is_predicted_ray_merit(merit: Merit) -> TypeGuard[LargestSpread | FootprintRadius]:
+    """Whether a merit is one of rays that can be predicted: a spread or a footprint."""
+    return isinstance(merit, LargestSpread | FootprintRadius)
+
+
+def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
+    """Merits of rays that can be predicted."""
+    return tuple(merit for merit in study.merits if is_predicted_ray_merit(merit))
+
+
+def predict_rays(
+    lens: Lens, study: Study, batch: PerturbationBatch | None = None, *, checked: bool = True
+) -> tuple[RayPrediction, ...]:
+    """Predict a study's largest spreads and footprints.
+
+    What it neglects: second order of the single ray, and rays that a perturbed lens clips or lets through
+    where the nominal one does not.
+
+    Parameters
+    ----------
+    lens
+        The study's lens.
+    study
+        What scatters, and its merits.
+    batch
+        The drawn lenses; default: those of :func:`tolerancing.prediction.wavefront_prediction.drawn_batch`.
+    checked
+        Whether the first draws are traced, too, to measure what first order neglects.
+
+    Returns
+    -------
+    tuple of RayPrediction
+        One for each merit `largest_spread_deg` and `footprint_radius_mm`.
+
+    Raises
+    ------
+    DesignError
+        If no ray passes.
+    """
+    merits = predicted_merits(study)
+    if not merits:
+        return ()
+    drawn = drawn_batch(study) if batch is None else batch
+    context = FirstOrderRays(lens, study)
+    blocks = [drawn.part(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
+    planes = lens.sensor.plane_distances_mm
+    judged = [m.plane_distance_mm or planes[-1] for m in merits if isinstance(m, FootprintRadius)]
+    first = _scores(merits, context, blocks[0])
+    context.narrow(blocks[0], tuple(distance - planes[0] for distance in judged))
+    scores = np.concatenate([first, *(_scores(merits, context, block) for block in blocks[1:])])
+    still = replace(blocks[0], values=np.zeros_like(blocks[0].values))
+    nominal = _scores(merits, context, still)[0]
+    alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
+    left = np.zeros(len(merits))
+    if checked:
+        traced = _scores(merits, Context(lens, study.sampling), drawn.part(slice(0, TRACED)))
+        off = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
+        # What no perturbation moves deviates by rounding alone.
+        left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
+    return tuple(
+        RayPrediction(
+            merit,
+            float(nominal[k]),
+            float(np.mean(scores[:, k])),
+            float(np.std(scores[:, k])),
+            merit.passed(scores[:, k]),
+            alone[:, k],
+            float(left[k]),
+        )
+        for k, merit in enumerate(merits)
+    )
+
+
+def _scores(merits: tuple[RayMerit, ...], context: Context, batch: PerturbationBatch) -> Array:
+    return np.stack([merit.scores(context, batch) for merit in merits], axis=1)
+
+
+def _one_by_one(batch: PerturbationBatch) -> list[PerturbationBatch]:
+    """The batch with all perturbations but one at 0, for each of them."""
+    kept = np.eye(batch.values.shape[1])
+    return [replace(batch, values=batch.values * own) for own in kept]

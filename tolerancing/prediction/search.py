@@ -1,0 +1,330 @@
+"""A tolerance study as a search for lenses uses it: predictions with exact derivatives, and fresh trials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError, TransferLensError
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.as_built import (
+    AsBuiltPrediction,
+    AsBuiltReport,
+    AsBuiltValues,
+    LossValues,
+    untraceable,
+    without_losses,
+)
+from lensdesign.optimization.problem import DesignProblem
+from lensdesign.raytrace.gradients import Variable
+from tolerancing.cost.pricing import cost_of
+from tolerancing.cost.table import CostTable, load_costs
+from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.prediction.goals.compensated import CompensatedWaves, WavefrontLoads
+from tolerancing.prediction.goals.design import DesignPoint, Scatter, bent, sized
+from tolerancing.prediction.goals.forms import wavefront_forms
+from tolerancing.prediction.goals.joint import DrawnLoads, failing_fraction
+from tolerancing.prediction.goals.mean_losses import SearchedLosses
+from tolerancing.prediction.goals.ray_loads import FollowedRays, RayLoads, judged_rays
+from tolerancing.prediction.goals.trials import predicted_of, trials_of
+from tolerancing.prediction.ray_prediction import predicted_merits
+from tolerancing.prediction.sheet_scores import StudySheets
+from tolerancing.prediction.wavefront_prediction import Judged, is_predicted_wavefront, wavefront_points
+from tolerancing.study.evaluate import compensated_points, make_ready
+from tolerancing.study.files import check_against, load_study
+from tolerancing.study.study import Study
+
+
+@dataclass(frozen=True, eq=False)
+class StudyAsBuilt:
+    """A study whose lenses a search makes good.
+
+    Attributes
+    ----------
+    study : Study
+    reference : Lens
+        The lens that it was written for.
+    source : str
+        Where it comes from.
+    costs : Path or None
+        Table of costs; None is that of the toolkit.
+    amount : float or None
+        What the tolerances of each lens cost, all multiplied alike; None leaves them as they are.
+    """
+
+    study: Study
+    reference: Lens
+    source: str
+    costs: Path | None = None
+    amount: float | None = None
+
+    def sheets(self) -> StudySheets:
+        """What derives and scores the tolerances of a lens's sheets by the study."""
+        return StudySheets(self.study, self.source)
+
+    def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
+        """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""
+        return replace(self, costs=costs, amount=cost)
+
+    @cached_property
+    def _table(self) -> CostTable:
+        return load_costs(self.costs)
+
+    def cost(self, lens: Lens) -> float:
+        """What the tolerances of a lens cost, its elements included.
+
+        Raises
+        ------
+        InputError
+            If the table has no price for one of them.
+        """
+        return self.amount or cost_of(self.study, bent(lens), self._table).total
+
+    def factor(self, lens: Lens) -> float:
+        """By which the tolerances of a lens are multiplied to cost what is asked for.
+
+        Costs of tolerances are their reciprocals.
+        """
+        if self.amount is None:
+            return 1.0
+        elements = len(lens.glass_fronts)
+        return (cost_of(self.study, lens, self._table).total - elements) / (self.amount - elements)
+
+    def scaled(self, factor: float) -> StudyAsBuilt:
+        """The study with all tolerances multiplied."""
+        if factor == 1.0:
+            return self
+        return replace(self, study=_multiplied(self.study, factor))
+
+    @cached_property
+    def judged(self) -> tuple[Judged, ...]:
+        """Object points at which wavefronts are limited, and their limits."""
+        return wavefront_points(self.study)
+
+    @property
+    def points_mm(self) -> tuple[tuple[float, float], ...]:
+        """Object points at which wavefronts are limited."""
+        return tuple(point.field_mm for point in self.judged)
+
+    @cached_property
+    def trials_only(self) -> tuple[str, ...]:
+        """Names of the merits that cannot be predicted; trials alone score them."""
+        known = {m.label for m in predicted_merits(self.study)}
+        known |= {m.label for m in self.study.merits if is_predicted_wavefront(m)}
+        return tuple(m.label for m in self.study.merits if m.label not in known)
+
+    @property
+    def loss_merits(self) -> tuple[str, ...]:
+        """Names of the study's merits `reconstruction_loss`."""
+        return tuple(merit.label for merit in self.study.merits if isinstance(merit, ReconstructionLoss))
+
+    @cached_property
+    def _losses(self) -> SearchedLosses:
+        return SearchedLosses(self.study, self.reference, self.factor, self.source)
+
+    @cached_property
+    def _scatter(self) -> Scatter:
+        # A search ends with trials: whether all merits can score is known before it begins.
+        make_ready(self.study)
+        return Scatter(self.study, self.factor)
+
+    @cached_property
+    def _places(self) -> tuple[tuple[tuple[float, float], float | None], ...]:
+        """Object points whose wavefronts are followed: those that are judged, then others that compensate."""
+        judged = [(p.field_mm, p.wavelength_um) for p in self.judged]
+        own = compensated_points(self.study) if self.study.compensators else ()
+        return (*judged, *(place for place in own if place not in judged))
+
+    def check(self, lens: Lens) -> None:
+        """Refuse tolerances of what a lens does not have.
+
+        Raises
+        ------
+        DesignError
+        """
+        check_against(self.study, bent(lens), self.source)
+        if self.amount is not None:
+            if self.amount <= (elements := len(lens.glass_fronts)):
+                raise DesignError(
+                    f"tolerances: cost = {self.amount:g}: must be above {elements}, which the elements "
+                    "of the lens cost without any"
+                )
+            self.factor(sized(lens, np.ones(len(lens.surfaces))))
+        used = {wavelength for _, wavelength in self._places}
+        used |= {merit.wavelength_um for merit in predicted_merits(self.study)}
+        own = used - {None, *lens.wavelengths_um}
+        if own:
+            known = ", ".join(f"{w:g}" for w in lens.wavelengths_um)
+            raise DesignError(
+                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: a search "
+                f"knows the wavelengths of its specification alone, {known} um"
+            )
+
+    def evaluate(self, problem: DesignProblem, point: Array, derivatives: bool) -> AsBuiltValues:
+        """Predict the lens at a point of the unit box, to first order in the perturbations.
+
+        Derivatives are by the variables' own values.
+
+        Raises
+        ------
+        InputError
+            If a merit that only trials use cannot score, as the code of a user that does not load.
+        """
+        variables, scatter = problem.variables if derivatives else (), self._scatter
+        try:
+            with np.errstate(all="ignore"):
+                found = self._values(scatter, problem, point, variables)
+        except (TransferLensError, np.linalg.LinAlgError):
+            return untraceable(len(self.judged), len(variables))
+        numbers = (found.rms_waves, found.rms_by, found.failing, found.failing_by)
+        if not all(np.all(np.isfinite(own)) for own in numbers) or np.any(found.rms_waves <= 0.0):
+            return untraceable(len(self.judged), len(variables))
+        return found
+
+    def check_yields(self) -> None:
+        """Refuse a study of which no yield can be predicted.
+
+        Raises
+        ------
+        DesignError
+        """
+        if not self.judged and not predicted_merits(self.study):
+            raise DesignError(
+                f"{self.source}: no merit can be predicted without trials ({', '.join(self.trials_only)}), "
+                "so a search cannot use it: add one of kind rms_waves, strehl, largest_spread_deg or "
+                "footprint_radius_mm"
+            )
+
+    def check_losses(self, lens: Lens) -> None:
+        """Refuse losses that a search for such a lens cannot know.
+
+        Raises
+        ------
+        DesignError
+            If the study's own lens cannot stand for the lenses of the search.
+        """
+        self._losses.check(lens)
+
+    def losses(self, problem: DesignProblem, point: Array, derivatives: bool) -> LossValues:
+        """Predict mean reconstruction losses of the lens at a point of the unit box.
+
+        Derivatives are by the variables' own values.
+        """
+        count = len(problem.variables) if derivatives else 0
+        try:
+            with np.errstate(all="ignore"):
+                found = self._losses.values(problem, point, derivatives)
+        except (TransferLensError, np.linalg.LinAlgError):
+            return without_losses(len(self.loss_merits), count)
+        if not (np.all(np.isfinite(found.losses)) and np.all(np.isfinite(found.losses_by))):
+            return without_losses(len(self.loss_merits), count)
+        return found
+
+    def _values(
+        self, scatter: Scatter, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]
+    ) -> AsBuiltValues:
+        wavelengths = problem.base.wavelengths_um
+        designs: dict[int, DesignPoint] = {}
+
+        def design_at(wavelength_um: float | None) -> DesignPoint:
+            index = wavelengths.index(wavelength_um or wavelengths[0])
+            if index not in designs:
+                designs[index] = DesignPoint(scatter, problem, point, variables, index)
+            return designs[index]
+
+        limits: list[DrawnLoads] = []
+        rms, rms_by = np.zeros(0), np.zeros((0, len(variables)))
+        if self.judged:
+            waves = self._waves([design_at(w) for _, w in self._places])
+            count = len(scatter.amounts)
+            squares = [waves.squares(k) for k in range(len(self.judged))]
+            rms = np.sqrt([np.mean(own) for own in squares])
+            even = np.full(count, 1.0 / count)
+            if variables:
+                rms_by = np.stack([waves.weighted(k, even) / (2.0 * rms[k]) for k in range(len(rms))])
+            else:
+                rms_by = np.zeros((len(rms), 0))
+            limits += [WavefrontLoads(waves, k, own.limit_waves) for k, own in enumerate(self.judged)]
+        for merit in predicted_merits(self.study):
+            design = design_at(merit.wavelength_um)
+            rays = judged_rays(merit, design.lens, self.study.sampling)
+            limits.append(RayLoads(merit, FollowedRays(design, rays), scatter.amounts))
+        return AsBuiltValues(rms, rms_by, *failing_fraction(limits, len(variables)))
+
+    def _waves(self, designs: Sequence[DesignPoint]) -> CompensatedWaves:
+        """Wavefronts at all places, each of the design at its wavelength."""
+        size, variables = designs[0].changes.count, len(designs[0].variables)
+        values = np.empty((len(designs), size, size))
+        by = np.empty((variables, *values.shape))
+        for design in dict.fromkeys(designs):
+            own = [k for k, other in enumerate(designs) if other is design]
+            values[own], by[:, own] = wavefront_forms(design, [self._places[k][0] for k in own])
+        scatter, total, total_by = self._scatter, np.zeros((size, size)), np.zeros((variables, size, size))
+        if len(scatter.limits):
+            own = [self._places.index(place) for place in compensated_points(self.study)]
+            total, total_by = np.sum(values[own], axis=0), np.sum(by[:, own], axis=1)
+        return CompensatedWaves(values, by, total, total_by, scatter.amounts, scatter.limits)
+
+    def predict(self, lens: Lens) -> AsBuiltPrediction:
+        """Predict a finished lens by the function that `tolerancing predict` prints."""
+        if not self.judged and not predicted_merits(self.study):
+            return AsBuiltPrediction((), math.nan, {})
+        lens = self._fitting(lens)
+        return predicted_of(lens, self._toleranced(self.study, lens))
+
+    def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
+        """Try lenses by so many fresh trials each, drawn by a seed that is not the study's.
+
+        A run of the study with that seed, and as many trials, scores the same trials by the same code.
+
+        Raises
+        ------
+        TransferLensError
+            If a lens cannot be scored.
+        """
+        fresh = self.study.model_copy(update={"seed": self.study.seed + 1 + seed, "trials": count})
+        rows = []
+        for name, given in lenses:
+            lens = self._fitting(given)
+            rows.append(
+                trials_of(name, lens, self._toleranced(fresh, lens), self.judged, self.predict(given))
+            )
+        return AsBuiltReport(
+            self.points_mm,
+            tuple(p.wavelength_um for p in self.judged),
+            tuple(p.limit_waves for p in self.judged),
+            fresh.seed,
+            self.trials_only,
+            tuple(rows),
+        )
+
+    def _fitting(self, lens: Lens) -> Lens:
+        """The lens, with planes bent by next to nothing where the study perturbs the radius of one."""
+        try:
+            check_against(self.study, lens, self.source)
+        except DesignError:
+            return bent(lens)
+        return lens
+
+    def _toleranced(self, study: Study, lens: Lens) -> Study:
+        """The study with the tolerances of a lens."""
+        return _multiplied(study, self.factor(bent(lens)))
+
+
+def read_study(path: Path) -> StudyAsBuilt:
+    """Read a study for a search."""
+    loaded = load_study(path)
+    return StudyAsBuilt(loaded.study, loaded.lens, str(path))
+
+
+def _multiplied(study: Study, factor: float) -> Study:
+    """The study with all tolerances multiplied."""
+    if factor == 1.0:
+        return study
+    return study.model_copy(update={"perturbations": tuple(p.scaled(factor) for p in study.perturbations)})

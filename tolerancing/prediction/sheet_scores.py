@@ -1,0 +1,352 @@
+"""Sheets by a study: what the study leaves open is derived from it, and the whole sheet is scored.
+
+A value that the study does not state stands as the general tolerance if it costs next to no yield; otherwise
+it is the largest round value that costs little. None is closer than the high-precision grade.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.manufacture.drawing.scored import MOST_LOSS, Derived, SheetScore
+from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
+from tolerancing.perturbations.grades import HIGH_PRECISION
+from tolerancing.prediction.drawn_study import (
+    HOMOGENEITY,
+    AsDrawnStudy,
+    as_drawn_study,
+    item_key,
+    sheet_items,
+    with_value,
+)
+from tolerancing.prediction.factor_yields import FirstOrderYield, JointYield
+from tolerancing.prediction.ray_prediction import predicted_merits
+from tolerancing.prediction.sheet_item import OF_ELEMENT, Key, SheetItem
+from tolerancing.prediction.study_prediction import predict_study
+from tolerancing.prediction.wavefront_prediction import is_predicted_wavefront
+from tolerancing.study.files import check_against, save_study
+from tolerancing.study.study import Study
+
+COSTS_NOTHING = 0.001
+"""Yield that a general tolerance may cost alone and still stand."""
+
+LOSS_EACH, LOSS_ALL = 0.002, 0.01
+"""Yield that a derived value may cost alone, and that all values may cost which the study does not state."""
+
+ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+"""Derived values are these times powers of ten."""
+
+SHARES = (0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
+"""Of a wedge, for the tilt of each of the two surfaces."""
+
+WAVE_STEPS, JOINT_STEPS = 100, 15
+"""Most values that are tightened because all of them together cost too much."""
+
+YieldOf = Callable[[Array], float]
+
+
+@dataclass(frozen=True)
+class StudySheets:
+    """A study that scores sheets; see :class:`lensdesign.manufacture.drawing.scored.SheetScorer`.
+
+    Attributes
+    ----------
+    study : Study
+    source : str
+        Its file.
+    """
+
+    study: Study
+    source: str
+
+    @property
+    def _predictable(self) -> bool:
+        waves = any(is_predicted_wavefront(merit) for merit in self.study.merits)
+        return waves or bool(predicted_merits(self.study))
+
+    def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> Derived:
+        """Derive what the study leaves open, for a lens as drawn.
+
+        Parameters
+        ----------
+        lens
+            The lens as drawn.
+        sheets
+            Of each element. Values that are general tolerances, or missing, are open.
+
+        Raises
+        ------
+        DesignError
+            If the study perturbs what the lens does not have, or rays do not pass.
+        """
+        check_against(self.study, lens, self.source)
+        items = sheet_items(lens, self.study, sheets)
+        if not self._predictable or all(item.origin not in ("general", "open") for item in items):
+            return Derived(tuple(sheets), ())
+        made = as_drawn_study(lens, self.study, items)
+        joint = JointYield(lens, made.study).at
+        waves = None
+        if any(is_predicted_wavefront(merit) for merit in self.study.merits):
+            waves = FirstOrderYield(lens, made.study).at
+        search = _Search(lens, sheets, items, made)
+        search.share_wedges(waves or joint)
+        search.tighten(waves or joint, WAVE_STEPS if waves else JOINT_STEPS)
+        if waves and predicted_merits(self.study) and search.loss(joint) > search.loss(waves) + LOSS_EACH:
+            search.tighten(joint, JOINT_STEPS)
+        return Derived(
+            tuple(_written(sheet, search.chosen, k, lens) for k, sheet in enumerate(sheets)),
+            tuple(_notes(search)),
+        )
+
+    def score(self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]) -> SheetScore | None:
+        """Score sheets; None if none of the study's merits can be predicted without trials.
+
+        Parameters
+        ----------
+        designed, drawn
+            The lens of the study, and the one that the sheets state.
+        sheets
+            Of each element.
+
+        Raises
+        ------
+        DesignError
+            As of :meth:`derive`.
+        """
+        if not self._predictable:
+            return None
+        check_against(self.study, drawn, self.source)
+        own = predict_study(designed, self.study)
+        items = sheet_items(drawn, self.study, sheets)
+        made = as_drawn_study(drawn, self.study, items)
+        found = predict_study(drawn, made.study)
+        losses: list[tuple[str, float]] = []
+        if own.yield_fraction - found.yield_fraction > MOST_LOSS:
+            losses = _losses(drawn, made)
+
+        def save(path: Path, design: str) -> None:
+            named = [p.file_name for p in made.study.perturbations if p.file_name is not None]
+            if named and path.resolve().parent != Path(self.source).resolve().parent:
+                raise InputError(
+                    f"the study as drawn needs {named[0]} beside it; write it beside {self.source}"
+                )
+            title = f"{self.study.title or self.source}: as drawn"
+            save_study(made.study.model_copy(update={"title": title, "design": design}), path)
+
+        return SheetScore(
+            own.yield_fraction,
+            found.yield_fraction,
+            tuple(losses),
+            own.is_trustworthy and found.is_trustworthy,
+            found.not_predicted,
+            save,
+        )
+
+
+def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
+    """Yield that each indication costs alone which the study does not have, largest first."""
+    at = JointYield(lens, made.study).at
+    added = list({item.key: item for item in made.items if item is not None}.values())
+
+    def factors(one: SheetItem | None) -> Array:
+        return np.array([float(item is None or item is one) for item in made.items])
+
+    base = at(factors(None))
+    found = [(item.text, base - at(factors(item))) for item in added]
+    return sorted(found, key=lambda pair: -pair[1])
+
+
+class _Search:
+    """Values of what a study leaves open, tightened until they cost little."""
+
+    def __init__(
+        self,
+        lens: Lens,
+        sheets: Sequence[DrawingTolerances],
+        items: Sequence[SheetItem],
+        made: AsDrawnStudy,
+    ) -> None:
+        self.items = {item.key: item for item in items}
+        self.opened = tuple(item for item in items if item.origin in ("general", "open"))
+        self.chosen = {item.key: item for item in self.opened}
+        self.shared = set[Key]()
+        self.costs = dict.fromkeys(self.chosen, 0.0)
+        self._lens, self._sheets = lens, sheets
+        # Whose tolerance each perturbation is: the sheet's, where it has stated it or adds it.
+        keys = (item_key(p, lens) for p in made.study.perturbations)
+        self._keys = tuple(
+            key if item is None else item.key for key, item in zip(keys, made.items, strict=True)
+        )
+
+    def share_wedges(self, yield_of: YieldOf) -> None:
+        """Share the wedge of elements of which the study tilts one surface by both surfaces.
+
+        That tilt is the wedge between the two, while a sheet holds both to the ground edge. Both get the
+        same share of it, the largest that costs little, unless the other surface may have as much beside it.
+        """
+        base = self._yield(yield_of, {})
+        for front in self._lens.glass_fronts:
+            pair = [self.items.get(("centring", surface)) for surface in (front, front + 1)]
+            stated = [item for item in pair if item is not None and item.origin == "study"]
+            opened = [item for item in pair if item is not None and item.key in self.chosen]
+            if len(stated) != 1 or len(opened) != 1 or stated[0].key in self.shared:
+                continue
+            wedge, other = stated[0], opened[0]
+            beside = self._valued(other, min(other.value, _floor(SHARES[0] * wedge.value)))
+            if base - self._yield(yield_of, {other.key: beside}) <= LOSS_EACH:
+                continue
+            for share in SHARES:
+                both = {one.key: self._valued(one, _floor(share * wedge.value)) for one in (wedge, other)}
+                if base - self._yield(yield_of, both) <= LOSS_EACH:
+                    break
+            self.chosen |= both
+            self.shared |= set(both)
+
+    def tighten(self, yield_of: YieldOf, most_steps: int) -> None:
+        """Tighten values until each costs little alone, and all of them together."""
+        shared = {key: self.chosen[key] for key in self.shared}
+        own = {key: one for key, one in self.chosen.items() if key not in self.shared}
+        base = self._yield(yield_of, shared)
+
+        def cost(key: Key, one: SheetItem) -> float:
+            return base - self._yield(yield_of, shared | {key: one})
+
+        for key, one in own.items():
+            self.costs[key] = cost(key, one)
+            if self.costs[key] > (LOSS_EACH if one is not self.items[key] else COSTS_NOTHING):
+                self.chosen[key] = self._widest(one, partial(self._does, yield_of, base, shared, key))
+                self.costs[key] = cost(key, self.chosen[key])
+        for _ in range(most_steps):
+            if base - self._yield(yield_of, self.chosen) <= LOSS_ALL:
+                break
+            dear = (key for key in own if self.costs[key] > 0.5 * COSTS_NOTHING)
+            steps = {key: closer for key in dear if (closer := self._closer(self.chosen[key]))}
+            if not steps:
+                break
+            key = max(steps, key=lambda key: self.costs[key])
+            self.chosen[key] = steps[key]
+            self.costs[key] = cost(key, steps[key])
+
+    def _does(
+        self, yield_of: YieldOf, base: float, shared: dict[Key, SheetItem], key: Key, one: SheetItem
+    ) -> bool:
+        """Whether a value costs little alone."""
+        return base - self._yield(yield_of, shared | {key: one}) <= LOSS_EACH
+
+    def _widest(self, item: SheetItem, does: Callable[[SheetItem], bool]) -> SheetItem:
+        """The widest closer value that does, by bisection; the closest of all where none does."""
+        ladder = [item]
+        while (closer := self._closer(ladder[-1])) is not None:
+            ladder.append(closer)
+        low, high = 0, len(ladder) - 1  # the first does not
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if does(ladder[middle]) else (middle, high)
+        return ladder[high]
+
+    def loss(self, yield_of: YieldOf) -> float:
+        """Yield that all chosen values cost together."""
+        return self._yield(yield_of, {}) - self._yield(yield_of, self.chosen)
+
+    def _yield(self, yield_of: YieldOf, values: dict[Key, SheetItem]) -> float:
+        """Yield with some values, without what else the sheet allows beyond the study."""
+        return yield_of(np.array([self._factor(key, values) for key in self._keys]))
+
+    def _factor(self, key: Key | None, values: dict[Key, SheetItem]) -> float:
+        """Share of its widest deviation that a perturbation keeps."""
+        if key is None or key not in self.items:
+            return 1.0
+        if key not in values:
+            return 1.0 if self.items[key].origin in ("study", "sheet") else 0.0
+        return values[key].deviations[0].tolerance / self.items[key].deviations[0].tolerance
+
+    def _valued(self, item: SheetItem, value: float) -> SheetItem:
+        return with_value(item, self._lens, self._sheets[item.element], value)
+
+    def _closer(self, item: SheetItem) -> SheetItem | None:
+        """The item with the next closer value; None where that is beyond the high-precision grade."""
+        value = item.value + 1.0 if item.kind == "inhomogeneity" else _rounded_below(item.value)
+        least = _least(item, self._lens)
+        beyond = value >= len(HOMOGENEITY) if item.kind == "inhomogeneity" else value < least
+        if beyond:
+            return None
+        return self._valued(item, value)
+
+
+def _floor(value: float) -> float:
+    """A value rounded down to two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{step * math.floor(value / step + 1e-9):.4g}")
+
+
+def _rounded_below(value: float) -> float:
+    """The next round value below a value."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    steps = [step * decade for step in ROUND] + [0.7 * decade]
+    return float(f"{max(step for step in steps if step < value * (1.0 - 1e-9)):.4g}")
+
+
+def _least(item: SheetItem, lens: Lens) -> float:
+    """The closest value that is derived: that of the high-precision grade, in the unit of the sheet."""
+    grade = HIGH_PRECISION
+    if item.kind == "radius":
+        # In proportion: so many fringes are so much radius.
+        radius = abs(lens.surfaces[item.surface].radius_mm or 0.0)
+        return 0.01 * grade.radius_percent * radius / item.deviations[0].tolerance * item.value
+    return {
+        "irregularity": 2.0 * grade.irregularity_pv_waves,
+        "centring": 60.0 * grade.wedge_deg,
+        "decenter": grade.asphere_decenter_mm,
+        "thickness": grade.thickness_mm,
+        "index": grade.index,
+        "Abbe number": grade.abbe_percent,
+    }.get(item.kind, 0.0)
+
+
+def _written(
+    sheet: DrawingTolerances, chosen: dict[Key, SheetItem], element: int, lens: Lens
+) -> DrawingTolerances:
+    """The sheet of an element with the chosen values."""
+    front = lens.glass_fronts[element]
+    for item in chosen.values():
+        # A cemented surface stands on the sheets of both its elements.
+        if element != item.element if item.kind in OF_ELEMENT else item.surface not in (front, front + 1):
+            continue
+        side = None if item.kind in OF_ELEMENT else "left" if item.surface == front else "right"
+        part = sheet if side is None else getattr(sheet, side)
+        value = f"{item.value:g};1" if item.kind == "inhomogeneity" else item.value
+        old = getattr(part, item.field)
+        given = old not in (None, "") and item.field not in part.general
+        stated = given and item.origin in ("general", "open")
+        closer = isinstance(old, float) and old <= item.value
+        if stated or closer or old == value:
+            continue
+        own = part.with_derived(**{item.field: value})
+        sheet = own if side is None else sheet.replaced(**{side: own})
+    return sheet
+
+
+def _notes(search: _Search) -> list[str]:
+    """What was derived, in words."""
+    notes = []
+    if search.shared:
+        texts = ", ".join(search.chosen[key].text for key in sorted(search.shared))
+        notes.append(f"derived from the study, whose tilt of one surface is shared by both: {texts}")
+    derived = [
+        f"{item.text}, costs {100.0 * max(search.costs[item.key], 0.0):.1f} points"
+        for old in search.opened
+        if (item := search.chosen[old.key]).value != old.value or old.origin == "open"
+        if item.key not in search.shared
+    ]
+    if derived:
+        notes.append(f"derived from the study, which does not state them: {'; '.join(derived)}")
+    return notes

@@ -1,0 +1,6 @@
+from .registry import AnalyticCase, analytic_case
+
+__all__ = [
+    "AnalyticCase",
+    "analytic_case",
+]

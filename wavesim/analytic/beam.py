@@ -1,0 +1,117 @@
+"""A beam in free space, exact beyond the paraxial range: plane waves with a Gaussian angular spectrum."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, validate_positive
+
+ComplexArray = NDArray[np.complex128]
+
+SPREAD_CUT = 8.5
+"""Where the angular spectrum ends, in units of its spread: at 2e-16 of its peak."""
+
+WAIST_CUT = 6.0
+"""Where the waist ends, in units of its width 1 / (k s)."""
+
+LARGEST_SPREAD = 0.18
+"""Radians; a wider spectrum would be cut by the horizon, a quarter turn from the axis."""
+
+CHUNK = 1 << 18
+"""Most exponentials held at one time."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A TE beam in the meridional world, symmetric about z.
+
+    At (y, z) it is the integral of exp(-theta^2 / (2 s^2)) exp(i k (y sin theta + (z - waist) cos theta))
+    over theta.
+
+    Attributes
+    ----------
+    wavelength_um : float
+        Vacuum wavelength; the beam is in air.
+    spread : float
+        s, in radians; at most 0.18.
+    waist_z_mm : float
+        Where its plane waves are in phase.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    """
+
+    wavelength_um: float
+    spread: float = 0.12
+    waist_z_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        validate_positive("wavelength_um", self.wavelength_um)
+        if not 0.0 < self.spread <= LARGEST_SPREAD:
+            raise InputError(f"spread = {self.spread!r} rad: must be above 0 and at most {LARGEST_SPREAD}")
+        if not math.isfinite(self.waist_z_mm):
+            raise InputError(f"waist_z_mm = {self.waist_z_mm!r}: must be finite")
+
+    @property
+    def wavenumber_per_mm(self) -> float:
+        """2 pi over the wavelength."""
+        return 2e3 * math.pi / self.wavelength_um
+
+    @property
+    def waist_half_width_mm(self) -> float:
+        """Half of the width in the waist's plane beyond which the field is less than 2e-8 of its peak."""
+        return WAIST_CUT / (self.wavenumber_per_mm * self.spread)
+
+    def plane_waves(self, reach_mm: float) -> tuple[Array, Array]:
+        """Angles and weights of enough plane waves for points within a reach of the waist.
+
+        The trapezoidal rule over them converges to rounding, since the spectrum is entire and falls to
+        nothing.
+        """
+        edge = SPREAD_CUT * self.spread
+        phase = self.wavenumber_per_mm * reach_mm + 40.0 / self.spread
+        angle = np.linspace(-edge, edge, math.ceil(phase * edge / math.pi) + 1)
+        return angle, np.exp(-0.5 * (angle / self.spread) ** 2) * (angle[1] - angle[0])
+
+    def field(self, y_mm: ArrayLike, z_mm: ArrayLike) -> ComplexArray:
+        """The beam at points; `y_mm` and `z_mm` are broadcast together."""
+        y, z = np.broadcast_arrays(np.asarray(y_mm, float), np.asarray(z_mm, float) - self.waist_z_mm)
+        angle, weight = self.plane_waves(float(np.max(np.hypot(y, z), initial=0.0)))
+        return superpose(angle, weight, self.wavenumber_per_mm, y, z)
+
+    def cylinder_waves(self, orders: int) -> ComplexArray:
+        """Amplitudes b_m of the cylinder waves J_m(k r) exp(i m phi) about y = z = 0, for m = 0 ... orders.
+
+        Here z = r cos(phi) and y = r sin(phi), and b_-m = (-1)^m b_m. Since a plane wave at the angle theta
+        holds i^m exp(-i m theta), all b_m are one Fourier transform over theta.
+        """
+        k = self.wavenumber_per_mm
+        count = fft.next_fast_len(math.ceil(k * abs(self.waist_z_mm) + 40.0 / self.spread) + orders)
+        angle = 2.0 * math.pi * fft.fftfreq(count)
+        spectrum = np.exp(-0.5 * (angle / self.spread) ** 2 - 1j * k * self.waist_z_mm * np.cos(angle))
+        spectrum[np.abs(angle) > SPREAD_CUT * self.spread] = 0.0
+        quarter_turns = np.array([1.0, 1j, -1.0, -1j])[np.arange(orders + 1) % 4]
+        return np.asarray(quarter_turns * fft.fft(spectrum)[: orders + 1] * (2.0 * math.pi / count))
+
+
+def superpose(
+    angle: Array, amplitude: Array | ComplexArray, wavenumber_per_mm: float, y_mm: Array, z_mm: Array
+) -> ComplexArray:
+    """Sum of plane waves amplitude exp(i k (y sin angle + z cos angle)), of the shape of `y_mm`."""
+    y, z = y_mm.ravel(), z_mm.ravel()
+    along_y, along_z = wavenumber_per_mm * np.sin(angle), wavenumber_per_mm * np.cos(angle)
+    result = np.empty(y.size, complex)
+    step = max(1, CHUNK // len(angle))
+    for start in range(0, y.size, step):
+        part = slice(start, start + step)
+        phase = np.outer(y[part], along_y) + np.outer(z[part], along_z)
+        result[part] = np.exp(1j * phase) @ amplitude
+    return result.reshape(y_mm.shape)

@@ -1,0 +1,153 @@
+"""The light of one object sample behind a stop in free space: Rayleigh-Sommerfeld sums.
+
+Rayleigh's first integral takes the light to the stop; what passes it radiates as the same integral says. On a
+line the stop is a slit and the sum is direct; on a plane it is a round hole about the sample's axis, and the
+sum goes over the plane waves of its radial spectrum. The stop is black: the field in it is what would be
+there without. See M. Born and E. Wolf, "Principles of Optics", section 8.11.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, validate_positive
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
+from lensdesign.lens.surface import Surface
+from wavesim.analytic.registry import AnalyticCase
+from wavesim.fields.field import Field, Grid
+from wavesim.scene.scene import Scene
+
+APART, BEHIND = 5.0, 10.0 / 3.0
+"""From the object to the stop and from there to the exit grid, over the stop's semi-diameter."""
+
+SEEN = 1.2
+"""Half width of the exit grid, over the geometrical footprint's."""
+
+OBJECT_SAMPLES, EXIT_SAMPLES = 5, 160
+NODES = 8
+"""Of a Gauss-Legendre rule in each panel, a wavelength wide."""
+
+LARGEST, SMALLEST = 2000.0, 50.0
+"""Semi-diameter of the stop, in wavelengths."""
+
+OWN_ERROR = 1e-5
+"""Of the sums: evanescent waves, and panels."""
+
+BLOCK = 200
+
+
+def slit_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> AnalyticCase:
+    """The middle sample of a line's object, and its light behind a slit.
+
+    Parameters
+    ----------
+    semi_diameter_mm
+        Of the stop; all else is in proportion.
+    wavelength_um
+        Vacuum wavelength.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    """
+    scene = _scene(semi_diameter_mm, wavelength_um, 1)
+    k, (distance, apart) = scene.wavenumber_per_mm, _distances(semi_diameter_mm)
+    y, weight = _nodes(-semi_diameter_mm, semi_diameter_mm, 1e-3 * wavelength_um)
+    light = scene.object_grid.cell * _line_source(k, y, distance) * weight
+    exact = np.concatenate(
+        [_line_source(k, part[:, None] - y, apart) @ light for part in _parts(scene.exit_grid.y_mm)]
+    )
+    return _case(scene, exact)
+
+
+def hole_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> AnalyticCase:
+    """The middle sample of a plane's object, and its light behind a round hole about its axis.
+
+    Parameters and errors as for :func:`slit_scene`.
+    """
+    scene = _scene(semi_diameter_mm, wavelength_um, 2)
+    k, (distance, apart) = scene.wavenumber_per_mm, _distances(semi_diameter_mm)
+    squares = np.round((scene.exit_grid.y_mm / scene.exit_grid.pitch_mm) ** 2 * 4.0)
+    unique, places = np.unique(squares[:, None] + squares, return_inverse=True)
+    radii = 0.5 * scene.exit_grid.pitch_mm * np.sqrt(unique)
+    r, weight = _nodes(0.0, semi_diameter_mm, 1e-3 * wavelength_um)
+    away = np.hypot(r, distance)
+    light = distance / away**2 * (1.0 / away - 1j * k) * np.exp(1j * k * away) / (2.0 * math.pi)
+    light = scene.object_grid.cell * light * r * weight
+    angle, widths = _nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * (semi_diameter_mm + radii[-1])))
+    exact = np.zeros(len(radii), complex)
+    for part in _parts(np.arange(len(angle))):
+        q, along = k * np.sin(angle[part]), k * np.cos(angle[part])
+        sent = (j0(np.outer(q, r)) @ light) * np.exp(1j * along * apart) * q * along * widths[part]
+        exact += j0(np.outer(radii, q)) @ sent
+    return _case(scene, exact[places].reshape(scene.exit_grid.shape))
+
+
+def _distances(semi_diameter_mm: float) -> tuple[float, float]:
+    return APART * semi_diameter_mm, BEHIND * semi_diameter_mm
+
+
+def _line_source(k: float, across_mm: Array, along_mm: float) -> NDArray[np.complex128]:
+    """Rayleigh's kernel of two dimensions, i k cos / 2 times Hankel's function of k r."""
+    away = np.hypot(across_mm, along_mm)
+    x = k * away
+    # Hankel's expansion: from 300 on, what is left is below 1e-8.
+    series = 1.0 + (0.375j + 0.1171875 / x) / x
+    wave = np.sqrt(2.0 / (math.pi * x)) * np.exp(1j * (x - 0.75 * math.pi))
+    return np.asarray(0.5j * k * along_mm / away * wave * series)
+
+
+def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
+    """Points and weights of panels."""
+    x, weight = np.polynomial.legendre.leggauss(NODES)
+    ends = np.linspace(start, stop, math.ceil((stop - start) / width) + 1)
+    half, middle = 0.5 * np.diff(ends), 0.5 * (ends[1:] + ends[:-1])
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
+
+
+def _parts(values: NDArray) -> list[NDArray]:
+    return np.array_split(values, max(1, len(values) // BLOCK))
+
+
+def _scene(semi_mm: float, wavelength_um: float, dimensions: int) -> Scene:
+    validate_positive("wavelength_um", wavelength_um)
+    wavelength_mm = 1e-3 * wavelength_um
+    if not SMALLEST * wavelength_mm <= semi_mm <= LARGEST * wavelength_mm:
+        raise InputError(
+            f"semi_diameter_mm = {semi_mm!r}: must be from {SMALLEST:g} to {LARGEST:g} wavelengths, "
+            f"{SMALLEST * wavelength_mm:g} to {LARGEST * wavelength_mm:g} mm"
+        )
+    distance, behind = _distances(semi_mm)
+    half = SEEN * semi_mm * (distance + behind) / distance
+    samples = EXIT_SAMPLES if dimensions == 2 else 2 * math.ceil(half / (0.5 * wavelength_mm))
+    lens = Lens(
+        title="Stop in free space",
+        wavelengths_um=(wavelength_um,),
+        object=ObjectSpace(
+            field_diameter_mm=0.2 * semi_mm,
+            numerical_aperture=math.sin(math.atan(1.0 / APART)),
+            working_distance_mm=distance,
+        ),
+        sensor=Sensor(pixel_pitch_um=wavelength_um, pixels=(1024, 1024), plane_distances_mm=(behind,)),
+        surfaces=(Surface(semi_diameter_mm=semi_mm, stop=True),),
+    )
+    start = Grid((OBJECT_SAMPLES,) * dimensions, 0.5 * wavelength_mm, -distance)
+    return Scene(lens, start, Grid((samples,) * dimensions, 2.0 * half / samples, behind), wavelength_um)
+
+
+def _case(scene: Scene, exact: NDArray[np.complex128]) -> AnalyticCase:
+    """The case of the object's middle sample."""
+    values = np.zeros(scene.object_grid.shape, complex)
+    values[tuple(n // 2 for n in values.shape)] = 1.0
+    return AnalyticCase(
+        scene,
+        Field(scene.object_grid, values, scene.wavelength_um),
+        Field(scene.exit_grid, exact, scene.wavelength_um),
+        uncertainty=OWN_ERROR,
+    )

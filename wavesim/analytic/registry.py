@@ -1,0 +1,106 @@
+"""Exact solutions by name.
+
+An oracle is a scene with an object field for which the exit field is known without any of the engines. A new
+one is a new module and one line in `ORACLES`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from lensdesign.common.toml_files import did_you_mean
+from lensdesign.errors import InputError
+
+if TYPE_CHECKING:
+    from wavesim.fields.field import Field
+    from wavesim.scene.scene import Scene
+
+ORACLES: dict[str, str] = {
+    "cylinder": "wavesim.analytic.cylinder:cylinder_scene",
+    "sphere": "wavesim.analytic.sphere:sphere_scene",
+    "stigmatic": "wavesim.analytic.stigmatic:stigmatic_scene",
+    "plate": "wavesim.analytic.plane_interface:plate_scene",
+    "tilted-plate": "wavesim.analytic.tilted_plate:tilted_plate_scene",
+    "half-plane": "wavesim.analytic.half_plane:half_plane_scene",
+    "slit": "wavesim.analytic.opening:slit_scene",
+    "hole": "wavesim.analytic.opening:hole_scene",
+    "plane": "wavesim.analytic.plane_interface:plane_scene",
+    "beam": "wavesim.analytic.plane_interface:beam_scene",
+}
+"""Name to `module:function`, imported where first asked for."""
+
+KEPT_CASES = 8
+"""Cases kept, since the exact field of a large cylinder takes longer than an engine."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnalyticCase:
+    """A scene whose answer is known.
+
+    Attributes
+    ----------
+    scene : Scene
+        What is carried where.
+    object_field : Field
+        On the scene's object grid.
+    exact : Field
+        What one passage through the lens makes of it, on the scene's exit grid.
+    uncertainty : float
+        Relative L2 error that `exact` itself may have: what its closed form, or the scene's aperture, leaves
+        out.
+    """
+
+    scene: Scene
+    object_field: Field
+    exact: Field
+    uncertainty: float
+
+
+def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
+    """An oracle by name.
+
+    Parameters
+    ----------
+    name
+        One of `ORACLES`.
+    **arguments
+        Of the function that makes it.
+
+    Raises
+    ------
+    InputError
+        If there is no such oracle, or it does not know an argument or refuses its value.
+    """
+    if name not in ORACLES:
+        raise InputError(
+            f"oracle = {name!r}: there is no such oracle; allowed: {', '.join(ORACLES)}"
+            f"{did_you_mean(name, ORACLES)}"
+        )
+    make = _maker(name)
+    allowed = tuple(inspect.signature(make).parameters)
+    for argument in arguments:
+        if argument not in allowed:
+            raise InputError(
+                f"oracle {name}: {argument} = {arguments[argument]!r}: there is no such argument; "
+                f"allowed: {', '.join(allowed)}{did_you_mean(argument, allowed)}"
+            )
+    return _made(name, tuple(sorted(arguments.items())))
+
+
+def _maker(name: str) -> Callable[..., AnalyticCase]:
+    module, _, attribute = ORACLES[name].partition(":")
+    make: Callable[..., AnalyticCase] = getattr(import_module(module), attribute)
+    return make
+
+
+@lru_cache(maxsize=KEPT_CASES)
+def _made(name: str, arguments: tuple[tuple[str, Any], ...]) -> AnalyticCase:
+    case = _maker(name)(**dict(arguments))
+    for field in (case.object_field, case.exact):
+        field.values.flags.writeable = False
+    return case

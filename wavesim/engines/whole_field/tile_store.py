@@ -1,0 +1,110 @@
+"""Super-tiles' fields in files, so that they need no memory, and that a run which was cut off goes on."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Iterator, MutableMapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+
+KEY_FILE = "key.txt"
+
+SPARE_BYTES = 100_000_000
+"""Of a disk, left free."""
+
+
+class TileStore(MutableMapping[int, NDArray]):
+    """Arrays by number, each in a file of a folder; reading one maps its file into memory.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if needed.
+    key : str
+        Of what the arrays belong to: what lies there under another key is removed.
+
+    Raises
+    ------
+    InputError
+        If the folder or a file cannot be written; what was kept before stays.
+    """
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self.folder = folder
+        try:
+            if folder.exists() and _key_in(folder) != key:
+                shutil.rmtree(folder)
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / KEY_FILE).write_text(key, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
+
+    def __getitem__(self, number: int) -> NDArray:
+        try:
+            return np.asarray(np.load(self._path(number), mmap_mode="r", allow_pickle=False))
+        except (OSError, ValueError, EOFError):
+            raise KeyError(number) from None
+
+    def __setitem__(self, number: int, values: NDArray) -> None:
+        path = self._path(number)
+        temporary = path.with_suffix(".new")
+        try:
+            with temporary.open("wb") as file:
+                np.save(file, values, allow_pickle=False)
+            os.replace(temporary, path)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            why = "the disk is full" if full else error.strerror or str(error)
+            raise InputError(
+                f"cannot keep a part of the field ({values.nbytes / 1e6:.3g} MB) in {self.folder}: {why}. "
+                f"{len(self)} parts are kept: with more room, the same command goes on from there"
+            ) from error
+
+    def __delitem__(self, number: int) -> None:
+        try:
+            self._path(number).unlink()
+        except FileNotFoundError:
+            raise KeyError(number) from None
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(sorted(int(path.stem) for path in self.folder.glob("*.npy") if path.stem.isdigit()))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def check_free_space(self, needed_bytes: int) -> None:
+        """Refuse, before any work, a disk without room for all that is not kept yet.
+
+        Raises
+        ------
+        InputError
+            With what is needed and what is free.
+        """
+        kept = sum(path.stat().st_size for path in self.folder.glob("*.npy"))
+        free = shutil.disk_usage(self.folder).free
+        if needed_bytes - kept + SPARE_BYTES > free:
+            raise InputError(
+                f"the disk of {self.folder} has {free / 1e9:.3g} GB free: parts of the field need "
+                f"{(needed_bytes - kept + SPARE_BYTES) / 1e9:.3g} GB"
+            )
+
+    def drop(self) -> None:
+        """Remove all that is kept."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{number:05d}.npy"
+
+
+def _key_in(folder: Path) -> str | None:
+    try:
+        return (folder / KEY_FILE).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None

@@ -1,0 +1,278 @@
+"""Fields on planes that are tilted against the axis: the angular spectrum, turned.
+
+A plane wave is one on every plane: turning the frame turns its wave vector, and the density of the spectrum
+changes by the Jacobian kz / kz' (Matsushima, Schimmel and Wyrowski 2003). The turned frequencies do not fall
+on the samples of the spectrum; a non-uniform Fourier sum gives its exact values there.
+
+A field on a tilted plane lies in the plane's own frame: its origin is the pivot, its axes are turned by a
+right-handed rotation about x, then about the turned y axis, and its z is 0. The pivot is the centre of the
+grid on the straight plane. On a meridional line only a tilt about x is possible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.poses import rotation_matrix
+from wavesim.fields.chirp_z import chirp_z_transform
+from wavesim.fields.field import Grid
+from wavesim.fields.guards import EDGE, check_sample_count, tell
+from wavesim.fields.plane_waves import (
+    FADE_ZONES,
+    TURN,
+    Samples,
+    along,
+    centres_mm,
+    fft_frequencies,
+    phasor_of,
+)
+from wavesim.runtime.arrays import array_module, fftn
+
+ACCURACY = 1e-13
+"""Of the non-uniform Fourier sums."""
+WIDEST = 4.0
+"""Half-widths of the input window beyond which light on the tilted plane is not followed."""
+WAVE_SECONDS, WAVE_BYTES = {True: 2e-6, False: 6.5e-7}, 200
+"""For each sample of the spectrum, of a line or a plane: measured on two cores."""
+PROBES = 33
+"""Directions along each axis from which bounds are taken."""
+
+
+class TiltedSamples:
+    """A passage by a non-uniform Fourier transform, to a tilted plane or from one.
+
+    Parameters
+    ----------
+    source, target, wavelength_um, index
+        Of the passage.
+    tilt_deg
+        About x and y, of the tilted plane.
+    straight
+        Whether the source is the plane that is not tilted: light travels along that one's z.
+
+    Raises
+    ------
+    InputError
+        If the tilt or the grid is not usable.
+    """
+
+    def __init__(
+        self,
+        source: Grid,
+        target: Grid,
+        wavelength_um: float,
+        index: float,
+        tilt_deg: tuple[float, float],
+        *,
+        straight: bool,
+    ) -> None:
+        tilted = target if straight else source
+        if tilted.z_mm != 0.0:
+            raise InputError(f"grid z_mm = {tilted.z_mm:g}: a tilted plane lies at z = 0 of its own frame")
+        rotation = _rotation(tilted, tilt_deg)
+        # With the target's axes as columns.
+        self.rotation = rotation if straight else rotation.T
+        self.source, self.target = source, target
+        self.wavelength_um, self.index = wavelength_um, index
+        self.most = 1e3 * index / wavelength_um
+        # Centres from the pivot: that of the straight grid is the pivot.
+        self.centre_in = (0.0,) * len(source.shape) if straight else centres_mm(source)
+        self.centre_out = centres_mm(target) if straight else (0.0,) * len(target.shape)
+        # Of the light along the straight frame's z, in the source frame.
+        along_z = (0.0, 0.0) if straight else (self.rotation[1, 2], self.rotation[0, 2])
+        self.carrier = tuple(float(self.most * part) for part in along_z[: len(source.shape)])
+        self.frequencies = self._frequencies()
+        self.samples = math.prod(f.count for f in self.frequencies)
+        check_sample_count([f.count for f in self.frequencies], "the tilt")
+
+    def directions(self, cycles: Sequence[Any], rotation: Array, xp: Any = np) -> tuple[list[Any], Any, Any]:
+        """Frequencies in the other frame (y, x), and the axial ones in this frame and in the other.
+
+        Of waves whose frequencies in this frame (y, x) are given; `rotation` has its axes as columns.
+        """
+        squared = self.most**2 - sum(f**2 for f in cycles)
+        axial = xp.sqrt(xp.clip(squared, 0.0, None))
+        parts = dict(zip((1, 0), cycles, strict=False)) | {2: axial}
+        turned = [sum(float(rotation[row, column]) * parts[column] for column in parts) for row in parts]
+        return turned[:-1], axial, turned[-1]
+
+    def _frequencies(self) -> list[Samples]:
+        """Of the target frame: all that the source's samples hold, at the step that the windows ask for."""
+        half = 0.5 / self.source.pitch_mm
+        probe = np.linspace(-half, half, PROBES)
+        axes = np.meshgrid(*[probe + c for c in self.carrier], indexing="ij")
+        cycles, axial, turned = self.directions(axes, self.rotation.T)
+        fine = (axial > 0.0) & (turned > 0.0)
+        if not fine.any():
+            raise InputError("the tilted plane is not reached by light along +z")
+        result = []
+        for axis, across in enumerate(cycles):
+            spread = (across[fine].max() - across[fine].min()) / (PROBES - 1)
+            low = max(float(across[fine].min() - spread), -self.most)
+            high = min(float(across[fine].max() + spread), self.most)
+            step = 1.0 / self._period_mm(axis)
+            result.append(Samples(0.5 * (low + high), step, math.ceil((high - low) / step) + 1))
+        return result
+
+    def _half_field_mm(self, axis: int) -> float:
+        """Half-width, about the pivot, of what is followed on the target plane."""
+        half = max(w + abs(c) for w, c in zip(self.source.half_widths_mm, self.centre_in, strict=True))
+        cosine = float(self.rotation[2, 2])
+        blur = math.sqrt(1e-3 * self.wavelength_um / self.index * half * math.sqrt(1.0 - cosine**2))
+        return 0.5 * WIDEST * half / cosine + FADE_ZONES * blur
+
+    def _period_mm(self, axis: int) -> float:
+        window = self.target.half_widths_mm[axis] + abs(self.centre_out[axis])
+        return self._half_field_mm(axis) + window
+
+    def _weights(self) -> tuple[list[Array], Array]:
+        """Frequencies in the source frame of each target frequency, and the factor of its wave."""
+        dimensions = len(self.frequencies)
+        cycles = [along(f.points(), axis, dimensions) for axis, f in enumerate(self.frequencies)]
+        sources, axial, turned = self.directions(cycles, self.rotation)
+        keep = (axial > 0.0) & (turned > 0.0)
+        half = 0.5 / self.source.pitch_mm
+        for across, carrier in zip(sources, self.carrier, strict=True):
+            keep = keep & (across - carrier >= -half) & (across - carrier < half)
+        jacobian = np.where(keep, turned / np.where(axial > 0.0, axial, 1.0), 0.0)
+        cell = self.source.cell * math.prod(f.step for f in self.frequencies)
+        return [np.broadcast_to(across, keep.shape)[keep] for across in sources], jacobian * cell
+
+    def forward(self, values: Any) -> Any:
+        xp = array_module(values)
+        sources, factor = self._weights()
+        keep = xp.asarray(factor > 0.0)
+        spectrum = xp.zeros(factor.shape, dtype=xp.complex128)
+        spectrum[keep] = self._nonuniform(values, sources, 2, xp)
+        spectrum = spectrum * xp.asarray(factor)
+        for axis, (f, n) in enumerate(zip(self.frequencies, self.target.shape, strict=True)):
+            x = Samples(self.centre_out[axis], self.target.pitch_mm, n)
+            spectrum = chirp_z_transform(spectrum, f, x, sign=1, axis=axis)
+        return xp.asarray(spectrum, dtype=xp.result_type(values.dtype, xp.complex64))
+
+    def adjoint(self, values: Any) -> Any:
+        xp = array_module(values)
+        sources, factor = self._weights()
+        result = xp.asarray(values, dtype=xp.complex128) * (self.target.cell / self.source.cell)
+        for axis, (f, n) in enumerate(zip(self.frequencies, self.target.shape, strict=True)):
+            x = Samples(self.centre_out[axis], self.target.pitch_mm, n)
+            result = chirp_z_transform(result, x, f, sign=-1, axis=axis)
+        result = (result * xp.asarray(factor))[xp.asarray(factor > 0.0)]
+        return xp.asarray(
+            self._nonuniform(result, sources, 1, xp), dtype=xp.result_type(values.dtype, xp.complex64)
+        )
+
+    def _nonuniform(self, values: Any, cycles: list[Array], kind: int, xp: Any) -> Any:
+        """Fourier sum from source samples to frequencies (kind 2), or its adjoint (kind 1)."""
+        library, on_device = _nufft_library(xp)
+        pitch = self.source.pitch_mm
+        points = [np.remainder(2.0 * math.pi * pitch * f + math.pi, 2.0 * math.pi) - math.pi for f in cycles]
+        # Samples lie half a pitch off the library's where their number is even, and about their centre.
+        offset = [
+            c + (0.5 * pitch if n % 2 == 0 else 0.0)
+            for c, n in zip(self.centre_in, self.source.shape, strict=True)
+        ]
+        phase = sum(2.0 * math.pi * f * x for f, x in zip(cycles, offset, strict=True))
+        turn = phasor_of(-phase if kind == 2 else phase)
+        data = xp.asarray(values, dtype=xp.complex128)
+        if on_device:
+            points, turn = [xp.asarray(p) for p in points], xp.asarray(turn)
+        else:
+            data = np.ascontiguousarray(data)
+        transform = getattr(library, f"nufft{len(points)}d{kind}")
+        if kind == 2:
+            return xp.asarray(transform(*points, data, eps=ACCURACY, isign=-1) * turn)
+        shape = self.source.shape if len(points) == 2 else self.source.shape[0]
+        return xp.asarray(transform(*points, data * turn, shape, eps=ACCURACY, isign=1))
+
+    @property
+    def seconds(self) -> float:
+        """What one use takes on this machine."""
+        return WAVE_SECONDS[self.source.is_line] * self.samples
+
+    @property
+    def peak_bytes(self) -> int:
+        """Most memory of one use, its result not counted."""
+        return WAVE_BYTES * self.samples
+
+    def measure(self, values: Any) -> dict[str, float]:
+        """Parts of the field's energy that the samples cannot hold, by name."""
+        xp = array_module(values)
+        dimensions = len(self.source.shape)
+        for axis, (n, carrier) in enumerate(zip(self.source.shape, self.carrier, strict=True)):
+            x = Samples(0.0, self.source.pitch_mm, n).offsets(xp)
+            values = values * along(phasor_of(-TURN * carrier * x, xp=xp), axis, dimensions, xp)
+        power = abs(fftn(values)) ** 2
+        total = float(xp.sum(power))
+        if not math.isfinite(total):
+            raise InputError("the field has values that are not finite")
+        base = fft_frequencies(self.source.shape, self.source.pitch_mm, xp)
+        cycles = [f + carrier for f, carrier in zip(base, self.carrier, strict=True)]
+        turned, axial, forwards = self.directions(cycles, self.rotation.T, xp)
+        lost = (axial <= 0.0) | (forwards <= 0.0)
+        edge, fine, wide = lost & ~lost, lost & ~lost, lost & ~lost
+        cosine = float(self.rotation[2, 2])
+        half_in = max(w + abs(c) for w, c in zip(self.source.half_widths_mm, self.centre_in, strict=True))
+        for axis, (across, out) in enumerate(zip(base, turned, strict=True)):
+            edge = edge | (abs(across) > EDGE * 0.5 / self.source.pitch_mm)
+            fine = fine | (abs(out) > 0.5 / self.target.pitch_mm * (1.0 + 1e-9))
+            slope = abs(out) / xp.where(lost, xp.ones_like(forwards), forwards)
+            reach = half_in * (1.0 + slope * math.sqrt(1.0 - cosine**2))
+            wide = wide | (reach > self._half_field_mm(axis))
+
+        masks = {"edge": edge, "lost": lost, "wide": wide & ~lost, "fine": fine & ~lost}
+        none = xp.zeros_like(power)
+        return {
+            name: float(xp.sum(xp.where(mask, power, none))) / max(total, 1e-300)
+            for name, mask in masks.items()
+        }
+
+    def check(self, values: Any, coarse_output: bool) -> None:
+        """Warn, or refuse, where samples cannot hold the field."""
+        parts = self.measure(values)
+        pitch_in, pitch_out = 1e3 * self.source.pitch_mm, 1e3 * self.target.pitch_mm
+        tell(
+            parts["edge"],
+            f"lies at the edge of the band that a pitch of {pitch_in:.4g} um holds",
+            "sample the field more finely, or smooth its edges",
+        )
+        tell(parts["lost"], "decays, or does not cross the tilted plane forwards", "tilt it less")
+        tell(
+            parts["wide"],
+            f"meets the tilted plane more than {WIDEST / 2:g} half-widths away",
+            "tilt it less, or give a narrower field",
+        )
+        if not coarse_output:
+            tell(
+                parts["fine"],
+                f"has more cycles per mm on the output plane than its pitch of {pitch_out:.4g} um shows",
+                f"give a pitch of {1e3 * self._finest_mm():.4g} um or less, or ask for coarse samples "
+                "(coarse_output=True)",
+            )
+
+    def _finest_mm(self) -> float:
+        """Pitch that holds all that the source's samples hold."""
+        return 0.5 / max(abs(f.centre) + 0.5 * f.step * f.count for f in self.frequencies)
+
+
+def _rotation(grid: Grid, tilt_deg: tuple[float, float]) -> Array:
+    about_x, about_y = tilt_deg
+    if not (abs(about_x) < 90.0 and abs(about_y) < 90.0):
+        raise InputError(f"tilt_deg = {tilt_deg}: both must lie between -90 and 90")
+    if grid.is_line and about_y != 0.0:
+        raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has only a tilt about x")
+    return rotation_matrix(np.deg2rad(about_x), np.deg2rad(about_y))
+
+
+def _nufft_library(xp: Any) -> tuple[ModuleType, bool]:
+    """The library for an array module, and whether it works on that module's arrays."""
+    on_device = "cupy" in xp.__name__
+    return import_module("cufinufft" if on_device else "finufft"), on_device

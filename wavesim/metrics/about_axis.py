@@ -1,0 +1,184 @@
+"""Light about the axis of a lens, as the sum over all plane waves: a truth on whole planes.
+
+Surfaces refract as their tangent planes do, as in the wave propagation method; but a medium's plane waves are
+summed by quadrature, so that there is neither a band nor samples at the aperture's rim. What depends on the
+distance from the axis alone lies along a radius: the light of a point on the axis, or of rings about it. On a
+line it is light that is even about the axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.analytic.registry import AnalyticCase
+from wavesim.engines.surfaces.samples import other_transmission, surface_slopes, transmission_at
+from wavesim.engines.wpm.engine import TANGENT_PLANE
+from wavesim.fields.field import Field, Grid
+from wavesim.rays.interfaces import crossings, surface_map
+from wavesim.scene.patches import patch_scene
+from wavesim.scene.scene import Scene
+
+ComplexArray = NDArray[np.complex128]
+
+NODES, PANEL_WAVES, BLOCKS = 8, 1.9, 200
+"""Of a Gauss-Legendre rule in each panel; width of one on a surface; angles that are summed at a time."""
+
+TURNS = 17
+"""Azimuths at which a surface must have the same height."""
+
+ROUND_WAVES = 1e-6
+"""By how much these may differ."""
+
+OVERFILLED, WINDOW = 1.1, 0.4
+"""Steepest light of rings, over the aperture's; radius at which they fall to 1/e, over half of the patch."""
+
+SEED = 20261123
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """Sources along a radius: distance from the axis, height, slope, and the measure of each."""
+
+    r_mm: Array
+    z_mm: Array
+    slope: Array
+    measure: Array
+
+
+def axial_case(lens: Lens, patch_mm: float, **where: Any) -> AnalyticCase:
+    """A patch about the axis, on a whole plane, filled with rings that send light in all directions.
+
+    Parameters
+    ----------
+    lens, patch_mm, **where
+        As of :func:`wavesim.scene.patches.patch_scene`.
+
+    Returns
+    -------
+    OracleCase
+        `exact` is the sum over all plane waves; `uncertainty` what curved surfaces, and the transmission of
+        light from beside the axis, may change.
+
+    Raises
+    ------
+    InputError
+        If a surface is not one of revolution about the z axis.
+    """
+    scene = patch_scene(lens, patch_mm, **where)
+    start = rings(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
+    grid = scene.exit_grid
+    radii, places = np.unique(_radius(grid), return_inverse=True)
+    exact = summed_plane_waves(scene, start.values, radii)[places].reshape(grid.shape)
+    curvature = float(np.max(np.abs([shape.curvature for shape in scene.system.shapes])))
+    uncertainty = math.hypot(TANGENT_PLANE * curvature / scene.wavenumber_per_mm, other_transmission(scene))
+    return AnalyticCase(scene, start, Field(grid, exact, scene.wavelength_um), uncertainty)
+
+
+def rings(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
+    """Random rings about the axis that fill the aperture evenly and fade out within the grid."""
+    rng = np.random.default_rng(SEED)
+    radius = _radius(grid)
+    fade = WINDOW * min(grid.half_widths_mm)
+    most = 2e3 * math.pi / wavelength_um * OVERFILLED * numerical_aperture
+    values = np.zeros(grid.shape, complex)
+    for q in most * (np.arange(count := math.ceil(most * fade)) + 0.5) / count:
+        values += q * complex(*rng.standard_normal(2)) * j0(q * radius)
+    values *= np.exp(-((radius / fade) ** 2))
+    return Field(grid, values / np.sqrt(np.mean(np.abs(values) ** 2)), wavelength_um)
+
+
+def summed_plane_waves(scene: Scene, values: NDArray, radii_mm: Array) -> ComplexArray:
+    """Field on the exit plane of values on the object grid that are the same all round the axis.
+
+    Parameters
+    ----------
+    scene
+        A lens of surfaces of revolution, upright and centred, about which the object grid lies.
+    values
+        On the object grid; on a line even about the axis.
+    radii_mm
+        Distances from the axis on the exit grid's plane, shape (n,).
+
+    Returns
+    -------
+    ndarray of complex, shape (n,)
+
+    Raises
+    ------
+    InputError
+        If a surface is not one of revolution about the z axis.
+    """
+    is_line, index = scene.object_grid.is_line, scene.system.index[0]
+    rays = crossings(scene, scene.object_grid.centre_mm)
+    surfaces = [_surface(scene, number) for number in range(scene.system.surfaces)]
+    end = np.zeros_like(radii_mm)
+    sheets = [_object(scene), *surfaces, _Sheet(radii_mm, end + scene.exit_grid.z_mm, end, end)]
+    field: ComplexArray = np.asarray(values, complex).ravel()
+    for number, (here, there) in enumerate(pairwise(sheets)):
+        k = scene.wavenumber_per_mm * float(index[number])
+        field = _radiated(here, np.asarray(field * here.measure, complex), k, there, is_line)
+        if number < len(surfaces):
+            passed = transmission_at(scene, number, rays[number], np.zeros_like(there.r_mm), there.r_mm)
+            field *= passed
+    return field
+
+
+def _radius(grid: Grid) -> Array:
+    """Distances from the axis, equal where they differ by rounding."""
+    return np.asarray(np.round(np.sqrt(grid.radius_squared_mm2()), 12), float)
+
+
+def _object(scene: Scene) -> _Sheet:
+    grid = scene.object_grid
+    r = _radius(grid).ravel()
+    measure = np.full_like(r, grid.cell * (0.5 if grid.is_line else 0.5 / math.pi))
+    return _Sheet(r, np.full_like(r, grid.z_mm), np.zeros_like(r), measure)
+
+
+def _surface(scene: Scene, number: int) -> _Sheet:
+    """Nodes along a radius, up to the very rim."""
+    wavelength_mm = 1e-3 * scene.wavelength_um
+    r, weight = _nodes(0.0, float(scene.system.semi_diameter[number]), PANEL_WAVES * wavelength_mm)
+    azimuth = 2.0 * math.pi * np.arange(TURNS) / TURNS
+    some = r[:: max(1, len(r) // TURNS), None]
+    around = surface_map(scene.system, number, some * np.sin(azimuth), some * np.cos(azimuth)).z_mm
+    if not np.ptp(around, axis=1).max() <= ROUND_WAVES * wavelength_mm:
+        raise InputError(f"surface {number} is not one of revolution about the z axis")
+    zero = np.zeros_like(r)
+    z = surface_map(scene.system, number, zero, r).z_mm
+    slope = surface_slopes(scene.system, number, zero, r, z)[0]
+    return _Sheet(r, z, slope, weight if scene.object_grid.is_line else weight * r)
+
+
+def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
+    x, weight = np.polynomial.legendre.leggauss(NODES)
+    edges = np.linspace(start, stop, max(1, math.ceil((stop - start) / width)) + 1)
+    half, middle = 0.5 * np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
+
+
+def _radiated(here: _Sheet, sources: ComplexArray, k: float, there: _Sheet, is_line: bool) -> ComplexArray:
+    """Kirchhoff's integral of what a sheet sends out, by its plane waves, on another."""
+    top, bottom = float(np.max(here.z_mm)), float(np.min(here.z_mm))
+    apart = math.hypot(np.max(here.r_mm) + np.max(there.r_mm), np.max(there.z_mm) - bottom)
+    angles, weights = _nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * apart))
+    found = np.zeros(len(there.r_mm), complex)
+    for part in np.array_split(np.arange(len(angles)), math.ceil(len(angles) / BLOCKS)):
+        q, kz = k * np.sin(angles[part]), k * np.cos(angles[part])
+        across, lean = np.outer(q, here.r_mm), 1j * (q / kz)[:, None] * here.slope
+        waves = 2.0 * (np.cos(across) + lean * np.sin(across)) if is_line else j0(across) + lean * j1(across)
+        sent = (waves * np.exp(-1j * np.outer(kz, here.z_mm - top))) @ sources * kz * weights[part]
+        on = np.exp(1j * np.outer(there.z_mm - top, kz))
+        across = np.outer(there.r_mm, q)
+        found += (np.cos(across) * on) @ (sent / math.pi) if is_line else (j0(across) * on) @ (sent * q)
+    return found

@@ -1,0 +1,524 @@
+"""Resolution of a USAF chart: where it lies in a result, its contrasts there, and what limits them.
+
+A displaced result is not a blurred one. The chart is therefore registered first: the displacement, and scale
+and rotation where they matter, are found by the correlation of the intensity with the chart, and stated as
+figures of their own. Contrast is then measured where the chart lies.
+
+The finest element that is resolved is a limit of the result only if the next finer one was there to be
+resolved. Samples, the aperture, the chart and the region that is shown end the series of elements as well;
+:class:`ChartResolution` says which of them does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from lensdesign.common.arrays import Array
+from lensdesign.common.text import finite_or_none
+from lensdesign.errors import InputError
+from wavesim.fields.coverage import ROUNDING, SAMPLES_PER_FEATURE, Rectangle, rectangle_coverage
+from wavesim.fields.field import Field, Grid
+from wavesim.metrics.contrast import RESOLVED_CONTRAST, ElementContrast, bar_contrast
+from wavesim.targets.bar_sets import SetContrast
+from wavesim.targets.patterns import Ground
+from wavesim.targets.region import around, cut_field, holds, part_of
+from wavesim.targets.usaf import ELEMENTS, GROUPS, UsafElement, chart_outline, usaf_line_width_um
+
+Limit = Literal["result", "aperture", "sampling", "chart", "region"]
+
+SEARCH_LINES, SEARCH_SAMPLES = 2.0, (16, 64)
+"""Displacements that are tried: so many lines of the coarsest element, within these numbers of samples."""
+
+DETERMINED, CHANCE = 0.25, 6.0
+"""Correlation of chart and intensity from which on the place of the chart is determined, and how many times
+that of noise."""
+
+DEFORMED_SAMPLES, DEFORMED_GAIN, DEFORMED_ELEMENTS = 0.5, 0.1, 3
+"""Scale and rotation count where they move the chart's corners by so many samples, and take away so much of
+what the correlation lacks to 1. They are sought where so many elements are shown."""
+
+SMOOTHING = 1.0
+"""Standard deviation in samples of what smooths chart and intensity before they are correlated: edges of bars
+between samples would else change the chart's variance, and with it the correlation."""
+
+FEW_SAMPLES = 3.0
+"""Lines of fewer samples may fail because of their place among the samples."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Place of a chart in a result.
+
+    Attributes
+    ----------
+    displacement_mm : (x, y)
+        Of the result from where the chart has its middle.
+    scale, rotation_rad : float
+        Size of the result over that of the chart, and its right-handed rotation, about the chart's middle.
+    correlation, correlation_in_place : float
+        Of the intensity with the chart, where it was found, and where it is nominally.
+    middle_mm : (x, y)
+        Of the chart.
+    """
+
+    displacement_mm: tuple[float, float]
+    scale: float
+    rotation_rad: float
+    correlation: float
+    correlation_in_place: float
+    middle_mm: tuple[float, float]
+
+    def moved(self, element: UsafElement) -> UsafElement:
+        """An element where it lies in the result; its bars keep their width and direction."""
+        x, y = (own - middle for own, middle in zip(element.centre_mm, self.middle_mm, strict=True))
+        turned = self.scale * (x + 1j * y) * np.exp(1j * self.rotation_rad)
+        placed = complex(*self.middle_mm) + complex(*self.displacement_mm) + turned
+        return replace(element, centre_mm=(float(placed.real), float(placed.imag)))
+
+    def as_dict(self, pitch_mm: float) -> dict[str, float]:
+        """Plain values for JSON."""
+        x, y = self.displacement_mm
+        return {
+            "x_um": 1e3 * x,
+            "y_um": 1e3 * y,
+            "x_samples": x / pitch_mm,
+            "y_samples": y / pitch_mm,
+            "scale": self.scale,
+            "rotation_deg": math.degrees(self.rotation_rad),
+            "correlation": self.correlation,
+            "correlation_in_place": self.correlation_in_place,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ChartResolution:
+    """What a result resolves of a chart.
+
+    Attributes
+    ----------
+    contrasts : tuple of ElementContrast
+        Of the elements that the result shows, the coarsest first.
+    finest, finest_x, finest_y : UsafElement or None
+        Finest element down to which all are resolved: in both sets, and in the set whose bars follow each
+        other along x, and along y. None if not even the coarsest is.
+    limits : tuple of str
+        Why no finer element is resolved. "result": the next finer one is shown, and is not resolved.
+        "aperture": the next finer one is finer than wavelength / 2 NA. "sampling": it is finer than the
+        samples show reliably. "chart": the chart has none. "region": it lies outside what is shown. Without
+        "result" the finest element is no limit of the result.
+    registration : Registration or None
+        Place of the chart; None if the result does not determine it.
+    outside : int
+        Elements of the chart that lie outside what is shown.
+    sample_um, passed_um : float
+        Pitch of the samples, and wavelength / 2 NA.
+    next_um : float or None
+        Line width of the next finer element of the series; None after the last.
+    """
+
+    contrasts: tuple[ElementContrast, ...]
+    finest: UsafElement | None
+    finest_x: UsafElement | None
+    finest_y: UsafElement | None
+    limits: tuple[Limit, ...]
+    registration: Registration | None
+    outside: int
+    sample_um: float
+    passed_um: float
+    next_um: float | None
+
+    @property
+    def limit_in_words(self) -> str:
+        """What limits the finest element, for a reader."""
+        if not self.contrasts and self.limits == ("region",):
+            return "no element of the chart lies within what is shown"
+        lines = "" if self.next_um is None else f" ({self.next_um:.3g} um)"
+        which = "the next finer lines" if self.finest is not None else "even the coarsest lines shown"
+        says = {
+            "result": f"{which}{lines} are not resolved",
+            "aperture": f"the aperture passes none finer than {self.passed_um:.3g} um (wavelength / 2 NA)",
+            "sampling": f"samples of {self.sample_um:.3g} um hardly show the next finer lines{lines}",
+            "chart": "the chart has no finer lines",
+            "region": f"the next finer lines{lines} lie outside what is shown",
+        }
+        words = "; ".join(says[limit] for limit in self.limits)
+        return words if "result" in self.limits else f"{words}: this is no limit of the reconstruction"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        shown = [one.element.line_width_um for one in self.contrasts]
+        return {
+            "smallest_resolved": self._named(self.finest),
+            "smallest_resolved_x": self._named(self.finest_x),
+            "smallest_resolved_y": self._named(self.finest_y),
+            "limited_by": list(self.limits),
+            "limit": self.limit_in_words,
+            "displacement": None
+            if self.registration is None
+            else self.registration.as_dict(1e-3 * self.sample_um),
+            "aperture_passes_um": self.passed_um,
+            "sample_um": self.sample_um,
+            "coarsest_shown_um": max(shown, default=None),
+            "finest_shown_um": min(shown, default=None),
+            "elements_outside": self.outside,
+            "elements": [
+                {
+                    "group": one.element.group,
+                    "element": one.element.element,
+                    "line_width_um": one.element.line_width_um,
+                    "contrast_x": finite_or_none(one.x.contrast),
+                    "contrast_y": finite_or_none(one.y.contrast),
+                    "resolved": one.resolved(),
+                }
+                for one in self.contrasts
+            ],
+        }
+
+    def _named(self, element: UsafElement | None) -> dict[str, Any] | None:
+        if element is None:
+            return None
+        return {
+            "group": element.group,
+            "element": element.element,
+            "line_width_um": element.line_width_um,
+            "beyond_aperture": element.line_width_um < self.passed_um,
+        }
+
+
+def chart_resolution(
+    transmission: Field,
+    elements: Sequence[UsafElement],
+    ground: Ground,
+    passed_um: float,
+    inside: NDArray[np.bool_] | None = None,
+    threshold: float = RESOLVED_CONTRAST,
+) -> ChartResolution:
+    """Register a chart, measure its contrasts, and say what limits the finest element.
+
+    Parameters
+    ----------
+    transmission
+        The result, or a part of it.
+    elements
+        Of the chart, those outside that part included.
+    ground
+        "bright": bars ought to be dark; "dark": bright.
+    passed_um
+        Width of the finest lines that the aperture passes, wavelength / 2 NA.
+    inside
+        Samples within the field stop; all if left out.
+    threshold
+        Contrast from which on lines count as resolved.
+
+    Raises
+    ------
+    InputError
+        If there are no elements, or the threshold does not lie between 0 and 1.
+    """
+    if not elements:
+        raise InputError("resolution of a USAF chart: needs one element at least")
+    if not 0.0 < threshold < 1.0:
+        raise InputError(f"threshold = {threshold!r}: must lie between 0 and 1")
+    found = register_chart(transmission, elements, ground, inside)
+    ordered = sorted(elements, key=lambda one: -one.line_width_um)
+    placed = [(one, one if found is None else found.moved(one)) for one in ordered]
+    grid = transmission.grid
+    sample_um = 1e3 * grid.pitch_mm
+    in_sight = [(one, place) for one, place in placed if holds(grid, place.outline)]
+    contrasts = tuple(
+        _contrast(transmission, one, place, ground)
+        for one, place in in_sight
+        if one.line_width_um >= SAMPLES_PER_FEATURE * sample_um * ROUNDING
+    )
+    # Where the chart was found displaced, an element in place may be cut off; either way it is not shown.
+    outside = len(ordered) - len(in_sight)
+
+    def down_to(is_resolved: Callable[[ElementContrast], bool]) -> UsafElement | None:
+        finest = None
+        for one in contrasts:
+            if not is_resolved(one):
+                break
+            finest = one.element
+        return finest
+
+    def stands_out(one: SetContrast) -> bool:
+        return one.contrast >= threshold and one.weakest_contrast > 0.0
+
+    finest = down_to(lambda one: one.resolved(threshold))
+    next_um, limits = _limits(finest, contrasts, ordered, sample_um, passed_um)
+    return ChartResolution(
+        contrasts,
+        finest,
+        down_to(lambda one: stands_out(one.x)),
+        down_to(lambda one: stands_out(one.y)),
+        limits,
+        found,
+        outside,
+        sample_um,
+        passed_um,
+        next_um,
+    )
+
+
+def _contrast(
+    transmission: Field, element: UsafElement, place: UsafElement, ground: Ground
+) -> ElementContrast:
+    """Contrast of an element at its place, from the samples about it alone."""
+    own = cut_field(transmission, around(place.outline, transmission.grid))
+    return replace(bar_contrast(own.values, own.grid, place, ground), element=element)
+
+
+def _limits(
+    finest: UsafElement | None,
+    contrasts: Sequence[ElementContrast],
+    elements: Sequence[UsafElement],
+    sample_um: float,
+    passed_um: float,
+) -> tuple[float | None, tuple[Limit, ...]]:
+    """Line width of the next finer element, and why it is not resolved."""
+    if finest is None and contrasts:
+        width: float | None = contrasts[0].element.line_width_um
+    elif finest is None:
+        width = elements[0].line_width_um
+    else:
+        width = _next_finer_um(finest)
+    if width is None:
+        return None, ("chart",)
+    shown = any(_same(one.element.line_width_um, width) for one in contrasts)
+    of_chart = any(_same(one.line_width_um, width) for one in elements)
+    too_fine = width < SAMPLES_PER_FEATURE * sample_um * ROUNDING
+    limits: list[Limit] = []
+    if width < passed_um * ROUNDING:
+        limits.append("aperture")
+    if too_fine or (shown and width < FEW_SAMPLES * sample_um):
+        limits.append("sampling")
+    elif of_chart and not shown:
+        limits.append("region")
+    elif not of_chart:
+        limits.append("chart")
+    if shown and not limits:
+        limits.append("result")
+    return width, tuple(limits)
+
+
+def chart_end(elements: Sequence[UsafElement], sample_um: float) -> Literal["sampling", "chart"]:
+    """Whether samples or the series of elements end a chart at its finest element."""
+    width = _next_finer_um(min(elements, key=lambda one: one.line_width_um))
+    too_fine = width is not None and width < SAMPLES_PER_FEATURE * sample_um * ROUNDING
+    return "sampling" if too_fine else "chart"
+
+
+def _next_finer_um(element: UsafElement) -> float | None:
+    """Line width of the element after another in the series of the chart."""
+    finer = (usaf_line_width_um(group, number) for group in GROUPS for number in ELEMENTS)
+    return next((width for width in finer if width < element.line_width_um * ROUNDING), None)
+
+
+def _same(one_um: float, other_um: float) -> bool:
+    return math.isclose(one_um, other_um, rel_tol=1e-9)
+
+
+def register_chart(
+    transmission: Field,
+    elements: Sequence[UsafElement],
+    ground: Ground,
+    inside: NDArray[np.bool_] | None = None,
+) -> Registration | None:
+    """Find where a chart lies in a result, to a small part of a sample.
+
+    The correlation of the intensity with the chart is largest there. Displacements of whole samples are all
+    tried; parts of samples, scale and rotation are found from the best of them. Blur does not matter, since
+    it moves nothing.
+
+    Parameters
+    ----------
+    transmission, elements, ground, inside
+        As of :func:`chart_resolution`.
+
+    Returns
+    -------
+    Registration or None
+        None where the correlation stays below what noise may give, or the intensity is reversed.
+    """
+    grid = transmission.grid
+    pitch = grid.pitch_mm
+    coarsest = max(one.line_width_um for one in elements)
+    reach = int(np.clip(math.ceil(1e-3 * SEARCH_LINES * coarsest / pitch), *SEARCH_SAMPLES))
+    window = _window(grid, chart_outline(elements), reach * pitch)
+    if window is None:
+        return None
+    own = cut_field(transmission, window)
+    seen = _Seen(own, elements, ground, None if inside is None else inside[part_of(window, grid)])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        by_shift = seen.correlations(reach)
+    if not np.isfinite(by_shift).any():
+        return None
+    by_shift = np.nan_to_num(by_shift, nan=-1.0)
+    row, column = np.unravel_index(int(np.argmax(by_shift)), by_shift.shape)
+    in_place = float(by_shift[reach, reach])
+    reversed_too = by_shift[row, column] < -np.min(by_shift[by_shift > -1.0])
+    if by_shift[row, column] < seen.least_correlation or reversed_too:
+        return None
+    start = np.array([column - reach, row - reach, 0.0, 0.0])
+    shifted, correlation = seen.displaced(start + _between(by_shift, int(row), int(column)))
+    shown = sum(holds(window, one.outline) for one in elements)
+    if shown >= DEFORMED_ELEMENTS and seen.may_be_deformed(shifted, correlation):
+        deformed, better = seen.best(shifted)
+        gained = better - correlation > DEFORMED_GAIN * (1.0 - correlation)
+        if gained and np.hypot(*deformed[2:]) > DEFORMED_SAMPLES:
+            shifted, correlation = deformed, better
+    if correlation <= in_place:
+        shifted, correlation = np.zeros(4), in_place
+    return seen.registration(shifted, correlation, in_place)
+
+
+def _window(grid: Grid, chart: Rectangle, margin_mm: float) -> Grid | None:
+    """Samples that a chart and the displacements that are tried touch; None where that is next to nothing."""
+    (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
+    wanted = Rectangle(
+        max(chart.left_mm - margin_mm, x - half_x),
+        min(chart.right_mm + margin_mm, x + half_x),
+        max(chart.low_mm - margin_mm, y - half_y),
+        min(chart.high_mm + margin_mm, y + half_y),
+    )
+    if min(wanted.right_mm - wanted.left_mm, wanted.high_mm - wanted.low_mm) < 4.0 * grid.pitch_mm:
+        return None
+    return around(wanted, grid)
+
+
+class _Seen:
+    """Intensity about a chart, and its correlation with the chart in places that are tried.
+
+    A place is a vector in samples: displacement along x and y, and what scale and rotation move the corner
+    of the chart by.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        elements: Sequence[UsafElement],
+        ground: Ground,
+        inside: NDArray[np.bool_] | None,
+    ) -> None:
+        self.grid, self.elements = field.grid, elements
+        self.sign = 1.0 if ground == "dark" else -1.0
+        intensity = np.abs(field.values).astype(float) ** 2
+        known = np.isfinite(intensity) if inside is None else np.isfinite(intensity) & inside
+        self.weight = known.astype(float)
+        self.count = max(float(self.weight.sum()), 1.0)
+        intensity = np.where(known, intensity, 0.0)
+        intensity = np.where(known, intensity - intensity.sum() / self.count, 0.0)
+        smooth = gaussian_filter(intensity, SMOOTHING)
+        self.intensity = self.weight * (smooth - np.vdot(self.weight, smooth) / self.count)
+        self.size = float(np.linalg.norm(self.intensity))
+        chart = chart_outline(elements)
+        self.middle = (0.5 * (chart.left_mm + chart.right_mm), 0.5 * (chart.low_mm + chart.high_mm))
+        corner = math.hypot(chart.right_mm - chart.left_mm, chart.high_mm - chart.low_mm)
+        self.corner_samples = 0.5 * corner / field.grid.pitch_mm
+
+    def registration(self, place: Array, correlation: float = 0.0, in_place: float = 0.0) -> Registration:
+        """A place as what it means."""
+        x, y = (float(one) * self.grid.pitch_mm for one in place[:2])
+        scale, rotation = 1.0 + place[2] / self.corner_samples, place[3] / self.corner_samples
+        return Registration((x, y), float(scale), float(rotation), correlation, in_place, self.middle)
+
+    def chart(self, place: Array, grid: Grid) -> Array:
+        """Part of each cell that bars cover, those that reach beyond the grid cut off."""
+        moved = self.registration(place).moved
+        (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
+        bars = []
+        for element in self.elements:
+            own = moved(element)
+            for bar in (*own.bars("x"), *own.bars("y")):
+                cut = Rectangle(
+                    max(bar.left_mm, x - half_x),
+                    min(bar.right_mm, x + half_x),
+                    max(bar.low_mm, y - half_y),
+                    min(bar.high_mm, y + half_y),
+                )
+                if cut.right_mm > cut.left_mm and cut.high_mm > cut.low_mm:
+                    bars.append(cut)
+        return np.asarray(gaussian_filter(self.sign * rectangle_coverage(grid, bars), SMOOTHING))
+
+    def correlations(self, reach: int) -> Array:
+        """Correlation for displacements of whole samples, from -reach to reach along y and x."""
+        from scipy.signal import fftconvolve
+
+        rows, columns = self.grid.shape
+        wider = replace(self.grid, shape=(rows + 2 * reach, columns + 2 * reach))
+        chart = self.chart(np.zeros(4), wider)
+
+        def sums(weights: Array, values: Array) -> Array:
+            # The chart moves against the intensity: its displacement runs against that of the window.
+            return np.asarray(fftconvolve(values, weights[::-1, ::-1], mode="valid"))[::-1, ::-1]
+
+        products = sums(self.intensity, chart)
+        means, squares = sums(self.weight, chart) / self.count, sums(self.weight, chart**2)
+        spread = np.sqrt(np.maximum(squares - self.count * means**2, 0.0))
+        # Rounding of Fourier transforms must not make a contrast of an even chart.
+        spread[spread < 1e-6 * math.sqrt(self.count)] = np.nan
+        return np.asarray(products / (spread * self.size)) if self.size > 0.0 else np.full_like(means, np.nan)
+
+    def correlation(self, place: Array) -> float:
+        """Correlation in one place."""
+        chart = self.weight * self.chart(place, self.grid)
+        chart -= self.weight * (chart.sum() / self.count)
+        size = float(np.linalg.norm(chart)) * self.size
+        return float(np.vdot(chart, self.intensity)) / size if size > 0.0 else -1.0
+
+    @property
+    def least_correlation(self) -> float:
+        """Correlation from which on the place is determined; chance gives more of it on few samples."""
+        return max(DETERMINED, CHANCE * math.sqrt(4.0 * math.pi * SMOOTHING**2 / self.count))
+
+    def displaced(self, start: Array) -> tuple[Array, float]:
+        """The place of the largest correlation about another, x and y alone, by a parabola along each."""
+        step = 0.5
+        middle, place = self.correlation(start), start.copy()
+        for axis in (0, 1):
+            aside = step * np.eye(4)[axis]
+            place[axis] += step * _vertex(
+                self.correlation(start - aside), middle, self.correlation(start + aside)
+            )
+        found = self.correlation(place)
+        return (place, found) if found > middle else (start, middle)
+
+    def may_be_deformed(self, place: Array, correlation: float) -> bool:
+        """Whether a little scale or rotation makes the correlation larger."""
+        asides = (sign * DEFORMED_SAMPLES * np.eye(4)[axis] for axis in (2, 3) for sign in (-1.0, 1.0))
+        return any(self.correlation(place + aside) > correlation for aside in asides)
+
+    def best(self, start: Array) -> tuple[Array, float]:
+        """The best place about another, scale and rotation included, and its correlation."""
+        from scipy.optimize import minimize
+
+        def lacks(place: Any) -> float:
+            return 1.0 - self.correlation(place)
+
+        simplex = start + np.vstack([np.zeros(4), 0.6 * np.eye(4)])
+        options: Any = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-7, "maxfev": 300}
+        found = minimize(lacks, start, method="Nelder-Mead", options=options)
+        return np.asarray(found.x), 1.0 - float(found.fun)
+
+
+def _between(values: Array, row: int, column: int) -> Array:
+    """How far the peak lies from the sample of the largest value, along x and y, by parabolas."""
+    found = np.zeros(4)
+    if 0 < column < values.shape[1] - 1:
+        found[0] = _vertex(*values[row, column - 1 : column + 2])
+    if 0 < row < values.shape[0] - 1:
+        found[1] = _vertex(*values[row - 1 : row + 2, column])
+    return found
+
+
+def _vertex(left: float, middle: float, right: float) -> float:
+    """Vertex of the parabola through three points, in their distance, at most one from the middle."""
+    bend = left - 2.0 * middle + right
+    return float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0)) if bend < 0.0 else 0.0

@@ -1,0 +1,224 @@
+"""Engines side by side: error against seconds and memory, over a range of settings of each.
+
+Scenes are exact solutions and patches of the lens itself. There the wave propagation method with fine steps
+and much room stands for the truth on a line, and the sum over all plane waves
+(:mod:`wavesim.metrics.about_axis`) on a plane. Nothing is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError, SamplingError
+from lensdesign.lens.lens import Lens
+from wavesim.analytic.registry import AnalyticCase
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.registry import ENGINES, engine_class
+from wavesim.fields.field import Field, Grid
+from wavesim.metrics.accuracy import compare_with_exact
+from wavesim.scene.engine import Engine
+from wavesim.scene.patches import patch_scene
+from wavesim.scene.scene import Scene
+from wavesim.targets.patterns import band_limit
+
+Progress = Callable[[int, int, str], None]
+
+Variant = tuple[str, str, dict[str, Any]]
+"""Family, engine, settings."""
+
+REFERENCE_SHARE = 0.5
+"""Step of the truth, as a share of the one that the engine would choose."""
+
+REFERENCE_ZONES = 80.0
+"""Its room for light that the rim turns: of a point's light on a one-quarter twin that leaves out 0.23 %."""
+
+SEED = 20260531
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One engine with one setting on one scene.
+
+    Attributes
+    ----------
+    scene : str
+        Name of the scene.
+    family : str
+        Engine and what kind of it, the same for all points of a curve.
+    setting : str
+        What varies along the curve.
+    relative_error, seconds, setup_seconds, peak_mb : float
+        Measured; NaN where the engine refused.
+    predicted_error, predicted_seconds, predicted_mb : float
+        What the engine said beforehand.
+    uncertainty : float
+        Relative error that the truth itself may have.
+    fastest, smallest : bool
+        Whether no other is both better and faster (of less memory).
+    said : str
+        Warnings, or why it refused.
+    """
+
+    scene: str
+    family: str
+    setting: str
+    relative_error: float
+    seconds: float
+    setup_seconds: float
+    peak_mb: float
+    predicted_error: float
+    predicted_seconds: float
+    predicted_mb: float
+    uncertainty: float
+    fastest: bool = False
+    smallest: bool = False
+    said: str = ""
+
+
+def variants(scene: Scene) -> tuple[Variant, ...]:
+    """Every engine over a range of its settings for a scene."""
+    return tuple(
+        (family, name, settings)
+        for name in ENGINES
+        for family, curve in engine_class(name).curves(scene).items()
+        for settings in curve
+    )
+
+
+def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) -> AnalyticCase:
+    """A meridional patch of the lens, evenly filled with light of all directions that it takes.
+
+    Parameters
+    ----------
+    lens, patch_mm, field_mm
+        As of :func:`wavesim.scene.patches.patch_scene`.
+    **where
+        Its further arguments.
+
+    Returns
+    -------
+    OracleCase
+        `exact` is that of the wave propagation method with fine steps; `uncertainty` is its own estimate.
+    """
+    scene = patch_scene(lens, patch_mm, field_mm, meridional=True, **where)
+    truth = reference_for(scene)
+    start = random_field(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
+    unknown = [part.relative_error for part in truth.neglected()]
+    return AnalyticCase(scene, start, truth.forward(start), float(np.sqrt(np.sum(np.square(unknown)))))
+
+
+def reference_for(scene: Scene) -> Engine:
+    """The wave propagation method with fine steps."""
+    step_um = engine_for(scene, "wpm").settings()["step_um"]
+    fine = engine_for(scene, "wpm", zones=REFERENCE_ZONES)
+    return engine_for(
+        scene,
+        "wpm",
+        zones=REFERENCE_ZONES,
+        step_um=min(REFERENCE_SHARE * step_um, float(fine.settings()["step_um"])),
+    )
+
+
+def random_field(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
+    """Speckle that fills a grid and the aperture evenly, of unit mean intensity."""
+    rng = np.random.default_rng(SEED)
+    values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
+    values = band_limit(values, grid, wavelength_um, numerical_aperture)
+    return Field(grid, values / np.sqrt(np.mean(np.abs(values) ** 2)), wavelength_um)
+
+
+def compare(
+    cases: dict[str, AnalyticCase],
+    tried: Callable[[Scene], Sequence[Variant]] = variants,
+    progress: Progress | None = None,
+    most_seconds: float = 60.0,
+) -> list[Measured]:
+    """Hold engines against truths.
+
+    Parameters
+    ----------
+    cases
+        Scenes with their true exit fields, by name.
+    tried
+        Families, engines and settings for a scene.
+    progress
+        Called with the number done, the number in all, and what comes next.
+    most_seconds
+        What is predicted to take longer is left out, and said to be.
+
+    Raises
+    ------
+    InputError
+        If `most_seconds` is not above 0.
+    """
+    if not most_seconds > 0.0:
+        raise InputError(f"most_seconds = {most_seconds!r}: must be above 0")
+    results: list[Measured] = []
+    of_cases = {name: tried(case.scene) for name, case in cases.items()}
+    total = sum(map(len, of_cases.values()))
+    for name, case in cases.items():
+        rows: list[Measured] = []
+        for family, engine, settings in of_cases[name]:
+            if progress is not None:
+                progress(len(results) + len(rows), total, f"{name}: {family} {_label(settings)}")
+            rows.append(_measure(name, case, (family, engine, settings), most_seconds))
+        results += with_front(rows)
+    return results
+
+
+def _measure(name: str, case: AnalyticCase, variant: Variant, most_seconds: float) -> Measured:
+    family, engine, settings = variant
+    label = _label(settings)
+    nothing = (*(float("nan"),) * 7, case.uncertainty)
+    try:
+        cost = engine_for(case.scene, engine, **settings).cost()
+        seconds = cost.setup_seconds + cost.seconds
+        if seconds > most_seconds:
+            return Measured(
+                name, family, label, *nothing, said=f"left out: predicted to take {seconds:.3g} s"
+            )
+        found = compare_with_exact(case, engine, settings)
+    except (InputError, SamplingError) as problem:
+        return Measured(name, family, label, *nothing, said=str(problem))
+    return Measured(
+        name,
+        family,
+        label,
+        found.relative_error,
+        found.seconds,
+        found.setup_seconds,
+        found.peak_mb,
+        found.predicted_error,
+        found.predicted.seconds,
+        1e-6 * found.predicted.peak_bytes,
+        found.uncertainty,
+        said="; ".join(found.warnings),
+    )
+
+
+def _label(settings: dict[str, Any]) -> str:
+    """The settings that are numbers; the others name the family."""
+    return ", ".join(f"{name} {value:g}" for name, value in settings.items() if not isinstance(value, str))
+
+
+def with_front(rows: list[Measured]) -> list[Measured]:
+    """The rows of one scene, marked where none is both better and faster, or better and smaller."""
+
+    def leads(row: Measured, cost: Callable[[Measured], float]) -> bool:
+        better = [r for r in rows if r.relative_error < row.relative_error and cost(r) <= cost(row)]
+        return not better and bool(np.isfinite(row.relative_error))
+
+    return [
+        replace(r, fastest=leads(r, lambda m: m.seconds), smallest=leads(r, lambda m: m.peak_mb))
+        for r in rows
+    ]
+
+
+def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:
+    """Curves, in the order in which they were measured."""
+    for family in dict.fromkeys(row.family for row in rows):
+        yield family, [row for row in rows if row.family == family]

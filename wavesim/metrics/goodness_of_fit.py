@@ -1,0 +1,466 @@
+"""Whether a result explains what was recorded, within the noise; where it does not, and what may differ.
+
+Residuals are compared with the variances that noise, engine and pixels leave. On pixels that were fitted
+they are smaller than the noise, by the fraction of the data that the fit uses up, and on pixels that were
+held out larger by about the same factor: their geometric mean judges a model of many unknowns.
+
+A result is not trusted, even where residuals are small, if they are smaller than noise can be, if frames
+prefer another bench by far, or if the data do not determine the object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.text import finite_or_none
+from wavesim.metrics.noise_parameters import NoiseCheck, noise_check
+from wavesim.metrics.plane_residuals import PlaneResidual
+from wavesim.runtime.threads import row_blocks
+
+Array = NDArray[np.floating[Any]]
+
+LIMIT = 1.3
+"""Times the noise up to which residuals count as explained. Healthy frames come to 0.9 to 1.26: pixels are
+averaged in another way than they were made, and the iterations end."""
+
+HELD_LIMIT = 1.25
+"""The same of the geometric mean of residuals on fitted pixels and on pixels that were held out. Perfect
+benches come to 1.16 at most."""
+
+LEAST_FITTED = 0.6
+"""Residuals on fitted pixels are not taken for smaller than this multiple of the noise in that mean: where a
+fit uses up more than two thirds of the data, held-out pixels alone judge it."""
+
+MODEL_ERROR = 0.005
+"""Relative error of amplitudes that engine and pixels may have where there is no noise."""
+
+BLOCKS = 8
+"""Blocks along each side of a plane, among which the largest excess is searched."""
+
+LEAST_GAIN = 0.2
+"""Fraction of the squared misfit that a trial must take away to be named."""
+
+FEW, MORE = 3, 10
+"""After `FEW` iterations the misfit says nothing. After more, it is extrapolated by `MORE` steps as large as
+the last one; if it then comes to the noise, more iterations are advised."""
+
+FREER = {"shift": 1.15, "mounting": 1.65}
+"""Factors by which trials must be better that change more than others, or resemble them: each plane's shift
+instead of the two angles of the light, which shift all planes, and the lens's decenter, which does so too."""
+
+LEAST_AGREEMENT = 0.9
+"""Correlation of the objects of several starts, below which frames do not determine the object."""
+
+ADVICE = {
+    "planes swapped": "give the frames the distances of their planes in the other order",
+    "orientation": "turn or mirror the pictures of that plane as the other planes' pictures are",
+    "shift": "run `wavesim calibrate`: it finds the shift of each plane",
+    "mounting": "run `wavesim calibrate`: it finds decenter and tilt of the lens",
+    "working distance": "measure the object's distance anew, or run `wavesim calibrate`",
+    "pixel pitch": "compare the pitch that frames and design state with the camera's data sheet",
+    "lens": "compare design and wavelength with what is mounted; run `wavesim calibrate`",
+    "distance": "measure the plane's distance anew, or run `wavesim calibrate`",
+    "background": "block stray light, or run `wavesim calibrate`: it finds each plane's background",
+    "field stop position": "measure the field stop, and give --field-stop-at-mm and --field-stop-mm",
+    "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
+    "light": "run `wavesim calibrate`: it finds the light's direction and shape",
+    "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
+    "vibration": "mount the camera more firmly, or expose for a shorter time",
+    "iterations": "give more --iterations",
+    "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",
+    "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
+    "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
+    "object, tilted light and a shifted plane give the same frames",
+    "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted, and the "
+    "light's bandwidth with its data sheet (a filter narrows it)",
+}
+
+CALIBRATED_ADVICE = (
+    "the calibration does not hold for these frames or does not contain the cause: compare design, light and "
+    "camera with what is mounted, or calibrate with more parameters (--parameters all)"
+)
+"""In place of advice to calibrate, where a calibration was given."""
+
+
+STOP_CAUSE = "field stop position"
+"""Cause of a result whose field stop was found on a bench that turned out to be another."""
+
+BLURS = ("source", "vibration")
+"""Causes that wash pictures out, as a broad band of wavelengths does."""
+
+NOT_TRIED = "bandwidth of the light"
+"""Causes that no trial can show: the model of a reconstruction has one wavelength."""
+
+
+class Trial(NamedTuple):
+    """One thing that was changed, and the misfit then over that without the change."""
+
+    cause: str
+    told: str
+    misfit_ratio: float
+
+    @property
+    def gain(self) -> float:
+        """Fraction of the squared misfit that is gone."""
+        return 1.0 - self.misfit_ratio**2
+
+
+class Finding(NamedTuple):
+    """A reason not to trust a result although residuals are within the noise."""
+
+    cause: str
+    explanation: str
+    chi_square: float = math.inf
+    """How surely, as far as that is a number: the largest names the cause."""
+
+
+@dataclass(frozen=True)
+class Undetected:
+    """A displacement of the lens or the object that frames cannot exclude.
+
+    Attributes
+    ----------
+    parameter : str
+        Name with its unit.
+    size : float
+        Largest that stays within the noise and the model's errors.
+    correlation : float
+        Of the object found with the one that the frames give with this displacement.
+    """
+
+    parameter: str
+    size: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """How well one plane is explained.
+
+    Attributes
+    ----------
+    distance_mm : float
+        From the exit vertex.
+    over_noise, held_out_over_noise : float or None
+        Root mean square residual over that of the noise, of pixels that were used and of those that were not;
+        None where there are none.
+    contribution : float
+        Fraction of the information on the object that comes from this plane: of the pixels, each weighted by
+        signal / (signal + noise).
+    signal_to_noise : float
+        Root of the recorded energy over that of the noise.
+    region_px : (x, y, width, height)
+        Of the largest excess, in pixels from the frame's first one.
+    region_over_noise : float
+        Residual over noise there.
+    """
+
+    distance_mm: float
+    over_noise: float | None
+    held_out_over_noise: float | None
+    contribution: float
+    signal_to_noise: float
+    region_px: tuple[int, int, int, int]
+    region_over_noise: float
+
+    @property
+    def excess(self) -> float:
+        """Residuals over those that count as explained."""
+        used, held = self.over_noise, self.held_out_over_noise
+        if used is None or held is None:
+            return (used or held or 0.0) / LIMIT
+        mean = math.sqrt(max(used, LEAST_FITTED) * held)
+        return max(used / LIMIT, mean / HELD_LIMIT)
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """Whether a result explains the frames.
+
+    Attributes
+    ----------
+    explained : bool
+        Within the noise, on each plane and on pixels that were held out, and nothing speaks against it.
+    over_noise, held_out_over_noise : float
+        Largest of all planes.
+    worst_plane : int
+        Index of the plane with the largest excess.
+    planes : tuple of PlaneVerdict
+        In the order of the planes.
+    cause, told, next_step : str
+        What most likely differs, how that was found, and what to do; empty where all is explained.
+    trials : tuple of Trial
+        What was tried.
+    agreement : float or None
+        Correlation of the objects of several starts.
+    findings : tuple of Finding
+        What speaks against the result beside the size of its residuals.
+    noise : NoiseCheck or None
+        Residuals over the stated noise alone; None where no pixel was held out.
+    undetected : tuple of Undetected
+        What the frames cannot exclude; empty where that was not computed.
+    model_error : float
+        Relative error of amplitudes that was allowed for engine and pixels.
+    """
+
+    explained: bool
+    over_noise: float
+    held_out_over_noise: float
+    worst_plane: int
+    planes: tuple[PlaneFit, ...]
+    cause: str
+    told: str
+    next_step: str
+    trials: tuple[Trial, ...]
+    agreement: float | None = None
+    findings: tuple[Finding, ...] = ()
+    noise: NoiseCheck | None = None
+    undetected: tuple[Undetected, ...] = ()
+    model_error: float = MODEL_ERROR
+
+    @property
+    def words(self) -> str:
+        """In a few sentences."""
+        held = f"{self.held_out_over_noise:.3g} times on pixels that were held out"
+        size = f"residuals {self.over_noise:.3g} times the noise, {held}"
+        if self.explained:
+            return f"explained within the noise: {size}{self._contributions}{self._not_excluded}"
+        if self.within:
+            return f"not to be trusted: {size}, but {self.told}. Next: {self.next_step}"
+        worst = self.planes[self.worst_plane]
+        x, y, width, height = worst.region_px
+        return (
+            f"not explained: {size}; most on the plane at "
+            f"{worst.distance_mm:g} mm, {worst.region_over_noise:.3g} times in the {width} x {height} pixels "
+            f"from {x}, {y} on. Most likely: {self.cause} ({self.told}). Next: {self.next_step}"
+        )
+
+    @property
+    def within(self) -> bool:
+        """Whether residuals are within the noise on all planes."""
+        return max(plane.excess for plane in self.planes) <= 1.0
+
+    @property
+    def _contributions(self) -> str:
+        if len(self.planes) < 2:
+            return ""
+        parts = " and ".join(
+            f"{100.0 * plane.contribution:.0f} % from {plane.distance_mm:g} mm" for plane in self.planes
+        )
+        return f". Information: {parts}"
+
+    @property
+    def _not_excluded(self) -> str:
+        if not self.undetected:
+            return ""
+        worst = min(one.correlation for one in self.undetected)
+        parts = ", ".join(_in_words(one) for one in self.undetected)
+        return (
+            f". Not excluded, each alone: {parts}; they would lower the correlation to {worst:.3f} at worst"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        told = vars(self) | {
+            "planes": [vars(plane) | {"region_px": list(plane.region_px)} for plane in self.planes],
+            "trials": [trial._asdict() for trial in self.trials],
+            "findings": [
+                finding._asdict() | {"chi_square": finite_or_none(finding.chi_square)}
+                for finding in self.findings
+            ],
+            "noise": None if self.noise is None else self.noise._asdict(),
+            "undetected": [vars(one) for one in self.undetected],
+            "words": self.words,
+        }
+        return dict(told)
+
+
+def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
+    """Return the verdict with one more reason not to trust the result.
+
+    Where residuals are beyond the noise, the cause that explains them stays.
+    """
+    doubted = replace(judged, explained=False, findings=(*judged.findings, finding))
+    if not judged.explained:
+        return doubted
+    return replace(
+        doubted, cause=finding.cause, told=finding.explanation, next_step=ADVICE.get(finding.cause, "")
+    )
+
+
+def _in_words(one: Undetected) -> str:
+    name, unit = one.parameter.rsplit("_", 1)
+    size, unit = (1e3 * one.size, "um") if unit == "mm" else (one.size, unit)
+    return f"{name.replace('_', ' ')} {size:.2g} {unit}"
+
+
+def verdict(
+    planes: Sequence[PlaneResidual],
+    trials: Sequence[Trial] = (),
+    curve: Sequence[float] = (),
+    agreement: float | None = None,
+    *,
+    model_error: float = MODEL_ERROR,
+    findings: Sequence[Finding] = (),
+    undetected: Sequence[Undetected] = (),
+    calibrated: bool = False,
+    rounding: float = 0.0,
+) -> GoodnessOfFit:
+    """Judge a result by its residuals on the planes.
+
+    Parameters
+    ----------
+    planes
+        Residuals, plane by plane.
+    trials
+        Of what may differ.
+    curve
+        Misfit of each iteration.
+    agreement
+        Correlation of the objects that several starts end at, if there were any.
+    model_error
+        Relative error of amplitudes that engine and pixels may have.
+    findings
+        What else speaks against the result.
+    undetected
+        What the frames cannot exclude.
+    calibrated
+        Whether the bench was calibrated before: then calibration is no advice.
+    rounding
+        Largest fraction of a dark pixel's variance that comes from rounding to counts.
+    """
+    judged = plane_verdicts(planes, model_error)
+    excess = [plane.excess for plane in judged]
+    within = max(excess) <= 1.0
+    noise = noise_check(planes, rounding)
+    against = sorted(findings, key=lambda finding: -finding.chi_square)
+    if noise is not None and noise.is_too_small:
+        against.insert(0, Finding("noise parameters", noise.explanation))
+    if agreement is not None and agreement < LEAST_AGREEMENT:
+        said = f"starts end at objects whose correlation is {agreement:.3g}"
+        against.append(Finding("several objects", said))
+    cause, told = "", ""
+    if not within:
+        cause, told = _likeliest(trials, curve, max(excess))
+    elif against:
+        cause, told = against[0][:2]
+    step = ADVICE.get(cause, "")
+    if calibrated and "wavesim calibrate" in step:
+        step = CALIBRATED_ADVICE
+    return GoodnessOfFit(
+        within and not against,
+        max(plane.over_noise or 0.0 for plane in judged),
+        max(plane.held_out_over_noise or 0.0 for plane in judged),
+        int(np.argmax(excess)),
+        tuple(judged),
+        cause,
+        told,
+        step,
+        tuple(trials),
+        agreement,
+        tuple(against),
+        noise,
+        tuple(undetected),
+        model_error,
+    )
+
+
+def plane_verdicts(planes: Sequence[PlaneResidual], model_error: float = MODEL_ERROR) -> list[PlaneFit]:
+    """How well each plane is explained, without a judgement of the whole."""
+    judged = [_judged(plane, model_error) for plane in planes]
+    total = sum(plane.contribution for plane in judged)
+    if total <= 0.0:
+        return judged
+    return [PlaneFit(**vars(plane) | {"contribution": plane.contribution / total}) for plane in judged]
+
+
+def wants_iterations(curve: Sequence[float], excess: float) -> bool:
+    """Whether more iterations would come to the noise.
+
+    Parameters
+    ----------
+    curve
+        Misfit of each iteration.
+    excess
+        Residuals over those that count as explained.
+    """
+    return bool(curve) and (len(curve) <= FEW or excess * (curve[-1] / curve[-2]) ** MORE < 1.0)
+
+
+def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -> tuple[str, str]:
+    """Cause, and how it was found; the excess is that over what counts as explained."""
+    best = min(trials, key=lambda trial: trial.misfit_ratio * FREER.get(trial.cause, 1.0), default=None)
+    if best is not None and best.gain > LEAST_GAIN:
+        told = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        if best.cause in BLURS:
+            others = [
+                t.told for t in trials if t.cause in BLURS and t.cause != best.cause and t.gain > LEAST_GAIN
+            ]
+            also = f"helps, too: {others[0]}; " if others else ""
+            told = f"{told}; {also}not tried: {NOT_TRIED}"
+        return best.cause, told
+    if wants_iterations(curve, excess):
+        return "iterations", "the misfit was still falling"
+    told = "nothing else that was tried explains it" if trials else "nothing was tried"
+    return "lens or light", f"{told}; not tried: {NOT_TRIED}"
+
+
+def _judged(plane: PlaneResidual, model_error: float) -> PlaneFit:
+    rows = _edges(plane.error.shape[0])
+    columns = _edges(plane.error.shape[1])
+    missed, expected = np.zeros((2, len(rows) - 1, len(columns) - 1))
+    information = energy = noise_energy = 0.0
+    for i in range(len(rows) - 1):
+        for block in row_blocks(rows[i + 1] - rows[i]):
+            part = slice(rows[i] + block.start, rows[i] + block.stop)
+            known = np.isfinite(plane.sigma[part])
+            square = np.where(known, plane.error[part].astype(float) ** 2, 0.0)
+            sigma = np.where(known, plane.sigma[part], 0.0)
+            noise = np.where(known, _expected(plane.amplitude[part], sigma, plane, part, model_error), 0.0)
+            for total, values in ((missed, square), (expected, noise)):
+                total[i] += np.add.reduceat(values.sum(axis=0), columns[:-1])
+            signal = np.where(known, (plane.amplitude[part] + plane.error[part]).astype(float) ** 2, 0.0)
+            variance = sigma.astype(float) ** 2
+            information += float(np.sum(signal / np.maximum(signal + variance, 1e-300)))
+            energy, noise_energy = energy + float(signal.sum()), noise_energy + float(variance.sum())
+    i, j = divmod(int(np.argmax(missed - expected)), missed.shape[1])
+    error, amplitude = (values.ravel()[plane.held].astype(float) for values in (plane.error, plane.amplitude))
+    engine = 0.0 if plane.engine_error is None else plane.engine_error.ravel()[plane.held]
+    held = plane.held_sigma.astype(float) ** 2 + (model_error * amplitude) ** 2 + engine**2
+    return PlaneFit(
+        plane.distance_mm,
+        _ratio(float(missed.sum()), float(expected.sum())),
+        _ratio(float(error @ error), float(held.sum())),
+        information,
+        _ratio(energy, noise_energy) or 0.0,
+        (
+            int(columns[j]),
+            int(rows[i]),
+            int(columns[j + 1] - columns[j]),
+            int(rows[i + 1] - rows[i]),
+        ),
+        _ratio(float(missed[i, j]), float(expected[i, j])) or 0.0,
+    )
+
+
+def _expected(amplitude: Array, sigma: Array, plane: PlaneResidual, part: slice, model_error: float) -> Array:
+    """Squares of residuals to expect: of noise, and of engine and pixels."""
+    square = sigma.astype(float) ** 2 + (model_error * amplitude.astype(float)) ** 2
+    if plane.engine_error is not None:
+        square += plane.engine_error[part].astype(float) ** 2
+    return np.asarray(square)
+
+
+def _edges(count: int) -> list[int]:
+    """Borders of blocks along a side."""
+    return np.unique(np.linspace(0, count, min(BLOCKS, count) + 1).astype(int)).tolist()
+
+
+def _ratio(missed: float, expected: float) -> float | None:
+    return math.sqrt(missed / expected) if expected > 0.0 else None

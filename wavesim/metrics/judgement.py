@@ -1,0 +1,172 @@
+"""What a reconstruction is worth: against the true object, on charts, and against what was recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.text import finite_or_none
+from wavesim.fields.field import Field
+from wavesim.metrics.charts import chart_resolution
+from wavesim.metrics.contrast import object_correlation
+from wavesim.metrics.displacement import displaced_back, displacement_samples, inside_both
+from wavesim.metrics.similarity import psnr_db, ssim
+from wavesim.metrics.transmitted_band import transmitted_directions, transmitted_part
+from wavesim.runtime.scratch import Scratch
+from wavesim.runtime.threads import row_blocks
+from wavesim.scene.scene import Scene
+from wavesim.targets.patterns import Ground
+from wavesim.targets.usaf import UsafElement
+
+SAME_PLACE = 0.05
+"""Displacement in samples up to which a result lies where the object does."""
+
+
+def truth_metrics(
+    found: Field,
+    true: Field,
+    illumination: Field,
+    inside: NDArray[np.bool_],
+    scene: Scene,
+    scratch: Scratch,
+) -> dict[str, float | None]:
+    """Correlation, PSNR and SSIM with the true object, both as the lens passes them.
+
+    The correlation is that of object fields from which the illumination has been taken out; for PSNR and SSIM
+    of the amplitudes the result is multiplied by the complex factor that fits best. A displaced result is not
+    a blurred one: its displacement from the true object is stated beside them (`displacement_x_um`,
+    `displacement_y_um`), and the correlation after it has been taken back (`correlation_registered`). These
+    are None where result and object have too little in common.
+
+    Parameters
+    ----------
+    found, true
+        Transmissions, on the part of the object that is judged.
+    illumination
+        There.
+    inside
+        Samples within the field stop.
+    scene
+        The lens as it is: what passes it, its rays tell.
+    scratch
+        Where fields lie that the lens passes.
+    """
+    directions = transmitted_directions(scene, found.grid)
+
+    def passed(values: Any) -> Field:
+        own = illumination.with_values((illumination.values * values).astype(np.complex64, copy=False))
+        there = transmitted_part(own, directions)
+        return there.with_values(scratch.held(there.values, "a field that the lens passes"))
+
+    displacement = displacement_samples(found.values, true.values, inside)
+    other = passed(true.values)
+    figures: dict[str, float | None] = dict.fromkeys(
+        ("object_correlation", "psnr_db", "ssim", "displacement_x_um", "displacement_y_um")
+    )
+    registered = None
+    if displacement is not None and max(map(abs, displacement)) > SAME_PLACE:
+        there = passed(_displaced_back(found.values, inside, displacement))
+        both = inside_both(inside, displacement)
+        registered = object_correlation(there, other, passed(np.float32(1.0)), both)
+        del there, both
+    one = passed(found.values)
+    correlation = object_correlation(one, other, passed(np.float32(1.0)), inside)
+    figures["object_correlation"] = correlation
+    if displacement is not None:
+        for axis, samples in zip("xy", displacement, strict=True):
+            figures[f"displacement_{axis}_um"] = 1e3 * found.grid.pitch_mm * samples
+        registered = correlation if registered is None else registered
+    figures["correlation_registered"] = registered
+    energy = _product(one.values, one.values, inside).real
+    factor = _product(one.values, other.values, inside) / energy if energy > 0.0 else 0.0
+    pair = _moduli(one.values, abs(factor)), _moduli(other.values)
+    del one, other
+    brightest = float(pair[1].max(where=inside, initial=0.0))
+    figures |= {
+        "psnr_db": psnr_db(*pair, full_scale=brightest, support=inside),
+        "ssim": ssim(*pair, full_scale=brightest, support=inside),
+    }
+    return {name: None if value is None else finite_or_none(value) for name, value in figures.items()}
+
+
+def _displaced_back(
+    values: Any, inside: NDArray[np.bool_], displacement: tuple[float, float]
+) -> NDArray[np.complex64]:
+    """A transmission without its displacement; outside the stop it is even, so that no edge is moved."""
+    factor = np.mean(values, where=inside, dtype=complex)
+    moved = np.where(inside, values, factor).astype(np.complex64, copy=False)
+    displaced_back(moved, displacement)
+    return moved
+
+
+def _product(a: Any, b: Any, inside: Any) -> complex:
+    """Inner product within the field stop, without copies of whole fields."""
+    blocks = row_blocks(len(inside))
+    return complex(sum(complex(np.vdot(a[rows][inside[rows]], b[rows][inside[rows]])) for rows in blocks))
+
+
+def _moduli(values: Any, factor: float = 1.0) -> Any:
+    """Moduli in single precision."""
+    result = np.empty(values.shape, np.float32)
+    for rows in row_blocks(len(values)):
+        result[rows] = factor * np.abs(values[rows])
+    return result
+
+
+def chart_metrics(
+    transmission: Field,
+    elements: Sequence[UsafElement],
+    ground: Ground,
+    passed_um: float,
+    inside: NDArray[np.bool_] | None = None,
+) -> dict[str, Any]:
+    """Contrast of every element of a chart that lies in a part of the object, and the finest resolved.
+
+    The chart is registered first, and its displacement stated. Lines finer than `passed_um`, wavelength over
+    twice the numerical aperture, the lens does not pass: what resolves them is what the method takes for
+    granted of the object. What limits the finest element is stated, too
+    (:class:`wavesim.metrics.charts.ChartResolution`).
+    """
+    return chart_resolution(transmission, elements, ground, passed_um, inside).as_dict()
+
+
+def plane_metrics(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:
+    """Residual, what the stated noise alone would leave of it, and the correlation of amplitudes (A6).
+
+    Over the pixels that are known, in blocks of rows; None where none are.
+
+    Parameters
+    ----------
+    amplitude, sigma
+        As recorded on a plane (:class:`wavesim.sensor.measurement.Measurement`).
+    error
+        Amplitude of the result less the recorded one.
+    """
+    count, sums, noise = 0, np.zeros(2), 0.0
+    products = np.zeros((2, 2))
+    missed = 0.0
+    for rows in row_blocks(len(error)):
+        known = slice(None) if sigma is None else np.isfinite(sigma[rows])
+        recorded = np.ravel(amplitude[rows][known]).astype(float)
+        left = np.ravel(error[rows][known]).astype(float)
+        pair = np.stack([recorded + left, recorded])
+        count += recorded.size
+        sums += pair.sum(axis=1)
+        products += pair @ pair.T
+        missed += float(left @ left)
+        if sigma is not None:
+            noise += float(np.sum(sigma[rows][known].astype(float) ** 2))
+    if count == 0:
+        return {"residual": None, "noise": None, "correlation": None}
+    size = products[1, 1]
+    about_means = products - np.outer(sums, sums) / count
+    spread = math.sqrt(max(about_means[0, 0] * about_means[1, 1], 0.0))
+    return {
+        "residual": math.sqrt(missed / size),
+        "noise": None if sigma is None else math.sqrt(noise / size),
+        "correlation": float(about_means[0, 1]) / spread if spread > 0.0 else 0.0,
+    }

@@ -1,0 +1,128 @@
+"""Whether residuals are smaller than the stated noise can leave, and which noise parameter would explain it.
+
+A pixel that was held out from the fit keeps all of its own noise: its residual is at least the noise,
+whatever the model. Smaller residuals mean that the noise was overstated, or that pictures were smoothed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from wavesim.metrics.plane_residuals import PlaneResidual
+
+TOO_SMALL, TOO_SMALL_DARK = 0.8, 0.6
+"""Residuals over the stated noise below which the noise was overstated: of all pixels or bright ones, and of
+dark ones, whose amplitudes scatter less than their standard deviation where they are dim but not dark."""
+
+ROUNDED = 0.4
+"""The same where most of a dark pixel's variance is that of rounding."""
+
+SURE = 4.0
+"""Standard deviations of that ratio by which it must be smaller than 1."""
+
+LEAST_PIXELS = 50
+"""Held-out pixels below which a ratio says nothing."""
+
+DARK, BRIGHT = 1.5, 2.0
+"""Multiples of a dark pixel's noise, up to which read noise dominates, and from which on shot noise does."""
+
+SAME = 1.25
+"""Ratio of dark pixels over that of bright ones, up to which a gain explains both: it acts on both alike, in
+amplitudes, while smoothing by a factor f changes dark pixels by its root."""
+
+DARK_FLOOR = 0.25 * math.sqrt(2.0 * math.pi)
+"""Intensity over its standard deviation, below which a standard deviation of the amplitude is that of a dark
+pixel (:func:`wavesim.sensor.measurement.recorded_intensity`)."""
+
+
+class NoiseCheck(NamedTuple):
+    """Residuals on held-out pixels over the stated noise alone.
+
+    Attributes
+    ----------
+    ratio : float
+        Of all held-out pixels.
+    dark_ratio, bright_ratio : float or None
+        Of pixels in which read noise or shot noise dominates; None where they are too few.
+    is_too_small : bool
+        Whether noise cannot be as large as stated.
+    explanation : str
+        Which parameter would explain it; empty where nothing is wrong.
+    """
+
+    ratio: float
+    dark_ratio: float | None
+    bright_ratio: float | None
+    is_too_small: bool
+    explanation: str
+
+
+def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> NoiseCheck | None:
+    """Compare residuals on held-out pixels with the stated noise.
+
+    Parameters
+    ----------
+    planes
+        Residuals of all planes; those of which all pixels were held out are left out.
+    rounding
+        Fraction of a dark pixel's variance that is stated for rounding to counts. Where it is most of it, a
+        dark pixel that always rounds to one count has less noise than stated, and only a ratio below
+        `ROUNDED` is a finding.
+
+    Returns
+    -------
+    NoiseCheck or None
+        None where fewer than `LEAST_PIXELS` pixels were held out.
+    """
+    some = [plane for plane in planes if 0 < len(plane.held) < plane.error.size]
+    if sum(len(plane.held) for plane in some) < LEAST_PIXELS:
+        return None
+    error = np.concatenate([plane.error.ravel()[plane.held] for plane in some]).astype(float)
+    amplitude = np.concatenate([plane.amplitude.ravel()[plane.held] for plane in some]).astype(float)
+    sigma = np.concatenate([plane.held_sigma for plane in some]).astype(float)
+    deviation = (
+        np.where(amplitude >= 2.0 * DARK_FLOOR * sigma, 2.0 * amplitude, 4.0 * DARK_FLOOR * sigma) * sigma
+    )
+    floor = float(np.quantile(deviation, 0.02))
+    ratio = _ratio(error, sigma, np.ones(len(sigma), bool))
+    dark = _ratio(error, sigma, deviation <= DARK * floor)
+    bright = _ratio(error, sigma, deviation >= BRIGHT * floor)
+    assert ratio is not None
+    sure = SURE / math.sqrt(2.0 * len(sigma))
+    if rounding > 0.5:
+        overstated = ratio < ROUNDED
+    else:
+        overstated = min(ratio, bright or 1.0) < TOO_SMALL or (dark or 1.0) < TOO_SMALL_DARK
+    is_too_small = overstated and ratio < 1.0 - sure
+    return NoiseCheck(
+        ratio, dark, bright, is_too_small, _explanation(ratio, dark, bright) if is_too_small else ""
+    )
+
+
+def _ratio(error: np.ndarray, sigma: np.ndarray, chosen: np.ndarray) -> float | None:
+    """Root mean square of residuals over that of the stated noise, among some pixels."""
+    if np.count_nonzero(chosen) < LEAST_PIXELS:
+        return None
+    return math.sqrt(float(np.sum(error[chosen] ** 2)) / float(np.sum(sigma[chosen] ** 2)))
+
+
+def _explanation(ratio: float, dark: float | None, bright: float | None) -> str:
+    """Which parameter would explain residuals that are too small."""
+    said = f"residuals on held-out pixels are {ratio:.2g} times the stated noise, and cannot be below 1"
+    smoothed = "pictures that were smoothed, averaged or compressed"
+    if bright is None:
+        factor = (ratio if dark is None else dark) ** 2
+        return (
+            f"{said}. A read noise {factor:.2g} times as large as stated would explain it, as would "
+            f"another gain, or {smoothed}"
+        )
+    if dark is not None and dark < TOO_SMALL < bright:
+        return f"{said}. A read noise {dark**2:.2g} times as large as stated would explain it"
+    gain = f"a gain (electrons per count) {bright**-2:.2g} times as large as stated"
+    if dark is None or dark < SAME * bright:
+        return f"{said}. {gain.capitalize()} would explain it, or {smoothed}"
+    return f"{said}. {smoothed.capitalize()} would explain it, or {gain}"

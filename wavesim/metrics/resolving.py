@@ -1,0 +1,374 @@
+"""The resolving test: what one engine's reconstruction leaves of lines that another has carried.
+
+Bars on a dark ground, lit along the axis, are carried from a field point through the lens by a reference
+engine, and brought back by the engine under test, on a meridional line. The model's own shift and defocus
+are not held against it: the result is refocused and registered, as a reconstruction of a real picture is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field, Grid, correlation
+from wavesim.fields.plane_waves import axial_wavenumbers, phasor_of
+from wavesim.metrics.contrast import RESOLVED_CONTRAST
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
+from wavesim.scene.engine import Engine
+from wavesim.scene.patches import exit_grid
+from wavesim.scene.scene import Scene, wavelength_of
+
+ComplexArray = NDArray[np.complex128]
+
+OBJECT_PITCH_WAVES = 0.1
+"""Pitch of the object grid, in wavelengths."""
+
+MARGIN_MM = 0.06
+"""Dark ground on each side of the bars, for lines that come back displaced or blurred."""
+
+REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
+
+PROFILE_POINTS = 201
+
+LineLimit = Literal["engine", "reference", "aperture", "widths"]
+
+
+@dataclass(frozen=True)
+class LineContrast:
+    """What is left of lines of one width.
+
+    Attributes
+    ----------
+    line_width_um : float
+        Of a bar, and of a gap.
+    contrast : float
+        (bright - dark) / (bright + dark), in the middles of bars and gaps, refocused and registered;
+        negative where bright and dark trade places.
+    weakest_contrast : float
+        The same of the dimmest bar and the brightest gap.
+    contrast_as_is : float
+        The same without refocus and registration.
+    contrast_of_reference : float
+        Of lines that the reference engine has brought back itself.
+    refocus_um, shift_um : float
+        Object distance and lateral displacement that the refocusing took.
+    exit_correlation : float
+        Of the exit field of the engine under test with that of the reference.
+    profile : ndarray, shape (`PROFILE_POINTS`,)
+        Intensity of the refocused and registered lines, over their own width and half of one more on each
+        side.
+    """
+
+    line_width_um: float
+    contrast: float
+    weakest_contrast: float
+    contrast_as_is: float
+    contrast_of_reference: float
+    refocus_um: float
+    shift_um: float
+    exit_correlation: float
+    profile: Array = field(repr=False, compare=False)
+
+    def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
+        """Whether lines reach a contrast, and every bar is brighter than every gap."""
+        return self.contrast >= threshold and self.weakest_contrast > 0.0
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """The resolving test at one field point.
+
+    Attributes
+    ----------
+    field_mm : float
+        Field height, along y.
+    engine, reference : str
+        What brought the lines back, and what had carried them.
+    settings : dict
+        Of the engine under test.
+    lines : tuple of LineContrast
+        One for each line width. Bars follow each other along y, the only direction that a meridional line
+        has.
+    passed_um : float
+        Width of the finest lines that the aperture passes, wavelength / 2 NA.
+    sample_um : float
+        Pitch of the object's samples.
+    """
+
+    field_mm: float
+    engine: str
+    reference: str
+    settings: dict[str, Any]
+    lines: tuple[LineContrast, ...]
+    passed_um: float = 0.0
+    sample_um: float = 0.0
+
+    def smallest_resolved_um(self, threshold: float = RESOLVED_CONTRAST) -> float | None:
+        """Width of the finest lines down to which all are resolved; None if even the widest are not.
+
+        Finer lines that reach the threshold again are false resolution and do not count.
+        """
+        found = None
+        for line in sorted(self.lines, key=lambda one: -one.line_width_um):
+            if not line.resolved(threshold):
+                break
+            found = line.line_width_um
+        return found
+
+    def limit(self, threshold: float = RESOLVED_CONTRAST) -> LineLimit:
+        """Why no finer lines are resolved.
+
+        "engine": finer ones were tried, and what this engine brought back does not resolve them, while the
+        reference resolves them. "reference": the reference does not resolve them either, although the
+        aperture passes them. "aperture": they are finer than wavelength / 2 NA. "widths": no finer ones were
+        tried, which is no limit of the engine.
+        """
+        smallest = self.smallest_resolved_um(threshold)
+        finer = [one for one in self.lines if smallest is None or one.line_width_um < smallest]
+        if not finer:
+            return "widths"
+        tried = max(finer, key=lambda one: one.line_width_um)
+        if tried.line_width_um < self.passed_um * (1.0 - 1e-9):
+            return "aperture"
+        return "engine" if tried.contrast_of_reference >= threshold else "reference"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, without profiles."""
+        data = asdict(self)
+        for line in data["lines"]:
+            del line["profile"]
+        return data
+
+
+def resolve(
+    lens: Lens,
+    line_widths_um: Sequence[float],
+    field_mm: float = 0.0,
+    engine: str = "slices",
+    *,
+    reference: str = "eikonal",
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 0.0,
+    bars: int = 5,
+    **settings: Any,
+) -> Resolved:
+    """Carry lines through a lens by one engine, and back by another.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    line_widths_um
+        Widths of the lines.
+    field_mm
+        Height of the field point, along y.
+    engine, settings
+        The engine under test, by name, and its settings.
+    reference
+        The engine that carries the lines forward.
+    wavelength_um
+        The design's first one if left out.
+    plane_distance_mm
+        Where the field is handed over, from the exit vertex.
+    bars
+        Number of bars, at least 5, so that false contrast shows.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    SamplingError
+        If an engine cannot hold the field.
+    """
+    _refuse(lens, line_widths_um, field_mm, bars)
+    scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
+    truth, tested = engine_for(scene, reference), engine_for(scene, engine, **settings)
+    lines = tuple(_line_contrast(truth, tested, width, bars) for width in line_widths_um)
+    passed_um = 0.5 * scene.wavelength_um / lens.object.numerical_aperture
+    sample_um = 1e3 * scene.object_grid.pitch_mm
+    return Resolved(field_mm, engine, reference, tested.settings(), lines, passed_um, sample_um)
+
+
+def resolving_seconds(
+    lens: Lens,
+    line_widths_um: Sequence[float],
+    field_mm: float = 0.0,
+    engine: str = "slices",
+    *,
+    reference: str = "eikonal",
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 0.0,
+    bars: int = 5,
+    **settings: Any,
+) -> float:
+    """What :func:`resolve` takes on this machine with the same arguments, told before it runs.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`resolve`.
+    """
+    _refuse(lens, line_widths_um, field_mm, bars)
+    scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
+    costs = (engine_for(scene, reference).cost(), engine_for(scene, engine, **settings).cost())
+    each = 2.0 * sum(cost.seconds for cost in costs) + _registering_seconds(scene.object_grid)
+    return sum(cost.setup_seconds for cost in costs) + len(line_widths_um) * each
+
+
+def meridional_scene(
+    lens: Lens,
+    widest_line_um: float,
+    field_mm: float,
+    bars: int = 5,
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 0.0,
+    margin_mm: float = MARGIN_MM,
+) -> Scene:
+    """A line scene that holds the bars at a field point, and the lens's footprint on the exit plane."""
+    wavelength = wavelength_of(lens, wavelength_um)
+    half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + margin_mm
+    pitch = OBJECT_PITCH_WAVES * 1e-3 * wavelength
+    count = scipy.fft.next_fast_len(2 * int(np.ceil(half_object / pitch)) + 1)
+    object_grid = Grid((count,), pitch, lens.object_z_mm, (0.0, float(field_mm)))
+    return Scene(lens, object_grid, exit_grid(lens, wavelength, plane_distance_mm, 1), wavelength)
+
+
+def bars_field(grid: Grid, wavelength_um: float, line_width_um: float, bars: int = 5) -> Field:
+    """Bright bars on a dark ground in the middle of a line grid; edges are shared between samples."""
+    width = 1e-3 * line_width_um
+    borders = grid.centre_mm[1] + grid.pitch_mm * (np.arange(grid.size + 1) - 0.5 * grid.size)
+    place = (borders - grid.centre_mm[1]) / (2.0 * width) + 0.5 * (bars - 0.5)
+    place = np.clip(place, 0.0, bars)
+    whole = np.floor(place)
+    covered = np.diff(width * (whole + np.minimum(2.0 * (place - whole), 1.0)))
+    return Field(grid, (covered / grid.pitch_mm).astype(complex), wavelength_um)
+
+
+def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: int) -> None:
+    if not len(line_widths_um):
+        raise InputError("line_widths_um: must hold at least one width")
+    for width in line_widths_um:
+        if not 0.01 <= width <= 1000.0:
+            raise InputError(f"line width = {width!r} um: must be from 0.01 to 1000")
+    if not abs(field_mm) <= lens.half_field_mm:
+        raise InputError(
+            f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
+        )
+    widest = 1e-3 * (2 * bars - 1) * max(line_widths_um)
+    if widest > lens.object.field_diameter_mm:
+        raise InputError(
+            f"{bars} bars of {max(line_widths_um):g} um take {widest:.3g} mm: must be within the field "
+            f"diameter of {lens.object.field_diameter_mm:g} mm"
+        )
+    if bars < 5:
+        raise InputError(f"bars = {bars}: must be at least 5, else false contrast goes unseen")
+
+
+def _line_contrast(truth: Engine, tested: Engine, line_width_um: float, bars: int) -> LineContrast:
+    grid, wavelength = truth.scene.object_grid, truth.scene.wavelength_um
+    lines = bars_field(grid, wavelength, line_width_um, bars)
+    exit_field = truth.forward(lines)
+    best = np.asarray(truth.adjoint(exit_field).values)
+    seen = np.asarray(tested.adjoint(exit_field).values)
+    refocus, shift, moved = register(seen, best, grid, wavelength)
+    contrast = contrasts_of(grid, line_width_um, bars)
+    mean, weakest = contrast(moved)
+    return LineContrast(
+        line_width_um=float(line_width_um),
+        contrast=mean,
+        weakest_contrast=weakest,
+        contrast_as_is=contrast(seen)[0],
+        contrast_of_reference=contrast(best)[0],
+        refocus_um=1e3 * refocus,
+        shift_um=1e3 * shift,
+        exit_correlation=correlation(tested.forward(lines).values, exit_field.values),
+        profile=_profile(moved, grid, line_width_um, bars),
+    )
+
+
+def _profile(values: ComplexArray, grid: Grid, line_width_um: float, bars: int) -> Array:
+    half = 1e-3 * line_width_um * bars
+    y = np.linspace(-half, half, PROFILE_POINTS)
+    return np.interp(y, grid.y_mm - grid.centre_mm[1], np.abs(values) ** 2)
+
+
+def contrasts_of(
+    grid: Grid, line_width_um: float, bars: int
+) -> Callable[[ComplexArray], tuple[float, float]]:
+    """What tells a field's contrast: that of the means of bars and gaps, and that of the weakest pair."""
+    y = grid.y_mm - grid.centre_mm[1]
+    width = 1e-3 * line_width_um
+    middles = width * (2.0 * np.arange(bars) - (bars - 1))
+    gaps = 0.5 * (middles[1:] + middles[:-1])
+
+    def michelson(bright: float, dark: float) -> float:
+        return (bright - dark) / (bright + dark) if bright + dark > 0.0 else 0.0
+
+    def contrasts(values: ComplexArray) -> tuple[float, float]:
+        intensity = np.abs(values) ** 2
+        bright, dark = np.interp(middles, y, intensity), np.interp(gaps, y, intensity)
+        return (
+            michelson(float(bright.mean()), float(dark.mean())),
+            michelson(float(bright.min()), float(dark.max())),
+        )
+
+    return contrasts
+
+
+def register(
+    values: ComplexArray, target: ComplexArray, grid: Grid, wavelength_um: float
+) -> tuple[float, float, ComplexArray]:
+    """Refocus and shift a field on a line until it correlates best with a target.
+
+    Returns
+    -------
+    refocus_mm, shift_mm : float
+        How far along the axis the field was carried, and how far along the line it then lay displaced.
+    moved : ndarray
+        The field, carried and put back.
+    """
+    from scipy.optimize import minimize_scalar
+
+    # Padding keeps what is shifted over an end from coming back at the other.
+    count = scipy.fft.next_fast_len(2 * len(values))
+    cycles = scipy.fft.fftfreq(count, grid.pitch_mm)
+    kz = axial_wavenumbers([cycles], wavelength_um, 1.0)[0] - 2e3 * np.pi / wavelength_um
+    spectrum = scipy.fft.fft(values, count)
+    product = spectrum * np.conj(scipy.fft.fft(target, count))
+
+    def overlap(distance: float) -> Array:
+        return np.abs(scipy.fft.ifft(product * phasor_of(kz * distance)))
+
+    distances = np.arange(-REFOCUS_RANGE_MM, REFOCUS_RANGE_MM + REFOCUS_STEP_MM, REFOCUS_STEP_MM)
+    rough = distances[int(np.argmax([overlap(d).max() for d in distances]))]
+    bounds = (rough - REFOCUS_STEP_MM, rough + REFOCUS_STEP_MM)
+    fine = minimize_scalar(lambda d: -overlap(d).max(), bounds=bounds, method="bounded")
+    distance = float(fine.x)
+    lag = _peak(overlap(distance))
+    shift = (lag - count if lag > count / 2 else lag) * grid.pitch_mm
+    turned = spectrum * phasor_of(kz * distance + 2.0 * np.pi * cycles * shift)
+    return distance, float(shift), scipy.fft.ifft(turned)[: len(values)]
+
+
+def _registering_seconds(grid: Grid) -> float:
+    """What :func:`register` takes: a wave factor and a transform for every distance."""
+    count = scipy.fft.next_fast_len(2 * grid.size)
+    each = fft_seconds(count, line=True) + exponential_seconds(count) + 3.0 * pass_seconds(count)
+    return 2.0 * REFOCUS_RANGE_MM / REFOCUS_STEP_MM * each
+
+
+def _peak(values: Array) -> float:
+    """Position of the largest value, between samples by a parabola."""
+    top = int(np.argmax(values))
+    left, middle, right = (values[(top + i) % len(values)] for i in (-1, 0, 1))
+    bend = left - 2.0 * middle + right
+    return top + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)

@@ -1,0 +1,102 @@
+"""How alike two pictures are: PSNR and structural similarity, in blocks of rows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, validate_positive
+from wavesim.runtime.threads import row_blocks
+
+Picture = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+SSIM_REACH = 5
+"""Samples that a window of the structural similarity reaches to either side."""
+
+
+def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
+    """Peak signal-to-noise ratio in dB: full scale over the root mean square difference.
+
+    Parameters
+    ----------
+    found, truth
+        Pictures of one quantity and scale; of complex ones the modulus is taken.
+    full_scale
+        Range of the quantity: 1 for a transmission.
+    support
+        Samples that count; all if left out.
+
+    Returns
+    -------
+    float
+        inf where both are the same.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, values are not finite, or the support is empty.
+    """
+    a, b, inside = _pair(found, truth, full_scale, support)
+    missed = 0.0
+    for rows in row_blocks(len(a)):
+        difference = np.subtract(b[rows][inside[rows]], a[rows][inside[rows]], dtype=float)
+        missed += float(difference @ difference)
+    square = missed / np.count_nonzero(inside)
+    return 10.0 * math.log10(full_scale**2 / square) if square > 0.0 else math.inf
+
+
+def ssim(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
+    """Structural similarity (Wang et al. 2004, Gaussian windows of 1.5 samples): 1 where both are the same.
+
+    Parameters
+    ----------
+    found, truth, full_scale
+        As of :func:`psnr_db`; pictures are planes of 11 x 11 samples at least.
+    support
+        Samples whose windows count; all if left out.
+
+    Raises
+    ------
+    InputError
+        If shapes differ or are too small, values are not finite, or the support is empty.
+    """
+    from skimage.metrics import structural_similarity
+
+    a, b, inside = _pair(found, truth, full_scale, support)
+    if a.ndim != 2 or min(a.shape) < 11:
+        raise InputError(f"ssim of pictures of shape {a.shape}: must be planes of at least 11 x 11 samples")
+    total = 0.0
+    for rows in row_blocks(len(a)):
+        wider = slice(max(min(rows.start, len(a) - 11) - SSIM_REACH, 0), rows.stop + 11)
+        _, similarity = structural_similarity(
+            b[wider].astype(float),
+            a[wider].astype(float),
+            data_range=full_scale,
+            gaussian_weights=True,
+            use_sample_covariance=False,
+            full=True,
+        )
+        own = slice(rows.start - wider.start, rows.stop - wider.start)
+        total += float(np.sum(similarity[own][inside[rows]]))
+    return total / np.count_nonzero(inside)
+
+
+def _pair(
+    found: Picture, truth: Picture, full_scale: float, support: Mask | None
+) -> tuple[Array, Array, Mask]:
+    if found.shape != truth.shape:
+        raise InputError(f"pictures of shapes {found.shape} and {truth.shape}: must be the same")
+    validate_positive("full_scale", full_scale)
+    inside = np.ones(found.shape, bool) if support is None else np.asarray(support, bool)
+    if inside.shape != found.shape or not inside.any():
+        raise InputError("support: must be of the pictures' shape, and not empty")
+    a, b = (np.abs(one) if np.iscomplexobj(one) else np.asarray(one) for one in (found, truth))
+    a, b = (one if one.dtype in (np.float32, np.float64) else one.astype(float) for one in (a, b))
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
+        raise InputError("pictures hold values that are not finite")
+    return a, b, inside

@@ -1,0 +1,166 @@
+"""What a lens passes of an object field: through an engine and back, by its rays, or by an aperture alone.
+
+Rays tell which directions an object point's light may take to get through. The field is cut into overlapping
+blocks, each with a window whose squares add up to 1; of a block's plane waves those remain that go into an
+open direction of its middle. Where the border of the aperture is sharp, that is what an engine there and back
+leaves, at a few hundredths of the cost: both give the same correlation to 1e-4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from wavesim.engines.whole_field.ray_maps import Region, object_terms, solve
+from wavesim.fields.field import Field, Grid
+from wavesim.rays.maps import inside_border
+from wavesim.rays.ray_bundles import open_pupil, trace_bundle
+from wavesim.runtime.threads import for_blocks
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
+from wavesim.targets.patterns import band_limit
+
+ORDER = 4
+"""Of the polynomials in the object point that tell open directions: to 1e-6 over the paper's field."""
+
+ARMS = 72
+"""Rays along the rim of an object point's light."""
+
+BLOCK_ZONES = 2.0
+"""Width of a block over sqrt(wavelength x working distance): results hardly depend on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class TransmittedDirections:
+    """Into which directions the light of object points may go, to get through a lens.
+
+    Attributes
+    ----------
+    region : Region
+        Disc about the points that were traced.
+    coefficients : ndarray, shape (terms, ARMS, 2)
+        Of polynomials in the object point: direction cosines (y, x) along the border, times the index.
+    width_mm : float
+        Over which an object point's directions may stand for its neighbours'.
+    """
+
+    region: Region
+    coefficients: Array
+    width_mm: float
+
+    def border(self, point_mm: Array) -> Array:
+        """Cosines (y, x) along the border for one object point (y, x), shape (ARMS, 2)."""
+        terms = object_terms(self.region.scaled(point_mm[None]), ORDER)[0]
+        return np.asarray(np.tensordot(terms, self.coefficients, axes=1))
+
+
+def transmitted_directions(scene: Scene, about: Grid | None = None) -> TransmittedDirections:
+    """Trace the border of the light of some object points.
+
+    Parameters
+    ----------
+    scene
+        The lens, as it is.
+    about
+        Part of the object, a plane; all of it if left out. Points beyond the lens's field are not traced.
+
+    Raises
+    ------
+    InputError
+        If the object is a line, or the lens sees too few of the points.
+    """
+    grid = about or scene.object_grid
+    if grid.is_line:
+        raise InputError("open directions: of a plane; on a line an engine tells what a lens passes")
+    y, x = grid.centre_mm[1], grid.centre_mm[0]
+    radius = min(math.hypot(*grid.half_widths_mm), scene.lens.half_field_mm + math.hypot(y, x))
+    region = Region((y, x), np.full(2, radius), True)
+    nodes, z_mm, seen, borders = region.nodes(ORDER), scene.exit_grid.z_mm, [], []
+    for node in nodes:
+        try:
+            pupil = open_pupil(scene, (node[1], node[0]), z_mm, ARMS)
+        except InputError:  # beyond what the lens sees there is nothing to tell
+            continue
+        seen.append(node)
+        borders.append(trace_bundle(scene, node[::-1], pupil.rim, z_mm).cosines)
+    terms = object_terms(region.scaled(np.array(seen).reshape(-1, 2)), ORDER)
+    if len(terms) < terms.shape[1]:
+        raise InputError(f"open directions: the lens sees {len(seen)} of {len(nodes)} points of the object")
+    coefficients = solve(terms, np.reshape(borders, (len(seen), -1))).reshape(-1, ARMS, 2)
+    zone_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(scene.object_grid.z_mm))
+    return TransmittedDirections(region, coefficients, BLOCK_ZONES * zone_mm)
+
+
+def transmitted_part(field: Field, by: Engine | TransmittedDirections | float) -> Field:
+    """What a lens passes of an object field.
+
+    Parameters
+    ----------
+    field
+        Behind the object: its transmission times the illumination.
+    by
+        An engine: the field is carried forward and back by its adjoint, so that everything that the engine
+        models counts. Or the directions that rays find open (:func:`transmitted_directions`): stop and
+        vignetting count, at a small part of the cost. Or a numerical aperture:
+        :func:`~wavesim.targets.patterns.band_limit`.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As the engine or the band limit.
+    """
+    if isinstance(by, Engine):
+        return by.adjoint(by.forward(field))
+    if isinstance(by, TransmittedDirections):
+        return _by_directions(field, by)
+    return field.with_values(band_limit(field.values, field.grid, field.wavelength_um, by))
+
+
+def _by_directions(field: Field, by: TransmittedDirections) -> Field:
+    """Block by block; the first begin half a block in front of the field."""
+    grid, values = field.grid, field.values
+    half = scipy.fft.next_fast_len(max(4, round(0.5 * by.width_mm / grid.pitch_mm)))
+    window = np.sin(np.pi * (np.arange(2 * half) + 0.5) / (2 * half)).astype(values.real.dtype)
+    cosines = 1e-3 * field.wavelength_um * scipy.fft.fftshift(scipy.fft.fftfreq(2 * half, grid.pitch_mm))
+    first_mm = np.array([grid.y_mm[0], grid.x_mm[0]]) + grid.pitch_mm * (half - 0.5)
+    result = np.zeros_like(values)
+
+    def across(starts: range, number: int, _: int) -> None:
+        row = starts[number]
+        rows, own_rows = _cut(row, half, grid.shape[0])
+        for column in range(-half, grid.shape[1], half):
+            columns, own = _cut(column, half, grid.shape[1])
+            part = values[rows, columns]
+            if not part.any():
+                continue
+            weight = window[own_rows, None] * window[own]
+            block = np.zeros((2 * half, 2 * half), values.dtype)
+            np.multiply(part, weight, out=block[own_rows, own])
+            middle = first_mm + grid.pitch_mm * np.array([row, column])
+            passed = _filtered(block, inside_border(by.border(middle), (cosines, cosines)))
+            result[rows, columns] += passed[own_rows, own] * weight
+
+    starts = range(-half, grid.shape[0], half)
+    for some in (starts[::2], starts[1::2]):  # which have no samples in common
+        for_blocks(partial(across, some), len(some), 1)
+    return field.with_values(result)
+
+
+def _cut(start: int, half: int, count: int) -> tuple[slice, slice]:
+    """Samples of a block that lie in a field, among the field's and among its own."""
+    inside = slice(max(start, 0), min(start + 2 * half, count))
+    return inside, slice(inside.start - start, inside.stop - start)
+
+
+def _filtered(block: NDArray, open_waves: NDArray[np.bool_]) -> NDArray:
+    """Some of a block's plane waves, told in the order of their cosines; uses the block up."""
+    spectrum = scipy.fft.fft2(block, overwrite_x=True)
+    spectrum *= scipy.fft.ifftshift(open_waves)
+    return np.asarray(scipy.fft.ifft2(spectrum, overwrite_x=True))

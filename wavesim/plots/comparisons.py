@@ -1,0 +1,195 @@
+"""Charts of error against cost, and failure maps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensdesign.common.text import visible
+from wavesim.metrics.comparison import Measured, families
+from wavesim.metrics.failures import REFUSED, WARNED, FailureMap
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STYLES = (
+    ("#1f5fa8", "o"),
+    ("#38a3c9", "p"),
+    ("#2f8f4e", "s"),
+    ("#d1622b", "D"),
+    ("#7a4fa3", "^"),
+    ("#555555", "P"),
+    ("#999999", "X"),
+    ("#b03a6b", "v"),
+    ("#8a6d3b", "<"),
+)
+"""Colour and marker of families, in the order in which they are met."""
+
+SECOND = ("mean", "staircase")
+"""Ends of the names of families that take the style of the one before them, hollow and dashed."""
+
+DECADES = (-4.0, 0.5)
+FEW_DECADES = 300.0
+
+
+def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
+    """Error against seconds and against memory, a row of charts for each scene, with the front of each.
+
+    Parameters
+    ----------
+    rows
+        Of :func:`wavesim.metrics.comparison.compare`.
+    title
+        Written on top.
+    """
+    from matplotlib.figure import Figure
+
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    figure = Figure(figsize=(14.0, 4.4 * len(scenes) + 1.0), layout="constrained")
+    figure.suptitle(visible(title), fontsize=14, parse_math=False)
+    axes = figure.subplots(len(scenes), 2, squeeze=False)
+    styles, legend = _styles(rows), dict[str, Any]()
+    for pair, scene in zip(axes, scenes, strict=True):
+        done = [row for row in rows if row.scene == scene and math.isfinite(row.relative_error)]
+        _draw(pair[0], done, lambda r: r.seconds, lambda r: r.fastest, "seconds a run, once set up", styles)
+        _draw(pair[1], done, lambda r: r.peak_mb, lambda r: r.smallest, "peak memory (MB)", styles)
+        pair[0].set_title(visible(scene), loc="left", parse_math=False)
+        legend |= dict(zip(*pair[0].get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=5, frameon=False)
+    return figure
+
+
+def _styles(rows: Sequence[Measured]) -> dict[str, tuple[str, str, bool]]:
+    """Colour and marker of each family, and whether it is hollow and dashed."""
+    found: dict[str, tuple[str, str, bool]] = {}
+    for family, _ in families(rows):
+        second = family.endswith(SECOND)
+        number = sum(not dashed for *_, dashed in found.values()) - second
+        found[family] = (*STYLES[number % len(STYLES)], second)
+    return found
+
+
+def _draw(
+    axes: Any,
+    rows: list[Measured],
+    cost: Callable[[Measured], float],
+    leads: Callable[[Measured], bool],
+    label: str,
+    styles: dict[str, tuple[str, str, bool]],
+) -> None:
+    front = sorted((row for row in rows if leads(row)), key=cost)
+    axes.plot(
+        [cost(r) for r in front],
+        [r.relative_error for r in front],
+        color="#f2c14e",
+        lw=7,
+        alpha=0.55,
+        solid_capstyle="round",
+        zorder=1,
+        label="front: none is both better and cheaper",
+    )
+    for family, members in families(rows):
+        colour, marker, second = styles[family]
+        axes.plot(
+            [cost(r) for r in members],
+            [r.relative_error for r in members],
+            color=colour,
+            marker=marker,
+            markerfacecolor="white" if second else colour,
+            ls="--" if second else "-",
+            lw=1.3,
+            ms=6,
+            label=family,
+        )
+    if rows:
+        known = rows[0].uncertainty
+        axes.axhline(
+            known, color="0.4", ls=":", lw=1.2, zorder=0, label="what the truth itself may be off by"
+        )
+    axes.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the exit field (L2)")
+    _mark_few_decades(axes)
+    axes.grid(alpha=0.3, which="major")
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _mark_few_decades(axes: Any) -> None:
+    """Numbers between decades where there are few of these."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axes.get_xlim()
+    few = high < FEW_DECADES * low
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    axes.xaxis.set_minor_formatter("{x:g}" if few else NullFormatter())
+    if few:
+        axes.xaxis.set_major_formatter("{x:g}")
+
+
+def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
+    """Maps of errors, with lines where guards warn (dashed) and refuse (solid).
+
+    Parameters
+    ----------
+    maps
+        Of :func:`wavesim.metrics.failures.failure_maps`.
+    title
+        Written on top.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    columns = 2
+    lines = math.ceil(len(maps) / columns)
+    figure = Figure(figsize=(14.0, 4.6 * lines + 0.8), layout="constrained")
+    figure.suptitle(visible(title), fontsize=14, parse_math=False)
+    axes = figure.subplots(lines, columns, squeeze=False).ravel()
+    handles = [Line2D([], [], color="black", ls=style, lw=2) for style in ("--", "-")]
+    words = ["from here on the guard warns", "from here on it refuses"]
+    figure.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
+    picture: Any = None
+    for place, found in zip(axes, maps, strict=False):
+        picture = _draw_map(place, found)
+    for place in axes[len(maps) :]:
+        place.set_visible(False)
+    figure.colorbar(picture, ax=list(axes), shrink=0.6, label="log10 of the relative error of the exit field")
+    return figure
+
+
+def _draw_map(axes: Any, found: FailureMap) -> Any:
+    shown = np.log10(np.maximum(found.error, 10.0 ** DECADES[0]))
+    picture = axes.imshow(
+        np.ma.masked_invalid(shown),
+        origin="lower",
+        aspect="auto",
+        cmap="RdYlGn_r",
+        vmin=DECADES[0],
+        vmax=DECADES[1],
+    )
+    axes.set_facecolor("0.85")
+    for j in range(len(found.y)):
+        for i in range(len(found.x)):
+            known = math.isfinite(found.error[j, i])
+            text = f"{found.error[j, i]:.1g}" if known else "refused"
+            axes.text(i, j, text, ha="center", va="center", fontsize=8, color="black")
+    for level, style in ((WARNED, "--"), (REFUSED, "-")):
+        _outline(axes, found.guard >= level, style)
+    axes.set_xticks(range(len(found.x)), [f"{v:g}" for v in found.x])
+    axes.set_yticks(range(len(found.y)), [f"{v:g}" for v in found.y])
+    # Columns of tables keep to ASCII.
+    axes.set(xlabel=found.x_label.replace("(um)", "(µm)"), ylabel=found.y_label.replace("(um)", "(µm)"))
+    always = ", warns everywhere" if np.all(found.guard >= WARNED) else ""
+    axes.set_title(found.method + always, loc="left")
+    return picture
+
+
+def _outline(axes: Any, inside: Any, style: str) -> None:
+    """Lines between cells in which something holds and those in which it does not."""
+    rows, columns = inside.shape
+    for j in range(rows):
+        for i in range(columns):
+            if i + 1 < columns and inside[j, i] != inside[j, i + 1]:
+                axes.plot([i + 0.5, i + 0.5], [j - 0.5, j + 0.5], color="black", ls=style, lw=2)
+            if j + 1 < rows and inside[j, i] != inside[j + 1, i]:
+                axes.plot([i - 0.5, i + 0.5], [j + 0.5, j + 0.5], color="black", ls=style, lw=2)

@@ -1,0 +1,153 @@
+"""Pictures of frames, of what a result leaves of them, and curves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensdesign.errors import atomic_path
+from lensdesign.plots.saving import save_figure
+from wavesim.metrics.judgement import plane_metrics
+from wavesim.plots.panels import AS_SAMPLED, colour_bar, for_screen, panel_row, scale_bar, title_figure
+from wavesim.sensor.exposures import fixed_variance
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.measurement import Array, Measurement
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CURVE = "#1f5fa8"
+DPI = 160
+
+REACH = 4.0
+"""Standard deviations of the noise to which the colours of residuals reach."""
+
+
+def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
+    """Write a figure to a picture file, of `DPI` dots per inch unless others are asked for."""
+    form = path.suffix.lower().removeprefix(".")
+    with atomic_path(path) as temporary:
+        save_figure(figure, temporary, form, dpi or DPI)
+
+
+def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
+    """Electrons on the pixels of some frames, on a logarithmic scale from the noise of a dark pixel upward.
+
+    Parameters
+    ----------
+    frames
+        One or more; several exposures of a plane stand side by side, planes below each other then.
+    title
+        Written on top.
+    """
+    from matplotlib.colors import LogNorm
+
+    planes: dict[float, list[Frame]] = {}
+    for frame in frames:
+        planes.setdefault(frame.settings.plane_distance_mm, []).append(frame)
+    most = max(len(own) for own in planes.values())
+    single = most == 1
+    figure, axes = panel_row(len(planes) if single else most, title, 1 if single else len(planes))
+    for place in axes.ravel():
+        place.set_visible(False)
+    placed = [(i, j, frame) for i, own in enumerate(planes.values()) for j, frame in enumerate(own)]
+    for i, j, frame in placed:
+        place = axes[0, i] if single else axes[i, j]
+        place.set_visible(True)
+        settings = frame.settings
+        gain = settings.gain_electrons_per_count
+        counts, pitch_um = for_screen(frame.counts, settings.pixel_pitch_um)
+        electrons = (counts - settings.offset_counts) * gain
+        low = max(math.sqrt(fixed_variance(frame)), 1e-3)
+        norm = LogNorm(low, max(float(electrons.max()), 10.0 * low))
+        shown = np.maximum(electrons, low)
+        picture = place.imshow(shown, cmap="inferno", norm=norm, **AS_SAMPLED)
+        colour_bar(figure, picture, place, "electrons")
+        shortest = min(one.settings.exposure for one in planes[settings.plane_distance_mm])
+        times = "" if single else f", exposure {settings.exposure / shortest:.4g} x"
+        place.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex{times}")
+        scale_bar(place, shown.shape, pitch_um)
+    return figure
+
+
+def residual_figure(
+    maps: Sequence[Array],
+    recorded: Sequence[Measurement],
+    distances_mm: Sequence[float],
+    pitch_um: float,
+    title: str = "",
+) -> Figure:
+    """Amplitude of the result less the recorded one on every plane, in standard deviations of its noise.
+
+    Where no noise is stated, it stands over the recorded root mean square. Samples that are drawn as the mean
+    of several are in standard deviations of that mean.
+
+    Parameters
+    ----------
+    maps
+        Amplitude of the result less the recorded one, for each plane.
+    recorded
+        The planes.
+    distances_mm
+        From the exit vertex.
+    pitch_um
+        Of the pixels.
+    title
+        Written on top.
+    """
+    figure, (axes,) = panel_row(len(maps), f"{title}\nAmplitude of the result less the recorded one".strip())
+    for place, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
+        shown, drawn_pitch_um, reach, label = _residual(error, plane, pitch_um)
+        found = plane_metrics(plane.amplitude, plane.sigma, error)
+        said = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
+        if found["noise"] is not None:
+            said += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
+        place.set_facecolor("0.6")
+        picture = place.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
+        colour_bar(figure, picture, place, label)
+        place.set_title(said, fontsize=11)
+        scale_bar(place, shown.shape, drawn_pitch_um)
+    return figure
+
+
+def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array, float, float, str]:
+    """What is drawn of a residual, its pitch in µm, the reach of its colours, and its unit."""
+    if plane.sigma is None:
+        shown, drawn_pitch_um = for_screen(error, pitch_um)
+        shown = shown / math.sqrt(float(np.mean(plane.amplitude**2, dtype=float)))
+        reach = max(float(np.quantile(np.abs(shown), 0.998)), 1e-6)
+        return shown, drawn_pitch_um, reach, "over the recorded root mean square"
+    known = np.isfinite(plane.sigma)
+    shown, drawn_pitch_um = for_screen(np.where(known, error / plane.sigma, np.nan), pitch_um)
+    return shown * (drawn_pitch_um / pitch_um), drawn_pitch_um, REACH, "standard deviations of the noise"
+
+
+def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -> Figure:
+    """One chart for each curve, side by side.
+
+    Parameters
+    ----------
+    curves
+        By the label of the y axis: x, y, and the label of the x axis. A positive curve that falls by more
+        than ten times gets a logarithmic axis.
+    title
+        Written on top.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.6 * len(curves), 4.0), layout="constrained")
+    title_figure(figure, title, 11.0)
+    for place, (label, (x, y, x_label)) in zip(
+        figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
+    ):
+        place.plot(x, y, color=CURVE, lw=1.8, marker="o" if len(x) <= 40 else None, ms=3.5)
+        place.set(xlabel=x_label, ylabel=label)
+        if np.min(y) > 0.0 and np.max(y) > 10.0 * np.min(y):
+            place.set_yscale("log")
+        place.grid(alpha=0.3, which="both")
+        place.spines[["top", "right"]].set_visible(False)
+    return figure

@@ -1,0 +1,148 @@
+"""Fields and frames as layers of a page that zooms: values with their range, scale and colours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from wavesim.plots.objects import LIT, phase_reach
+from wavesim.plots.pyramid import Function, Level, halved, picture_levels
+from wavesim.sensor.exposures import fixed_variance
+from wavesim.sensor.frames import Frame
+
+BRIGHTEST = 0.9999
+"""Quantile of amplitudes that is shown brightest: single samples may stand out."""
+
+MOST_ASKED = 1_000_000
+"""Samples by which ranges are found."""
+
+Plane = Literal["object", "sensor"]
+
+
+@dataclass(frozen=True, eq=False)
+class PictureLayer:
+    """One picture of a page.
+
+    Attributes
+    ----------
+    name : str
+        What is shown.
+    unit : str
+        Of the values; may be empty.
+    plane : {"object", "sensor"}
+        Layers of one plane keep the place when they are switched.
+    pitch_um : float
+        Of the samples.
+    centre_um : (x, y)
+        Middle of the picture.
+    levels : list of Level
+        The picture and its halvings; the first row on top, that of the largest y. Not a number is no value.
+    low, high : float
+        Range of the colours.
+    beyond : (bool, bool)
+        Whether there are values below and above the range; they look like its ends.
+    logarithmic : bool
+        Whether colours follow the logarithm of the values; `low` is above 0 then.
+    colours : str
+        One of Matplotlib's colour maps.
+    """
+
+    name: str
+    unit: str
+    plane: Plane
+    pitch_um: float
+    centre_um: tuple[float, float]
+    levels: Sequence[Level]
+    low: float
+    high: float
+    beyond: tuple[bool, bool]
+    logarithmic: bool
+    colours: str
+
+
+def field_layers(
+    values: Any, pitch_um: float, centre_um: tuple[float, float] = (0.0, 0.0), name: str = ""
+) -> list[PictureLayer]:
+    """Amplitude of a field, and its phase unless that is 0 everywhere.
+
+    Parameters
+    ----------
+    values
+        Complex or real, shape (ny, nx), y increasing with the row.
+    pitch_um
+        Of the samples.
+    centre_um
+        Middle of the samples (x, y).
+    name
+        Written before "amplitude" and "phase".
+    """
+    upright, some = values[::-1], _some(values)
+    brightest = max(float(np.quantile(np.abs(some), BRIGHTEST)), 1e-12)
+
+    def layer(
+        what: str, unit: str, levels: Sequence[Level], low: float, high: float, beyond: bool, colours: str
+    ) -> PictureLayer:
+        said, both = f"{name} {what}".strip(), (beyond and low < 0.0, beyond)
+        return PictureLayer(
+            said, unit, "object", pitch_um, centre_um, levels, low, high, both, False, colours
+        )
+
+    above = any(np.abs(row).max() > brightest for row in values)
+    layers = [layer("amplitude", "", picture_levels(upright, "amplitude"), 0.0, brightest, above, "gray")]
+    if np.iscomplexobj(values) and any(np.any(row.imag) for row in values):
+        reach = phase_reach(np.angle(some[np.abs(some) > LIT * brightest]))
+        turn = reach == math.pi
+        levels = [
+            Level(level.kept, _phase_where_lit(LIT * brightest))
+            for level in picture_levels(upright, "phase_rad")
+        ]
+        colours = "twilight" if turn else "RdBu_r"
+        layers.append(layer("phase", "rad", levels, -reach, reach, not turn, colours))
+    return layers
+
+
+def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 0.0)) -> PictureLayer:
+    """Electrons on the pixels of a frame, on a logarithmic scale from the noise of a dark pixel upward.
+
+    Parameters
+    ----------
+    frame
+        A recorded frame.
+    name
+        What the layer is called.
+    centre_um
+        Middle of the pixels (x, y).
+    """
+    settings = frame.settings
+    gain, offset = settings.gain_electrons_per_count, settings.offset_counts
+
+    def electrons(counts: Any) -> Any:
+        return np.float32(gain) * (counts - np.float32(offset))
+
+    levels = [Level(frame.counts[::-1], electrons)]
+    levels += picture_levels(halved(levels[0].kept, electrons), "electrons")
+    low = max(math.sqrt(fixed_variance(frame)), 1e-3)
+    high = max(float(electrons(frame.counts.max())), 10.0 * low)
+    beyond = float(electrons(frame.counts.min())) < low, False
+    pitch_um = settings.pixel_pitch_um
+    return PictureLayer(
+        name, "electrons", "sensor", pitch_um, centre_um, levels, low, high, beyond, True, "inferno"
+    )
+
+
+def _some(values: Any) -> Any:
+    """Evenly spread samples, of which there are not too many."""
+    step = max(1, math.ceil(math.sqrt(values.size / MOST_ASKED)))
+    return values[::step, ::step]
+
+
+def _phase_where_lit(least: float) -> Function:
+    def phase(values: Any) -> Array:
+        return np.where(np.abs(values) > least, np.angle(values), np.nan)
+
+    return phase

@@ -1,0 +1,234 @@
+"""Pictures of a whole field as one page for a browser that zooms, and needs nothing beside itself.
+
+The page holds every picture as tiles of 8 bits, each level half of the one before it, and draws those that
+the screen shows. A level of 8 bits is 0 where there is no value, and 1 to 255 from the low to the high end of
+the layer's range.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import os
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError, atomic_path
+from wavesim.plots.layers import PictureLayer
+from wavesim.plots.pyramid import TILE
+
+MOST_BYTES = 100_000_000
+"""Of tiles in a page; browsers open such a page within a second or two."""
+
+STEPS = 254
+"""Of a layer's range."""
+
+MARK = "<!-- tiles -->"
+"""Where the template wants the tiles, which are written one by one."""
+
+
+@dataclass(frozen=True)
+class ZoomSummary:
+    """What a page holds.
+
+    Attributes
+    ----------
+    layers : tuple of str
+        Names of the pictures.
+    tiles, bytes : int
+        Number of tiles, and size of the file.
+    halvings : tuple of int
+        Of each layer's samples, down to what the page shows: 0 if that is every sample.
+    region_mm : float or None
+        Side of a square region whose every sample has room, if levels were left out.
+    """
+
+    layers: tuple[str, ...]
+    tiles: int
+    bytes: int
+    halvings: tuple[int, ...]
+    region_mm: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+Tiles = dict[tuple[int, int], list[str]]
+"""In base 64, by layer and level (number of halvings)."""
+
+
+def write_zoom_page(
+    layers: Sequence[PictureLayer],
+    path: str | os.PathLike[str],
+    title: str = "",
+    figures: Sequence[tuple[str, str]] = (),
+    most_bytes: int = MOST_BYTES,
+) -> ZoomSummary:
+    """Write a page that shows pictures, zooms into them, and loads nothing from anywhere.
+
+    Parameters
+    ----------
+    layers
+        One or more, between which the reader switches.
+    path
+        File to write, with the suffix .html.
+    title
+        Written on top.
+    figures
+        Names and values to be shown beside the pictures.
+    most_bytes
+        Of tiles. If they take more, the finest levels of all layers are left out.
+
+    Raises
+    ------
+    InputError
+        If there is no layer, the suffix is another, or the file cannot be written.
+    """
+    if Path(path).suffix.lower() != ".html":
+        raise InputError(f"cannot write {path}: a page that zooms is written as .html alone")
+    if not layers:
+        raise InputError("a page that zooms needs one layer or more")
+    tiles = _tiles(layers, most_bytes)
+    texts: list[str] = []
+    told = [_layer(layer, number, tiles, texts) for number, layer in enumerate(layers)]
+    head, tail = _page(title or "Field", figures, told).split(MARK)
+    with atomic_path(path) as temporary:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(head)
+            file.writelines("\n" + text if number else text for number, text in enumerate(texts))
+            file.write(tail)
+        size = temporary.stat().st_size
+    names, finest = tuple(layer.name for layer in layers), tuple(e["levels"][0]["halvings"] for e in told)
+    region_mm = _region_mm(layers, tiles, most_bytes) if any(finest) else None
+    return ZoomSummary(names, len(texts), size, finest, region_mm)
+
+
+def _tiles(layers: Sequence[PictureLayer], most_bytes: int) -> Tiles:
+    """Tiles of small levels before those of large ones, as long as there is room."""
+    found: Tiles = {}
+    order = sorted(
+        (math.prod(level.shape), number, halvings)
+        for number, layer in enumerate(layers)
+        for halvings, level in enumerate(layer.levels)
+    )
+    total = 0
+    for _, number, halvings in order:
+        layer, made = layers[number], []
+        for values in layer.levels[halvings].tiles():
+            made.append(_png(_quantised(values, layer)))
+            total += len(made[-1])
+            if total > most_bytes and halvings < len(layer.levels) - 1:
+                return found
+        found[number, halvings] = made
+    return found
+
+
+def _quantised(values: Any, layer: PictureLayer) -> Any:
+    """Levels of 8 bits."""
+    values = np.asarray(values, np.float32)
+    low, high = layer.low, layer.high
+    if layer.logarithmic:
+        values, low, high = np.log(np.maximum(values, low)), math.log(low), math.log(high)
+    known = ~np.isnan(values)
+    share = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)
+    return np.where(known, 1.0 + np.round(STEPS * share), 0.0).astype(np.uint8)
+
+
+def _png(levels: Any) -> str:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    # Of noise, runs alone give files as small as longer searches do, in a third of the time.
+    picture = Image.fromarray(np.ascontiguousarray(levels))
+    picture.save(buffer, format="PNG", compress_level=1, compress_type=zlib.Z_RLE)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _layer(layer: PictureLayer, number: int, tiles: Tiles, texts: list[str]) -> dict[str, Any]:
+    """A layer as the page takes it; its tiles are put behind `texts`."""
+    rows, columns = layer.levels[0].shape
+    levels = []
+    for halvings, level in enumerate(layer.levels):
+        if (number, halvings) not in tiles:
+            continue
+        levels.append({"halvings": halvings, "size": level.shape[::-1], "first": len(texts)})
+        texts += tiles[number, halvings]
+    x_um, y_um = layer.centre_um
+    return {
+        "name": layer.name,
+        "unit": layer.unit,
+        "plane": layer.plane,
+        "pitch": layer.pitch_um,
+        "left": x_um - 0.5 * columns * layer.pitch_um,
+        "top": y_um + 0.5 * rows * layer.pitch_um,
+        "size": [columns, rows],
+        "low": layer.low,
+        "high": layer.high,
+        "beyond": layer.beyond,
+        "logarithmic": layer.logarithmic,
+        "palette": _palette(layer.colours),
+        "levels": levels,
+    }
+
+
+def _palette(colours: str) -> str:
+    """Red, green and blue of the levels 1 to 255, in base 64."""
+    from matplotlib import colormaps
+
+    colour_map = colormaps[colours].resampled(STEPS + 1)
+    rgb = np.round(255.0 * colour_map(np.linspace(0.0, 1.0, STEPS + 1))[:, :3]).astype(np.uint8)
+    return base64.b64encode(rgb.tobytes()).decode("ascii")
+
+
+def _region_mm(layers: Sequence[PictureLayer], tiles: Tiles, most_bytes: int) -> float:
+    """Side of a square about the middle that should have room with all its levels, in two digits."""
+    first = layers[0]
+    of_a_sample = sum(
+        _bytes_per_sample(layer, number, tiles)
+        for number, layer in enumerate(layers)
+        if layer.plane == first.plane
+    )
+    # Levels of a quarter of the size, and a quarter of that, add a third; a fifth to be safe.
+    side = 1e-3 * first.pitch_um * math.sqrt(most_bytes / (1.2 * 4.0 / 3.0 * of_a_sample))
+    unit = 10.0 ** (math.floor(math.log10(side)) - 1)
+    whole = 1e-3 * first.pitch_um * min(first.levels[0].shape)
+    return min(float(f"{math.floor(side / unit) * unit:.2g}"), whole)
+
+
+def _bytes_per_sample(layer: PictureLayer, number: int, tiles: Tiles) -> float:
+    """What a sample takes, by a tile in the middle and by the finest level that had room."""
+    finest = layer.levels[0]
+    rows, columns = (slice(max(0, (n - TILE) // 2), (n + TILE) // 2) for n in finest.shape)
+    middle = finest.shown(finest.kept[rows, columns])
+    halvings = min(h for n, h in tiles if n == number)
+    coarser = sum(map(len, tiles[number, halvings])) / math.prod(layer.levels[halvings].shape)
+    return max(len(_png(_quantised(middle, layer))) / middle.size, coarser)
+
+
+def _page(title: str, figures: Sequence[tuple[str, str]], layers: Sequence[Any]) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("wavesim.plots"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("zoom.html.j2").render(
+        title=title,
+        figures=figures,
+        planes=[
+            (plane, [(i, layer) for i, layer in enumerate(layers) if layer["plane"] == plane])
+            for plane in dict.fromkeys(layer["plane"] for layer in layers)
+        ],
+        page={"tile": TILE, "steps": STEPS, "layers": layers},
+        mark=MARK,
+    )

@@ -1,0 +1,89 @@
+"""Parts that pictures of frames and objects share: panels, colour bars, scale bars in µm."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.common.text import visible
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BAR_SHARE = 0.2
+"""Length of a scale bar, as a share of the picture's width, before it is rounded to 1, 2 or 5."""
+
+MOST_DRAWN = 2048
+"""Samples along a side of a picture; more would only cost time and memory."""
+
+AS_SAMPLED: dict[str, Any] = {"origin": "lower", "interpolation": "antialiased"}
+"""Row 0 is that of the smallest y; no smoothing that the data do not have."""
+
+
+def title_figure(figure: Figure, title: str, size: float = 13.0) -> None:
+    """A title whose lines stay lines, broken where the figure is too narrow; other signs are seen."""
+    room = figure.get_figwidth() - 0.3
+    lines = [part for line in title.split("\n") for part in _broken(visible(line), size, room)]
+    figure.suptitle("\n".join(lines), fontsize=size, parse_math=False)
+
+
+def _broken(line: str, size: float, room: float) -> list[str]:
+    """A line in as many as it takes between words to be no wider than so many inches."""
+    from lensdesign.plots.charts import text_inches
+
+    first, *words = line.split(" ")
+    lines = [first]
+    for word in words:
+        longer = f"{lines[-1]} {word}"
+        if text_inches(longer, size)[0] <= room:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def panel_row(count: int, title: str, rows: int = 1) -> tuple[Figure, Any]:
+    """A figure, and its axes in an array of rows."""
+    from matplotlib.figure import Figure
+
+    size = 6.4 * count, 5.6 * rows + (0.4 if title else 0.0)
+    figure = Figure(figsize=size, layout="constrained")
+    title_figure(figure, title)
+    return figure, figure.subplots(rows, count, squeeze=False)
+
+
+def for_screen(values: Any, pitch_um: float) -> tuple[Array, float]:
+    """Means over squares of samples, so few that no side has more than `MOST_DRAWN`, and their pitch."""
+    factor = math.ceil(max(values.shape) / MOST_DRAWN)
+    if factor == 1:
+        return np.asarray(values, float), pitch_um
+    rows, columns = (count // factor for count in values.shape)
+    squares = values[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.asarray(squares.mean(axis=(1, 3), dtype=float)), factor * pitch_um
+
+
+def colour_bar(figure: Figure, picture: Any, axes: Any, label: str) -> None:
+    """A bar of colours beside its picture."""
+    figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.03, label=label)
+
+
+def scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
+    """A bar of a round length below the picture, in place of ticks."""
+    rows, columns = shape
+    length_um = _round_length(BAR_SHARE * columns * pitch_um)
+    left, low, length = 0.0, -0.025 * rows, length_um / pitch_um
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    axes.plot([left, left + length], [low, low], color="black", lw=3.0, clip_on=False, solid_capstyle="butt")
+    text = f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm"
+    axes.text(left + length + 0.015 * columns, low, text, va="center", ha="left", fontsize=10)
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
+
+
+def _round_length(length: float) -> float:
+    """1, 2 or 5 times a power of ten, not above a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9))

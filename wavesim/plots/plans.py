@@ -1,0 +1,55 @@
+"""The chart of plans: expected error of the object against the frames to take."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from wavesim.calibration.planning import EXPLAINED, Plans
+from wavesim.plots.panels import title_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = ("#1f5fa8", "#d1622b")
+BEST = "#b3202c"
+
+
+def plans_figure(found: Plans, title: str = "") -> Figure:
+    """Relative error of the object against the number of planes, a line for each set of exposures.
+
+    The error is that of the trial object that is found worst; a bar reaches down to the best.
+    Filled dots are of plans whose frames are explained to within a fifth of their noise; a ring marks the
+    plan that is recommended.
+
+    Parameters
+    ----------
+    found
+        Of :func:`wavesim.calibration.plan_frames`.
+    title
+        Written on top.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+    title_figure(figure, title)
+    axes = figure.subplots()
+    for exposures, colour in zip(dict.fromkeys(p.exposures for p in found.plans), COLOURS, strict=False):
+        plans = sorted((p for p in found.plans if p.exposures == exposures), key=lambda p: len(p.planes_mm))
+        counts, errors = [len(p.planes_mm) for p in plans], [p.error for p in plans]
+        label = f"exposures {', '.join(f'{e:g}' for e in exposures)}"
+        axes.plot(counts, errors, "-", color=colour, lw=1.0, label=label)
+        for plan, count, error in zip(plans, counts, errors, strict=True):
+            face = colour if plan.misfit_over_noise <= EXPLAINED else "white"
+            least = math.sqrt(max(1.0 - plan.highest_correlation**2, 0.0))
+            axes.plot([count, count], [max(least, 1e-4), error], "-", color=colour, lw=2.5, alpha=0.35)
+            axes.plot(count, error, "o", color=colour, markerfacecolor=face)
+    best = found.recommended
+    axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color=BEST, label="recommended")
+    axes.set_yscale("log")
+    axes.set_xticks(range(1, found.settings.most_planes + 1))
+    axes.set_xlabel("planes")
+    axes.set_ylabel("relative error of the object")
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(frameon=False)
+    return figure

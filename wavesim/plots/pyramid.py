@@ -1,0 +1,223 @@
+"""Large pictures in tiles, each level half of the one before it, as OME-TIFF files that viewers zoom.
+
+A picture of a whole field has 50 million samples. QuPath, napari, Fiji and Bio-Formats read of such a file
+the tiles that they show, from the level that suits the screen.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError, atomic_path, validate_positive
+
+TILE = 512
+"""Side of a tile, in samples."""
+
+STRIP = 2 * TILE
+"""Rows that are halved at once: what it takes beside the arrays themselves stays small."""
+
+CLASSIC_BYTES = 2**32 - 2**25
+"""Of samples up to which a file is a classic TIFF, whose offsets have 32 bits; a BigTIFF beyond."""
+
+DEFLATE_LEVEL = 1
+"""Floating point numbers that carry noise get hardly smaller by more work."""
+
+KEY = "transferlens_field"
+"""Under which a file's description holds what its values are."""
+
+Function = Callable[[Any], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level of a picture: what is kept of it, and how values to be shown come from that.
+
+    Attributes
+    ----------
+    kept : ndarray, shape (ny, nx)
+        Real or complex.
+    shown : function
+        From a part of `kept` to real values.
+    """
+
+    kept: Any
+    shown: Function
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.kept.shape
+        return rows, columns
+
+    def tiles(self, side: int = TILE) -> Iterator[Any]:
+        """Real values, tile by tile, row by row; those at the right and lower border may be smaller."""
+        rows, columns = self.shape
+        for y in range(0, rows, side):
+            for x in range(0, columns, side):
+                yield self.shown(self.kept[y : y + side, x : x + side])
+
+
+def halved(values: Any, of: Function | None = None) -> Any:
+    """Means over 2 x 2 samples, in single precision; over fewer at the far border of an odd size.
+
+    Parameters
+    ----------
+    values
+        Real or complex, shape (ny, nx).
+    of
+        Function whose means are taken; left out, of the values themselves.
+
+    Returns
+    -------
+    ndarray, shape (ceil(ny / 2), ceil(nx / 2))
+        float32 or complex64.
+    """
+    rows, columns = values.shape
+    strips = []
+    for start in range(0, rows, STRIP):
+        strip = values[start : start + STRIP]
+        strip = strip if of is None else of(strip)
+        kind = np.complex64 if np.iscomplexobj(strip) else np.float32
+        odd = strip.shape[0] % 2, columns % 2
+        if any(odd):
+            strip = np.pad(strip, ((0, odd[0]), (0, odd[1])), mode="edge")
+        across = np.add(strip[:, 0::2], strip[:, 1::2], dtype=kind)
+        strips.append(kind(0.25) * (across[0::2] + across[1::2]))
+    return np.concatenate(strips)
+
+
+def picture_levels(values: Any, quantity: str, least: int = TILE) -> list[Level]:
+    """A picture of some values and its halvings, until one tile holds them.
+
+    Parameters
+    ----------
+    values
+        Complex or real, shape (ny, nx).
+    quantity
+        "amplitude" is the modulus, whose halvings are its means; "phase_rad" the angle (of real values: the
+        values themselves), whose halvings are the angle of the complex mean, since angles have no mean;
+        anything else the real values.
+    least
+        Longest side of the last level.
+    """
+    plain: Function = np.asarray
+    # How the samples are shown, what is taken of them before they are halved, how halvings are shown.
+    taken: dict[str, tuple[Function, Function | None, Function]] = {
+        "amplitude": (np.abs, np.abs, plain),
+        "phase_rad": (np.angle, None, np.angle) if np.iscomplexobj(values) else (plain, _phasors, np.angle),
+    }
+    shown, before, then = taken.get(quantity, (plain, None, plain))
+    levels = [Level(values, shown)]
+    while max(levels[-1].shape) > least:
+        levels.append(Level(halved(levels[-1].kept, before if len(levels) == 1 else None), then))
+    return levels
+
+
+def _phasors(angles: Any) -> Any:
+    return np.exp(np.complex64(1j) * np.asarray(angles, np.float32))
+
+
+def write_pyramid(
+    values: Any,
+    path: str | os.PathLike[str],
+    pitch_um: float,
+    quantities: Sequence[str] = ("amplitude", "phase_rad"),
+    **said: Any,
+) -> None:
+    """Write a field or picture as an OME-TIFF in tiles, with halvings for viewers that zoom.
+
+    Samples are 32-bit floating point numbers, one channel for each quantity; tiles of 512 x 512 are deflated,
+    levels stand as SubIFDs. Beyond 4 GB of samples the file is a BigTIFF. The first row, which viewers show
+    on top, is that of the smallest y.
+
+    Parameters
+    ----------
+    values
+        Complex or real, shape (ny, nx).
+    path
+        File to write.
+    pitch_um
+        Of the samples.
+    quantities
+        "amplitude", "phase_rad" (see :func:`picture_levels`); any other name means the real values
+        themselves.
+    **said
+        What else is to stand in the file's description (JSON).
+
+    Raises
+    ------
+    InputError
+        If the values are no picture, the quantities do not suit them, or the file cannot be written.
+    """
+    _refuse(values, pitch_um, quantities)
+    channels = [picture_levels(values, quantity) for quantity in quantities]
+    with atomic_path(path) as temporary:
+        _write(temporary, channels, _metadata(values, pitch_um, quantities, said), 1e4 / pitch_um)
+
+
+def _refuse(values: Any, pitch_um: float, quantities: Sequence[str]) -> None:
+    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "biufc":
+        raise InputError(
+            f"a picture of {values.dtype} values of shape {values.shape}: must be real or complex (ny, nx)"
+        )
+    validate_positive("pitch_um", pitch_um)
+    if not quantities or len(set(quantities)) < len(quantities):
+        raise InputError(f"quantities = {list(quantities)}: must be one or more, and differ")
+    plain = [name for name in quantities if name not in ("amplitude", "phase_rad")]
+    if plain and np.iscomplexobj(values):
+        raise InputError(f"quantities = {list(quantities)}: of complex values, allowed: amplitude, phase_rad")
+
+
+def _metadata(values: Any, pitch_um: float, quantities: Sequence[str], said: dict[str, Any]) -> Any:
+    about = {"quantities": list(quantities), "pitch_um": pitch_um, **said}
+    description = json.dumps({KEY: about}, allow_nan=False)
+    # The same values make the same file.
+    digest = hashlib.blake2b(description.encode(), digest_size=16)
+    for start in range(0, values.shape[0], STRIP):
+        digest.update(np.ascontiguousarray(values[start : start + STRIP]).data)
+    size = {f"PhysicalSize{axis}": pitch_um for axis in "XY"}
+    return {
+        "axes": "CYX",
+        "UUID": str(uuid.UUID(bytes=digest.digest(), version=5)),
+        "Description": description,
+        "Channel": {"Name": list(quantities)},
+        **size,
+        **{f"{name}Unit": "µm" for name in size},
+    }
+
+
+def _write(path: Any, channels: Sequence[Sequence[Level]], metadata: Any, samples_per_cm: float) -> None:
+    from tifffile import TiffWriter
+
+    levels = list(zip(*channels, strict=True))
+    count = 4 * len(channels) * sum(math.prod(level.shape) for level in channels[0])
+    with TiffWriter(path, bigtiff=count > CLASSIC_BYTES, ome=True) as file:
+        for number, level in enumerate(levels):
+            first: dict[str, Any] = {"subifds": len(levels) - 1, "metadata": metadata}
+            file.write(
+                _tiles(level),
+                shape=(len(level), *level[0].shape),
+                dtype=np.float32,
+                tile=(TILE, TILE),
+                photometric="minisblack",
+                compression="zlib",
+                compressionargs={"level": DEFLATE_LEVEL},
+                resolution=(samples_per_cm * 0.5**number,) * 2,
+                resolutionunit="CENTIMETER",
+                **(first if number == 0 else {"subfiletype": 1, "metadata": None}),
+            )
+
+
+def _tiles(channels: Sequence[Level]) -> Iterator[Any]:
+    for channel in channels:
+        for tile in channel.tiles():
+            yield np.ascontiguousarray(tile, np.float32)

@@ -1,0 +1,48 @@
+from .exposures import Electronics, SaturationWarning, estimate_intensity, merged_intensity, plane_seeds
+from .frame_sets import read_frames, recorded_planes
+from .frames import Frame, FrameSettings, read_frame, write_frame
+from .imaging import Imaged, image
+from .measurement import Measurement, recorded_intensity
+from .mounting import mounting_table
+from .recording import Recording, drop_parts, image_patch
+from .sensor import (
+    FootprintWarning,
+    frames_of_light,
+    interference_on_pixels,
+    light_on_pixels,
+    record,
+    sensor_grid,
+)
+from .windows import DiversityWarning, diversity, exit_scene, sensor_window
+
+__all__ = [
+    "DiversityWarning",
+    "Electronics",
+    "FootprintWarning",
+    "Frame",
+    "FrameSettings",
+    "Imaged",
+    "Measurement",
+    "Recording",
+    "SaturationWarning",
+    "diversity",
+    "drop_parts",
+    "estimate_intensity",
+    "exit_scene",
+    "frames_of_light",
+    "image",
+    "image_patch",
+    "interference_on_pixels",
+    "light_on_pixels",
+    "merged_intensity",
+    "mounting_table",
+    "plane_seeds",
+    "read_frame",
+    "read_frames",
+    "record",
+    "recorded_intensity",
+    "recorded_planes",
+    "sensor_grid",
+    "sensor_window",
+    "write_frame",
+]

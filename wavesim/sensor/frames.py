@@ -1,0 +1,256 @@
+"""Recorded frames: an intensity picture as counts, with all that is needed to turn it back into intensity.
+
+On disk a frame is a 16-bit grey TIFF whose ImageDescription holds the settings as JSON. A camera's own files,
+TIFF or PNG, come in at the same door, their settings given by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field as Setting
+from pydantic import model_validator
+
+from lensdesign.common.section import Finite, Positive, Section
+from lensdesign.common.toml_files import did_you_mean, validate
+from lensdesign.errors import InputError, atomic_path
+from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
+from wavesim.scene.settings import SettingError
+from wavesim.sensor.pixels.maps import PixelMaps
+
+Counts = NDArray[np.uint16]
+Bits = Annotated[int, Setting(ge=1, le=16)]
+Offset = Annotated[float, Setting(ge=0.0, le=65535.0)]
+NotNegative = Annotated[float, Setting(ge=0.0, le=1e9, allow_inf_nan=False)]
+
+KEY = "transferlens_frame"
+"""Under which the settings stand in a file's ImageDescription."""
+DESCRIPTION = 270
+"""TIFF tag."""
+LEAST_BITS = 8
+"""Bits of a stored count; readers scale those of fewer bits."""
+
+
+class AssumedWarning(UserWarning):
+    """A frame does not say how it was recorded, and what its design says was taken."""
+
+
+class FrameSettings(Section):
+    """How a frame was recorded.
+
+    Attributes
+    ----------
+    pixel_pitch_um
+        Pixel pitch.
+    plane_distance_mm
+        From the exit vertex to the plane of the frame, as the stage states it.
+    wavelength_um
+        Vacuum wavelength.
+    exposure
+        Electrons in a pixel for an intensity of 1; of a real camera, any number proportional to the exposure
+        time, the same measure for all frames that are used together.
+    bits
+        Of a count; counts run to 2**bits - 1.
+    offset_counts
+        Count of a dark pixel.
+    gain_electrons_per_count
+        Electrons that raise a pixel by one count.
+    read_noise_electrons
+        Standard deviation of the noise of a dark pixel, quantisation not included.
+    saturation_counts
+        From which count on a pixel may have been clipped; the top count if left out.
+    title
+        Free text.
+    """
+
+    pixel_pitch_um: Positive
+    plane_distance_mm: Finite
+    wavelength_um: Positive
+    exposure: Annotated[float, Setting(ge=1e-150, le=1e150, allow_inf_nan=False)]
+    bits: Bits
+    offset_counts: Offset
+    gain_electrons_per_count: Positive
+    read_noise_electrons: NotNegative = 0.0
+    saturation_counts: Annotated[int, Setting(gt=0, le=65535)] | None = None
+    title: str = ""
+
+    @model_validator(mode="after")
+    def _within_bits(self) -> Self:
+        for name in ("offset_counts", "saturation_counts"):
+            if (getattr(self, name) or 0) > self.top_counts:
+                raise ValueError(
+                    f"{name} = {getattr(self, name):g}: {self.bits} bits end at {self.top_counts}"
+                )
+        return self
+
+    @property
+    def top_counts(self) -> int:
+        """The largest count."""
+        return int(2**self.bits - 1)
+
+    @property
+    def clipped_counts(self) -> int:
+        """From which count on a pixel may have been clipped."""
+        return self.saturation_counts or self.top_counts
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A recorded intensity picture.
+
+    Attributes
+    ----------
+    counts : ndarray of uint16, shape (ny, nx)
+        Rows along y and columns along x, both increasing, as in a :class:`~wavesim.fields.field.Grid`.
+    settings : FrameSettings
+        How it was recorded.
+    maps : PixelMaps, optional
+        What is known of its pixels; a file does not hold it.
+
+    Raises
+    ------
+    InputError
+        If the counts are no picture, or do not fit into the bits.
+    """
+
+    counts: Counts
+    settings: FrameSettings
+    maps: PixelMaps | None = None
+
+    def __post_init__(self) -> None:
+        counts = self.counts
+        if counts.ndim != 2 or counts.size == 0 or counts.dtype != np.uint16:
+            raise InputError(
+                f"frame counts are {counts.dtype} of shape {counts.shape}: must be uint16 (ny, nx)"
+            )
+        top, bits = self.settings.top_counts, self.settings.bits
+        if int(counts.max()) > top:
+            aligned = bits < 16 and not np.any(counts % (1 << (16 - bits)))
+            hint = (
+                f"; all are multiples of {1 << (16 - bits)}, so that they stand in the upper bits: give "
+                f"bits = 16, and {1 << (16 - bits)} times the offset and 1/{1 << (16 - bits)} of the gain"
+            )
+            raise InputError(
+                f"frame counts reach {int(counts.max())}: {bits} bits end at {top}{hint if aligned else ''}"
+            )
+
+    @property
+    def bad(self) -> NDArray[np.bool_] | None:
+        """Pixels that tell nothing, shape (ny, nx); None where none are known."""
+        return None if self.maps is None else self.maps.bad
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Pixels that may have been clipped, shape (ny, nx)."""
+        return np.asarray(self.counts >= self.settings.clipped_counts)
+
+
+def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
+    """Write a frame as a 16-bit grey TIFF; reading it back gives the same counts and settings.
+
+    The first row of the file, which viewers show on top, is that of the smallest y.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; whatever stood there stays.
+    """
+    from PIL import Image
+
+    settings = frame.settings.model_dump(mode="json", exclude_none=True)
+    pixels_per_cm = 1e4 / frame.settings.pixel_pitch_um
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(frame.counts)).save(
+            temporary,
+            format="TIFF",
+            tiffinfo={DESCRIPTION: json.dumps({KEY: settings})},
+            resolution_unit="cm",
+            x_resolution=pixels_per_cm,
+            y_resolution=pixels_per_cm,
+        )
+
+
+def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None = None, **given: Any) -> Frame:
+    """Read a frame from a grey TIFF or PNG of 8, 12 or 16 bits that holds one picture.
+
+    The picture is turned upright by the orientation that its file states.
+
+    Parameters
+    ----------
+    path
+        The file.
+    assumed
+        Settings of the design, for what neither the file nor `given` says.
+    given
+        Settings by their names in :class:`FrameSettings`. They stand in for what the file does not say, and
+        come before what it says.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is damaged or no grey picture of whole numbers, or if settings are
+        lacking or not allowed.
+
+    Warns
+    -----
+    AssumedWarning
+        Naming what was assumed.
+    """
+    path = Path(path)
+    counts, description = _read_picture(path)
+    settings = _written_settings(description, path) | given
+    fields = FrameSettings.model_fields
+    for name in given:
+        if name not in fields:
+            raise InputError(f"{path}: {name}: no setting of a frame{did_you_mean(name, fields)}")
+    lacking = [name for name, field in fields.items() if field.is_required() and name not in settings]
+    taken = {name: assumed[name] for name in lacking if name in assumed} if assumed else {}
+    asked = ", ".join(f"{{{name}}}" for name in lacking if name not in taken)
+    if asked:
+        raise SettingError(f"{path} does not say how it was recorded; to be given: {asked}")
+    if taken:
+        said = ", ".join(f"{name} = {value:g}" for name, value in taken.items())
+        warnings.warn(f"{path} does not say how it was recorded; of the design: {said}", AssumedWarning, 3)
+        settings |= taken
+    try:
+        return Frame(counts, validate(FrameSettings, settings, path))
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+
+
+def _read_picture(path: Path) -> tuple[Counts, str]:
+    """Counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
+    file = PictureFile(path, formats=FRAME_FORMATS)
+    picture = file.only()
+    if picture.mode not in COUNT_MODES or picture.bits < LEAST_BITS or picture.states_alpha:
+        bits = f" of {picture.bits} bits" if picture.bits < LEAST_BITS else ""
+        alpha = ", with transparent pixels" if picture.states_alpha else ""
+        raise InputError(
+            f"{path}: a {picture.format} of kind {picture.mode!r}{bits}{alpha}: must be grey, of whole "
+            "numbers of 8, 12 or 16 bits"
+        )
+    if picture.white_is_zero:
+        raise InputError(f"{path}: a TIFF in which white is zero: must be one in which black is zero")
+    return picture.values.astype(np.uint16), file.description
+
+
+def _written_settings(description: str, path: Path) -> dict[str, Any]:
+    """Settings that a file holds; none if it was not written by :func:`write_frame`."""
+    if KEY not in description:
+        return {}
+    try:
+        settings = json.loads(description)[KEY]
+        if isinstance(settings, dict):
+            return settings
+    except (ValueError, LookupError, TypeError, RecursionError):
+        pass
+    raise InputError(f"{path}: damaged: its ImageDescription is no JSON object with {KEY!r}")

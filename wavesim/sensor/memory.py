@@ -1,0 +1,61 @@
+"""Arrays that imaging holds, and when: each listed once, and told before it runs what they take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from lensdesign.lens.lens import Sensor
+from wavesim.runtime.inventory import ArrayGroup, Inventory, work
+from wavesim.scene.engine import Engine, Tiled
+from wavesim.sensor.pixel_integration import Phase, light_across
+from wavesim.sensor.recording import BAND_ROWS, Recording
+from wavesim.sensor.windows import OVERSAMPLING
+from wavesim.targets.patch import LIGHT_BYTES
+
+PROCESS_BYTES = 300_000_000
+"""Of the process itself while it images, its libraries and compiled loops."""
+
+
+def imaging_arrays(
+    engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording
+) -> Inventory:
+    """What :func:`image_patch` and the writing of its frames and object hold.
+
+    Parameters
+    ----------
+    engine
+        For the first plane.
+    sensor, windows, recording
+        As of :func:`image_patch`.
+    """
+    across, down = sensor.pixels
+    frames = len(windows) * len(recording.exposures)
+    modes = len(recording.bench.source.modes(engine.scene.wavelength_um))
+    sums = 0 if modes == 1 else 2 * len(windows)
+    objects, carrying = engine.scene.object_grid.shape, Phase.CARRYING
+    common = (
+        work("the process itself", PROCESS_BYTES, Phase.LIGHTING | carrying),
+        work("light, as it is made", LIGHT_BYTES * math.prod(objects), Phase.LIGHTING),
+        ArrayGroup("the transmission, what lies behind it, a picture", objects, np.complex64, carrying, 3),
+        work("the engine's work", engine.cost().peak_bytes_in_single, carrying),
+        ArrayGroup("frames", (down, across), np.uint16, carrying, frames),
+        ArrayGroup("light of modes, and its sums", (down, across), np.float64, carrying, sums),
+    )
+    if not isinstance(engine, Tiled):
+        window = max(w.pixels[0] * w.pixels[1] for w in windows) * OVERSAMPLING**2
+        # The first plane's field, another one's, and free space between them.
+        held = 1 if len(windows) == 1 else 4
+        return (*common, ArrayGroup("fields on planes", (window,), np.complex128, carrying, held))
+    row = max(window.pixels[0] for window in windows) * OVERSAMPLING
+    band = (min(BAND_ROWS, down * OVERSAMPLING), row)
+    tiles = len(windows) * modes
+    return (
+        *common,
+        ArrayGroup("bands of a field", band, np.complex64, carrying, 4),
+        light_across(sensor, np.complex64, OVERSAMPLING),
+        ArrayGroup("light on pixels", (down, across), np.float64, carrying),
+        ArrayGroup("tiles of a plane", (engine.sums_bytes,), np.uint8, carrying, tiles, lies="file"),
+    )

@@ -1,0 +1,97 @@
+"""Compiled loops over pixels: one intensity of several exposures, and pixels that disagree."""
+
+# mypy: disable-error-code="misc"
+
+from __future__ import annotations
+
+from numpy import empty, inf, sqrt, zeros
+from numpy.typing import NDArray
+
+from lensdesign.raytrace.cached_kernels import cached_njit
+
+_jit = cached_njit(nogil=True, error_model="numpy")
+
+
+@_jit
+def merged(
+    electrons: NDArray, known: NDArray, shares: NDArray, fixed: NDArray, intensity: NDArray, variance: NDArray
+) -> None:
+    """Mean by inverse variances, in units of the exposures' shares; the first frame's where none is known."""
+    frames, height, width = electrons.shape
+    for i in range(height):
+        for j in range(width):
+            seen = over = 0.0
+            for k in range(frames):
+                if known[k, i, j]:
+                    seen += electrons[k, i, j]
+                    over += shares[k, i, j]
+            if over == 0.0:
+                intensity[i, j], variance[i, j] = electrons[0, i, j] / shares[0, i, j], inf
+                continue
+            level = max(seen, 0.0) / over
+            total = mean = 0.0
+            for k in range(frames):
+                if known[k, i, j]:
+                    share = shares[k, i, j]
+                    weight = share / (level * share + fixed[k])
+                    total += weight * share
+                    mean += weight * electrons[k, i, j]
+            mean /= total
+            level, certain = max(mean, 0.0), 0.0
+            for k in range(frames):
+                if known[k, i, j]:
+                    share = shares[k, i, j]
+                    certain += share * share / (level * share + fixed[k])
+            intensity[i, j], variance[i, j] = mean, 1.0 / certain
+
+
+@_jit
+def contradicting(
+    electrons: NDArray, known: NDArray, shares: NDArray, fixed: NDArray, far: float, unlike: float
+) -> NDArray:
+    """Pixels whose intensities in two frames that follow each other differ too far."""
+    frames, height, width = electrons.shape
+    found = zeros((height, width), dtype="?")
+    for k in range(frames - 1):
+        for i in range(height):
+            for j in range(width):
+                if not (known[k, i, j] and known[k + 1, i, j]):
+                    continue
+                own, other = shares[k, i, j], shares[k + 1, i, j]
+                one, two = electrons[k, i, j], electrons[k + 1, i, j]
+                noise = (max(one, 0.0) + fixed[k]) / (own * own)
+                noise += (max(two, 0.0) + fixed[k + 1]) / (other * other)
+                one, two = one / own, two / other
+                level = unlike * max(abs(one), abs(two))
+                found[i, j] |= abs(one - two) > far * sqrt(noise) + level
+    return found
+
+
+@_jit
+def outlying_pixels(
+    intensity: NDArray,
+    variance: NDArray,
+    times: float,
+    far: float,
+    dead: float,
+    dead_noise: float,
+    lit: float,
+) -> NDArray:
+    """Pixels far brighter than all eight neighbours, with light, and without any among such with it."""
+    height, width = intensity.shape
+    found = empty((3, height, width), dtype="?")
+    for i in range(height):
+        for j in range(width):
+            low, high = inf, -inf
+            # Beyond the border stands what stands on it: a pixel of the border is its own neighbour.
+            for row in range(i - 1, i + 2):
+                for column in range(j - 1, j + 2):
+                    if row == i and column == j:
+                        continue
+                    value = intensity[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]
+                    low, high = min(low, value), max(high, value)
+            own, deviation = intensity[i, j], sqrt(variance[i, j])
+            found[0, i, j] = own > times * max(high, 0.0) and own > far * deviation
+            found[1, i, j] = own > far * deviation
+            found[2, i, j] = own < dead * low + dead_noise * deviation and low > lit * deviation
+    return found

@@ -1,0 +1,331 @@
+"""What lights an object: plane waves, Gaussian beams, a measured field; and the field stop.
+
+An illumination is a :class:`~wavesim.fields.field.Field` in the object's plane; the light behind an object is
+its product with the object's transmission.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+import os
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from lensdesign.common.array_files import array_names, read_arrays
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, SamplingError, validate_choice, validate_positive
+from wavesim.fields.coverage import (
+    Rectangle,
+    disc_coverage,
+    rectangle,
+    rectangle_coverage,
+    validate_sampling,
+    validate_two_dimensional,
+)
+from wavesim.fields.field import Field, Grid
+from wavesim.fields.guards import tell
+from wavesim.fields.plane_waves import fft_frequencies
+from wavesim.runtime.arrays import fftn
+from wavesim.targets.patterns import ComplexArray
+
+StopShape = Literal["disc", "square"]
+
+SMALLEST_WAIST = 2.0
+"""Waist radius in wavelengths below which the paraxial Gaussian beam does not hold: about 9 degrees."""
+
+INTERPOLATED_BAND = 0.5
+"""Part of the Nyquist band in which a cubic spline between samples is good."""
+
+
+def plane_wave(
+    grid: Grid, wavelength_um: float, *, tilt_x_deg: float = 0.0, tilt_y_deg: float = 0.0, index: float = 1.0
+) -> Field:
+    """Collimated light of amplitude 1 and phase 0 at the grid's centre.
+
+    Parameters
+    ----------
+    grid
+        A plane, or a line in a world without x.
+    wavelength_um
+        Vacuum wavelength.
+    tilt_x_deg, tilt_y_deg
+        Angles of the direction's projections on the x-z and y-z planes from the axis: its slopes are their
+        tangents. A line takes none along x.
+    index
+        Of the medium.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    SamplingError
+        If the grid's pitch is more than half the period that the tilt makes along x or y.
+    """
+    validate_positive("wavelength_um", wavelength_um)
+    validate_positive("index", index)
+    for name, tilt in (("tilt_x_deg", tilt_x_deg), ("tilt_y_deg", tilt_y_deg)):
+        if not abs(tilt) < 90.0:
+            raise InputError(f"{name} = {tilt!r}: must lie between -90 and 90 deg")
+    if grid.is_line and tilt_x_deg != 0.0:
+        raise InputError(f"tilt_x_deg = {tilt_x_deg:g}: a meridional line has no x; give 0")
+    slopes = math.tan(math.radians(tilt_x_deg)), math.tan(math.radians(tilt_y_deg))
+    length = math.hypot(1.0, *slopes)
+    cycles_x, cycles_y = (1e3 * index / wavelength_um * slope / length for slope in slopes)
+    steepest = max(abs(cycles_x), abs(cycles_y))
+    if steepest * grid.pitch_mm >= 0.5:
+        raise SamplingError(
+            f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: {steepest:.4g} cycles/mm are more "
+            f"than a pitch of {1e3 * grid.pitch_mm:.4g} um holds; give one below {500.0 / steepest:.4g} um"
+        )
+    down = np.exp(2j * math.pi * cycles_y * (grid.y_mm - grid.centre_mm[1]))
+    if grid.is_line:
+        return Field(grid, down, wavelength_um, index)
+    across = np.exp(2j * math.pi * cycles_x * (grid.x_mm - grid.centre_mm[0]))
+    return Field(grid, np.outer(down, across), wavelength_um, index)
+
+
+def gaussian_beam(
+    grid: Grid, wavelength_um: float, waist_radius_mm: float, beyond_waist_mm: float = 0.0
+) -> Field:
+    """A paraxial Gaussian beam along the axis through the grid's centre, of amplitude 1 in the waist.
+
+    Parameters
+    ----------
+    grid
+        A plane, or a line in a world without x.
+    wavelength_um
+        Vacuum wavelength.
+    waist_radius_mm
+        Where the intensity in the waist is 1/e^2 of that on the axis.
+    beyond_waist_mm
+        Distance of the grid behind the waist; negative if the light still converges. The phase of a plane
+        wave over it, exp(i k z), is left out.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or the waist is too narrow for a paraxial beam.
+    SamplingError
+        If the waist is narrower than two samples.
+    """
+    validate_positive("wavelength_um", wavelength_um)
+    validate_positive("waist_radius_mm", waist_radius_mm)
+    if not math.isfinite(beyond_waist_mm):
+        raise InputError(f"beyond_waist_mm = {beyond_waist_mm!r}: must be finite")
+    smallest = SMALLEST_WAIST * 1e-3 * wavelength_um
+    if waist_radius_mm < smallest:
+        raise InputError(
+            f"waist_radius_mm = {waist_radius_mm:g}: a paraxial beam needs {smallest:.4g} mm or more"
+        )
+    # The spectrum is that of the waist at any distance.
+    validate_sampling(grid, 1e3 * waist_radius_mm, "a Gaussian waist")
+    wavenumber = 2e3 * math.pi / wavelength_um
+    spread = complex(waist_radius_mm**2, 2.0 * beyond_waist_mm / wavenumber)
+    y, x = grid.y_mm - grid.centre_mm[1], grid.x_mm - grid.centre_mm[0]
+    down = cmath.sqrt(waist_radius_mm**2 / spread) * np.exp(-(y**2) / spread)
+    if grid.is_line:
+        return Field(grid, down, wavelength_um)
+    across = cmath.sqrt(waist_radius_mm**2 / spread) * np.exp(-(x**2) / spread)
+    return Field(grid, np.outer(down, across), wavelength_um)
+
+
+def measured_field(
+    path: str | os.PathLike[str],
+    grid: Grid,
+    wavelength_um: float,
+    pitch_um: float | None = None,
+) -> Field:
+    """A complex field from a file about the grid's centre, by cubic splines between its samples.
+
+    Parameters
+    ----------
+    path
+        An .npy file with one complex array (rows along y, columns along x), or an .npz with the array
+        `values`, and optionally the numbers `pitch_um` and `wavelength_um`.
+    grid
+        A plane that the file's samples cover.
+    wavelength_um
+        Vacuum wavelength; if the file states one, it must be the same.
+    pitch_um
+        Between the file's samples; needed unless the file states it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no such field, or covers less than the grid.
+    SamplingError
+        If more than a hundredth of the field's energy is too fine for the grid, or for splines.
+
+    Warns
+    -----
+    SamplingWarning
+        If a smaller part of it is.
+    """
+    validate_two_dimensional(grid)
+    validate_positive("wavelength_um", wavelength_um)
+    values, stated = _read_field(Path(path))
+    pitch = _pitch_um(Path(path), stated, pitch_um)
+    if "wavelength_um" in stated and not math.isclose(stated["wavelength_um"], wavelength_um, rel_tol=1e-6):
+        raise InputError(
+            f"measured field {path}: made at wavelength_um = {stated['wavelength_um']:g}, "
+            f"not {wavelength_um:g}"
+        )
+    rows, columns = values.shape
+    if (rows, columns) == grid.shape and math.isclose(1e-3 * pitch, grid.pitch_mm, rel_tol=1e-9):
+        return Field(grid, values, wavelength_um)
+    source = Grid((rows, columns), 1e-3 * pitch, grid.z_mm, grid.centre_mm)
+    for name, have, need in (("x", source.x_mm, grid.x_mm), ("y", source.y_mm, grid.y_mm)):
+        if need[-1] - need[0] > (have[-1] - have[0]) * (1.0 + 1e-9):
+            raise InputError(
+                f"measured field {path}: its samples span {have[-1] - have[0]:.4g} mm along {name}, the "
+                f"grid's {need[-1] - need[0]:.4g} mm; give a smaller grid or a larger measurement"
+            )
+    _tell_fine(values, source, grid)
+    return Field(grid, _splined(values, source, grid), wavelength_um)
+
+
+def field_stop(
+    grid: Grid,
+    shape: StopShape,
+    width_mm: float,
+    edge_mm: float = 0.0,
+    at_mm: tuple[float, float] = (0.0, 0.0),
+) -> Array:
+    """Transmission of a field stop.
+
+    Parameters
+    ----------
+    grid
+        A plane.
+    shape
+        "disc" or "square".
+    width_mm
+        Diameter or side, where the transmission of a soft edge is one half.
+    edge_mm
+        Width of a soft edge, a raised cosine; 0 for a hard one, integrated exactly over the cells.
+    at_mm
+        Middle (x, y) of the stop, from the grid's centre.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or the stop with its edge reaches beyond the grid.
+    SamplingError
+        If the stop or its soft edge is narrower than two samples.
+    """
+    validate_two_dimensional(grid)
+    validate_positive("width_mm", width_mm)
+    validate_choice("field stop shape", shape, ("disc", "square"))
+    if not 0.0 <= edge_mm <= width_mm:
+        raise InputError(f"edge_mm = {edge_mm!r}: must lie between 0 and width_mm = {width_mm:g}")
+    widest = 2.0 * min(grid.half_widths_mm)
+    if width_mm + edge_mm > widest * (1.0 + 1e-9):
+        raise InputError(
+            f"field stop of width_mm = {width_mm:g}, edge_mm = {edge_mm:g}: wider than the "
+            f"grid's {widest:.4g} mm"
+        )
+    middle = grid.centre_mm[0] + at_mm[0], grid.centre_mm[1] + at_mm[1]
+    for axis, place, half_width in zip("xy", at_mm, reversed(grid.half_widths_mm), strict=True):
+        if not abs(place) + 0.5 * (width_mm + edge_mm) <= half_width * (1.0 + 1e-9):
+            raise InputError(
+                f"field stop of width_mm = {width_mm:g}, edge_mm = {edge_mm:g} at {at_mm[0]:g}, "
+                f"{at_mm[1]:g} mm: reaches beyond the grid's {half_width:.4g} mm along {axis}"
+            )
+    validate_sampling(grid, 1e3 * width_mm, "a field stop")
+    if edge_mm == 0.0:
+        if shape == "disc":
+            return disc_coverage(grid, 0.5 * width_mm, at_mm)
+        return rectangle_coverage(grid, [rectangle(middle, width_mm, width_mm)])
+    validate_sampling(grid, 1e3 * edge_mm, "a soft edge")
+    x, y = (grid.x_mm - middle[0])[None, :], (grid.y_mm - middle[1])[:, None]
+    half = 0.5 * width_mm
+    if shape == "disc":
+        return _soft(np.hypot(x, y), half, edge_mm)
+    return _soft(abs(y), half, edge_mm) * _soft(abs(x), half, edge_mm)
+
+
+def validate_within_stop(
+    outline: Rectangle, shape: StopShape, width_mm: float, centre_mm: tuple[float, float] = (0.0, 0.0)
+) -> None:
+    """Raise InputError if an object's outline reaches beyond a field stop."""
+    x = max(abs(outline.left_mm - centre_mm[0]), abs(outline.right_mm - centre_mm[0]))
+    y = max(abs(outline.low_mm - centre_mm[1]), abs(outline.high_mm - centre_mm[1]))
+    needed = 2.0 * (math.hypot(x, y) if shape == "disc" else max(x, y))
+    if needed > width_mm * (1.0 + 1e-9):
+        raise InputError(
+            f"field stop ({shape}) of width_mm = {width_mm:g}: the object reaches beyond it and needs "
+            f"{needed:.4g} mm"
+        )
+
+
+def _soft(distance: Array, half: float, edge: float) -> Array:
+    return np.asarray(0.5 - 0.5 * np.sin(np.pi * np.clip((distance - half) / edge, -0.5, 0.5)))
+
+
+def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
+    """The complex array, and the numbers stated beside it."""
+    held = read_arrays(path, named="the measured field", only=("values", "pitch_um", "wavelength_um"))
+    if "values" not in held:
+        names = sorted(array_names(path))
+        raise InputError(f"measured field {path}: has no array `values`; it holds {names}")
+    values = held["values"]
+    if values.ndim != 2 or min(values.shape) < 4 or not np.iscomplexobj(values):
+        raise InputError(
+            f"measured field {path}: has {values.dtype} values of shape {values.shape}; give a complex array "
+            "(ny, nx) of at least 4 x 4"
+        )
+    if not np.all(np.isfinite(values)):
+        raise InputError(f"measured field {path}: has values that are not finite")
+    stated: dict[str, float] = {}
+    for key in ("pitch_um", "wavelength_um"):
+        if key in held:
+            if held[key].size != 1 or held[key].dtype.kind not in "fiu":
+                raise InputError(f"measured field {path}: `{key}` must be one number")
+            stated[key] = float(held[key].item())
+    return np.asarray(values, complex), stated
+
+
+def _pitch_um(path: Path, stated: dict[str, float], given: float | None) -> float:
+    pitch = stated.get("pitch_um") if given is None else given
+    if pitch is None:
+        raise InputError(f"measured field {path}: does not state its pitch_um; give it")
+    validate_positive("pitch_um", pitch)
+    if "pitch_um" in stated and not math.isclose(stated["pitch_um"], pitch, rel_tol=1e-6):
+        raise InputError(f"measured field {path}: states pitch_um = {stated['pitch_um']:g}, not {pitch:g}")
+    return pitch
+
+
+def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
+    """Warn of, or refuse, detail that splines or the grid would lose."""
+    # A window keeps the borders of the measurement from looking like detail.
+    window = np.outer(*(np.hanning(n + 2)[1:-1] for n in values.shape))
+    power = abs(fftn(values * window)) ** 2
+    total = float(np.sum(power))
+    if total == 0.0:
+        raise InputError("the measured field is dark")
+    cycles = fft_frequencies(source.shape, source.pitch_mm, np)
+    limit = min(INTERPOLATED_BAND * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)
+    fine = (abs(cycles[0]) > limit) | (abs(cycles[1]) > limit)
+    tell(
+        float(np.sum(power[fine])) / total,
+        f"lies above {limit:.4g} cycles/mm, too fine to be carried from samples of "
+        f"{1e3 * source.pitch_mm:.4g} um to a pitch of {1e3 * grid.pitch_mm:.4g} um",
+        "measure more finely, or give a finer grid, or the measurement's own grid",
+    )
+
+
+def _splined(values: ComplexArray, source: Grid, grid: Grid) -> ComplexArray:
+    from scipy.interpolate import RectBivariateSpline
+
+    y, x = (
+        np.clip(need, have[0], have[-1])
+        for need, have in ((grid.y_mm, source.y_mm), (grid.x_mm, source.x_mm))
+    )
+    real, imaginary = (
+        RectBivariateSpline(source.y_mm, source.x_mm, part, kx=3, ky=3)(y, x)
+        for part in (values.real, values.imag)
+    )
+    return np.asarray(real + 1j * imaginary)

@@ -1,0 +1,460 @@
+"""What is imaged, in a few plain choices: a patch of the design's object, an object on it, and its light.
+
+A patch is a square of the object plane about the axis; a round field stop lets light through it. What is
+built here serves the commands `wavesim image` and `wavesim reconstruct`, and notebooks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+from zipfile import is_zipfile
+
+import numpy as np
+import scipy.fft
+
+from lensdesign.common.memory import check_memory
+from lensdesign.common.toml_files import did_you_mean
+from lensdesign.errors import InputError, validate_positive
+from lensdesign.lens.lens import Lens
+from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import read_centre_um
+from wavesim.scene.patches import OBJECT_FINENESS, validate_within_field
+from wavesim.scene.scene import wavelength_of
+from wavesim.scene.settings import PatchSettings
+from wavesim.targets.illumination import (
+    field_stop,
+    gaussian_beam,
+    measured_field,
+    plane_wave,
+)
+from wavesim.targets.patterns import (
+    Ground,
+    phase_target,
+    picture_pixel,
+    picture_target,
+    read_grey,
+    siemens_star,
+)
+from wavesim.targets.phantom import tissue_phantom
+from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
+
+LIGHT_BYTES = 25
+"""For each sample, while an object's illumination is made. Measured."""
+
+INSCRIBED = 1.0 / math.sqrt(2.0)
+"""Side of the square inside a disc of diameter 1."""
+
+SPOKES, STAR_RADIUS = 36, 0.45
+"""Of the Siemens star; the radius as a share of the field stop's diameter."""
+
+OBJECT_FILE = "object.npz"
+
+PADS, PAD_SHARE, PAD_PHASE_RAD = 4, 0.08, 0.5 * math.pi
+"""Of the phase target; a pad's side as a share of the field stop's diameter, and the last pad's phase."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A square of the object plane about the axis, and the round field stop in it.
+
+    Attributes
+    ----------
+    grid : Grid
+        Samples of the object plane.
+    field_stop_mm : float
+        Diameter of the stop.
+    wavelength_um : float
+        Vacuum wavelength.
+    field_stop_at_mm : (x, y)
+        Middle of the stop, from the axis.
+    """
+
+    grid: Grid
+    field_stop_mm: float
+    wavelength_um: float
+    field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def inside(self) -> Any:
+        """Samples whose middle lies within the stop, shape (ny, nx)."""
+        x, y = self.field_stop_at_mm
+        squared = (self.grid.y_mm[:, None] - y) ** 2 + (self.grid.x_mm[None, :] - x) ** 2
+        return squared <= (0.5 * self.field_stop_mm) ** 2
+
+    @property
+    def stop_words(self) -> str:
+        """Size of the field stop and, where it does not stand on the axis, its position."""
+        return stop_words(self.field_stop_mm, self.field_stop_at_mm)
+
+    def with_stop(self, field_stop_mm: float, at_mm: tuple[float, float]) -> Patch:
+        """The same samples behind another field stop."""
+        return replace(self, field_stop_mm=field_stop_mm, field_stop_at_mm=at_mm)
+
+
+def stop_words(field_stop_mm: float, at_mm: Sequence[float]) -> str:
+    """Size of a field stop and, where it does not stand on the axis, its position, as text."""
+    said = f"field stop {field_stop_mm:.4g} mm"
+    return said if not any(at_mm) else f"{said} at {at_mm[0]:.4g}, {at_mm[1]:.4g} mm"
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """An object to be imaged.
+
+    Attributes
+    ----------
+    name : str
+        Kind of object, or the file that it came from.
+    transmission : Field
+        Complex transmission on the patch.
+    elements : tuple of UsafElement
+        Of USAF charts, those of the middle first; empty for other objects.
+    ground : {"bright", "dark"}
+        What surrounds the shapes of a chart.
+    """
+
+    name: str
+    transmission: Field
+    elements: tuple[UsafElement, ...]
+    ground: Ground
+
+
+def object_patch(
+    lens: Lens,
+    patch_mm: float,
+    field_stop_mm: float | None = None,
+    *,
+    wavelength_um: float | None = None,
+    object_pitch_um: float | None = None,
+    field_stop_at_mm: tuple[float, float] = (0.0, 0.0),
+) -> Patch:
+    """A patch of the design's object.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    patch_mm
+        Side of the square.
+    field_stop_mm
+        Diameter of the field stop; left out, it touches the square's sides.
+    wavelength_um
+        The design's first one if left out.
+    object_pitch_um
+        Of the samples; left out, what holds light of the design's numerical aperture.
+    field_stop_at_mm
+        Middle (x, y) of the field stop, from the axis.
+
+    Raises
+    ------
+    InputError
+        If the patch is larger than the design's field, or the field stop reaches beyond the patch.
+    MemoryLimitError
+        If memory does not hold the samples.
+    """
+    wavelength = wavelength_of(lens, wavelength_um)
+    validate_within_field(lens, patch_mm)
+    x, y = field_stop_at_mm
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"field_stop_at_mm = {x!r}, {y!r}: must be finite")
+    room_mm = patch_mm - 2.0 * max(abs(x), abs(y))
+    stop_mm = patch_mm if field_stop_mm is None else field_stop_mm
+    if not 0.0 < stop_mm <= patch_mm:
+        raise InputError(f"field_stop_mm = {stop_mm:g}: must be above 0 and at most patch_mm = {patch_mm:g}")
+    if stop_mm > room_mm * (1.0 + 1e-9) + 1e-12:
+        raise InputError(
+            f"field_stop_at_mm = {x:g},{y:g}: a field stop of {stop_mm:g} mm there reaches beyond the "
+            f"patch of {patch_mm:g} mm; give a smaller field_stop_mm, or a larger patch_mm"
+        )
+    if object_pitch_um is None:
+        object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
+    validate_positive("object_pitch_um", object_pitch_um)
+    side = 1e3 * patch_mm / object_pitch_um
+    check_memory(
+        LIGHT_BYTES * max(side, 1.0) * side,
+        f"object_pitch_um = {object_pitch_um:g}: an object of {side:.3g} x {side:.3g} samples",
+        "give a larger object_pitch_um or a smaller patch_mm",
+    )
+    count = scipy.fft.next_fast_len(max(4, math.ceil(1e3 * patch_mm / object_pitch_um - 1e-9)))
+    grid = Grid((count, count), 1e-3 * object_pitch_um, lens.object_z_mm)
+    return Patch(grid, stop_mm, wavelength, (float(x), float(y)))
+
+
+def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
+    """Elements of the USAF chart that fit the square inside a patch's field stop, and that its samples show.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`wavesim.targets.usaf.usaf_elements_within`.
+    """
+    return usaf_elements_within(_about_stop(patch), INSCRIBED * patch.field_stop_mm)
+
+
+def usaf_charts_of(
+    patch: Patch, chart_at_mm: Sequence[tuple[float, float]] = ()
+) -> tuple[tuple[UsafElement, ...], ...]:
+    """Elements of the USAF chart in the middle of the field stop, and of fine charts about other points.
+
+    Parameters
+    ----------
+    patch
+        Where they lie.
+    chart_at_mm
+        Points (x, y), from the axis.
+
+    Returns
+    -------
+    tuple
+        For the middle and for each point, the elements there.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`usaf_elements_of` and :func:`wavesim.targets.usaf.usaf_elements_beside`.
+    """
+    charts, (x, y) = [usaf_elements_of(patch)], patch.field_stop_at_mm
+    for point in chart_at_mm:
+        beside = point[0] - x, point[1] - y
+        charts.append(usaf_elements_beside(_about_stop(patch), beside, patch.field_stop_mm, charts))
+    return tuple(charts)
+
+
+def _about_stop(patch: Patch) -> Grid:
+    """A grid of the same pitch about the middle of the field stop, which reaches as far as the patch."""
+    return replace(patch.grid, centre_mm=patch.field_stop_at_mm)
+
+
+def make_target(
+    patch: Patch,
+    name: str,
+    ground: Ground = "bright",
+    *,
+    numerical_aperture: float,
+    seed: int = 0,
+    picture_pixel_um: float | None = None,
+    picture_width_mm: float | None = None,
+    chart_at_mm: Sequence[tuple[float, float]] = (),
+) -> Target:
+    """An object on a patch: a chart, a star, a phase target, tissue, a picture, or none.
+
+    Its middle is that of the field stop, but for tissue, which fills the patch; of a star, a phase target
+    and a picture it is the nearest sample.
+
+    Parameters
+    ----------
+    patch
+        Where it lies.
+    name
+        "usaf", "star", "phase", "tissue", "empty", or the path of a picture, whose grey values stand for
+        intensity.
+    ground
+        Bright or dark field, of charts and stars.
+    numerical_aperture, seed
+        Of the tissue's band limit, and of its random shapes.
+    picture_pixel_um, picture_width_mm
+        Side of a picture's pixel on the object, or width of all of it; without both its corners touch the
+        field stop. Where only its pixels are given they must be no finer than the samples; else they are
+        averaged.
+    chart_at_mm
+        Points (x, y) about which fine groups of the USAF chart stand beside the chart in the middle.
+
+    Raises
+    ------
+    InputError
+        If there is no such object, or it is larger than the field stop.
+    SamplingError
+        If the patch's samples are too coarse for it.
+    """
+    grid, stop_mm = patch.grid, patch.field_stop_mm
+    wider, cut = _wider_about_stop(patch)
+    elements: tuple[UsafElement, ...] = ()
+    if chart_at_mm and name != "usaf":
+        raise InputError(f"object = {name!r}: only usaf has charts beside the one in the middle")
+    if name == "usaf":
+        elements = tuple(one for chart in usaf_charts_of(patch, chart_at_mm) for one in chart)
+        values = usaf_chart(grid, elements, ground)
+    elif name in MAKERS:
+        fills = name in ("tissue", "empty")
+        made = MAKERS[name](patch if fills else wider, ground, numerical_aperture, seed)
+        values = made if fills else made[cut]
+    elif not (Path(name).suffix or Path(name).exists()):
+        known = ("usaf", *MAKERS)
+        raise InputError(
+            f"object = {name!r}: allowed: {', '.join(known)}, or the file of a picture"
+            f"{did_you_mean(name, known)}"
+        )
+    else:
+        rows, columns = read_grey(name).shape
+        pixel_um = picture_pixel((rows, columns), stop_mm, picture_pixel_um, picture_width_mm)
+        finer: Literal["refuse", "average"] = "average" if picture_pixel_um is None else "refuse"
+        values = picture_target(name, wider.grid, pixel_um, finer=finer)[cut]
+    transmission = Field(grid, np.asarray(values, np.complex64), patch.wavelength_um)
+    return Target(name, transmission, elements, ground)
+
+
+def _wider_about_stop(patch: Patch) -> tuple[Patch, tuple[slice, slice]]:
+    """A patch about the sample nearest to the field stop's middle, and where the own one lies in it."""
+    rows, columns = patch.grid.shape
+    across, down = (round(place / patch.grid.pitch_mm) for place in patch.field_stop_at_mm)
+    shape = rows + 2 * abs(down), columns + 2 * abs(across)
+    cut = (
+        slice(abs(down) - down, abs(down) - down + rows),
+        slice(abs(across) - across, abs(across) - across + columns),
+    )
+    return replace(patch, grid=replace(patch.grid, shape=shape), field_stop_at_mm=(0.0, 0.0)), cut
+
+
+def _star(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Any:
+    # The inner ends of the spokes are as narrow as the samples show.
+    inner_mm = 1.05 * patch.grid.pitch_mm / math.sin(0.5 * math.pi / SPOKES)
+    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, ground)
+
+
+def _phase(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+    return phase_target(patch.grid, 1e3 * PAD_SHARE * patch.field_stop_mm, PAD_PHASE_RAD, PADS)
+
+
+def _tissue(patch: Patch, _ground: Ground, aperture: float, seed: int) -> Any:
+    return tissue_phantom(patch.grid, seed, patch.wavelength_um, aperture)
+
+
+def _empty(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+    return np.ones(patch.grid.shape)
+
+
+MAKERS: dict[str, Callable[[Patch, Ground, float, int], Any]] = {
+    "star": _star,
+    "phase": _phase,
+    "tissue": _tissue,
+    "empty": _empty,
+}
+"""Objects without parts of their own that the code makes, by name."""
+
+
+def make_illumination(
+    patch: Patch,
+    name: str = "plane",
+    *,
+    tilt_deg: tuple[float, float] = (0.0, 0.0),
+    waist_mm: float | None = None,
+    pitch_um: float | None = None,
+) -> Field:
+    """Light on a patch, its field stop included; complex64.
+
+    Parameters
+    ----------
+    patch
+        What is lit.
+    name
+        "plane", "tilted", "gaussian", or the file of a measured field.
+    tilt_deg : (x, y)
+        Of a tilted plane wave.
+    waist_mm
+        Radius of the Gaussian beam's waist, which lies in the object plane; half the stop's radius if left
+        out.
+    pitch_um
+        Of a measured field whose file does not state it.
+
+    Raises
+    ------
+    InputError
+        If there is no such illumination, or a value is not usable.
+    SamplingError
+        If the patch's samples are too coarse for it.
+    """
+    grid, wavelength = patch.grid, patch.wavelength_um
+    known = ("plane", "tilted", "gaussian")
+    if name == "plane":
+        light = plane_wave(grid, wavelength)
+    elif name == "tilted":
+        light = plane_wave(grid, wavelength, tilt_x_deg=tilt_deg[0], tilt_y_deg=tilt_deg[1])
+    elif name == "gaussian":
+        light = gaussian_beam(grid, wavelength, 0.25 * patch.field_stop_mm if waist_mm is None else waist_mm)
+    elif Path(name).suffix or Path(name).exists():
+        light = measured_field(name, grid, wavelength, pitch_um)
+    else:
+        raise InputError(
+            f"illumination = {name!r}: allowed: {', '.join(known)}, or the file of a measured field"
+            f"{did_you_mean(name, known)}"
+        )
+    light = light.with_values(light.values.astype(np.complex64))
+    stop = field_stop(grid, "disc", patch.field_stop_mm, at_mm=patch.field_stop_at_mm)
+    light.values[...] *= stop.astype(np.float32)
+    return light
+
+
+def read_object(path: Path, patch: Patch) -> Field:
+    """The transmission of an object on a patch, from a file.
+
+    Parameters
+    ----------
+    path
+        File (.npz) with `values` and `pitch_um`, or the folder that `wavesim image` wrote it to.
+    patch
+        Where it is wanted.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, covers less than the patch, or is that of a region beside the middle.
+    """
+    place = path / OBJECT_FILE if path.is_dir() else path
+    if is_zipfile(place) and (centre_um := read_centre_um(place)) != (0.0, 0.0):
+        x_mm, y_mm = (1e-3 * c for c in centre_um)
+        raise InputError(f"{place}: is a region about {x_mm:.4g}, {y_mm:.4g} mm; give a field about the axis")
+    return measured_field(place, patch.grid, patch.wavelength_um)
+
+
+def lit_patch(lens: Lens, settings: PatchSettings, wavelength_um: float | None = None) -> tuple[Patch, Field]:
+    """The patch of a design's object that is looked at, and the light on it.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    settings
+        Of both.
+    wavelength_um
+        The design's first one if left out.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`object_patch` and :func:`make_illumination`.
+    """
+    patch = object_patch(
+        lens,
+        lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
+        settings.field_stop_mm,
+        wavelength_um=wavelength_um,
+        object_pitch_um=settings.object_pitch_um,
+        field_stop_at_mm=settings.field_stop_at_mm or (0.0, 0.0),
+    )
+    return patch, lit(patch, settings)
+
+
+def lit(patch: Patch, settings: PatchSettings) -> Field:
+    """The light on a patch that settings say."""
+    return make_illumination(
+        patch,
+        settings.illumination,
+        tilt_deg=settings.light_tilt_deg,
+        waist_mm=settings.waist_mm,
+        pitch_um=settings.light_pitch_um,
+    )
+
+
+def transmission_of(behind_object: Field, illumination: Field) -> Field:
+    """The transmission that makes a field behind the object of its illumination; 0 where that is dark.
+
+    Both lie on one grid.
+    """
+    power = np.abs(illumination.values) ** 2
+    lit = power > 1e-6 * power.max()
+    values = np.where(lit, behind_object.values * illumination.values.conj() / np.where(lit, power, 1.0), 0.0)
+    return behind_object.with_values(values.astype(np.complex64))
