@@ -113,7 +113,7 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
     bench = Bench(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
     small: dict[str, Any] = {"patch_mm": 0.04, "engine": "eikonal", "error": 0.1}
-    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0, 1000.0), **small).frames
+    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0), **small).frames
     taken: list[int] = []
 
     def spied(self: SomePixels, *given: Any) -> ForwardModel:
@@ -123,7 +123,7 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     model = SomePixels.model
     monkeypatch.setattr(SomePixels, "model", spied)
     names = "plane_2_shift_x_um,plane_2_shift_y_um"
-    found = calibrate_frames(lens, frames, parameters=names, most_mountings=8, iterations=4, **small)
+    found = calibrate_frames(lens, frames, parameters=names, most_mountings=5, iterations=3, **small)
     assert set(taken) == {taken[0]}
     assert 1.9 < frames[0].counts.shape[0] / taken[0] < 4.5
     assert found.values == pytest.approx((4.0, -3.0), abs=0.3)
