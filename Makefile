@@ -76,11 +76,11 @@ style: $(READY)
 types: $(READY)
 	$(BIN)/mypy $(PACKAGES)
 
-# A file's tests go to one worker, which makes what they share once. Python keeps what it compiles, whatever the
-# environment says: workers and the processes that tests start need it again.
+# The functions of a file go to one worker, which makes what they share once, and so do those of a class. Python keeps
+# what it compiles, whatever the environment says: workers and the processes that tests start need it again.
 tests: $(READY)
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
-	  $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	  $(BIN)/python -m pytest -n auto --dist loadscope --no-loadscope-reorder
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or later is needed: make PYTHON=..."'
@@ -95,7 +95,7 @@ test-lowest: $(READY)
 	$(BIN)/uv venv --quiet --clear .venv-lowest
 	$(BIN)/uv pip install --quiet --python .venv-lowest --resolution lowest-direct --editable '.[dev]'
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
-	  .venv-lowest/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	  .venv-lowest/bin/python -m pytest -n auto --dist loadscope --no-loadscope-reorder
 
 # The variable silences what the theme says of its own future.
 docs: $(READY)

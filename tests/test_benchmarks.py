@@ -23,13 +23,7 @@ def test_what_a_benchmark_imports_is_there(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.ImportFrom) or not node.module:
             continue
-        if node.module.partition(".")[0] not in (
-            "lensdesign",
-            "wavesim",
-            "tolerancing",
-            "studio",
-            "benchmarks",
-        ):
+        if node.module.partition(".")[0] not in OURS:
             continue
         module = importlib.import_module(node.module)
         for name in (alias.name for alias in node.names):

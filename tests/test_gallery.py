@@ -115,7 +115,7 @@ def test_the_biconic_lens_lights_more_of_the_longer_side(lenses: dict[str, Lens]
     assert last.inside
     assert last.radius_mm > last.sensor_half_side_mm + 1.0
     assert largest_spread(lens, 0.532).spread_deg > 4.6
-    with pytest.raises(InputError, match="a drawing cannot describe a surface of shape biconic"):
+    with pytest.raises(InputError, match=r"drawing.*biconic"):
         lens_drawing(lens)
 
 

@@ -159,5 +159,5 @@ def test_a_figure_that_is_not_symmetric_about_the_line_is_refused_on_it() -> Non
     scene = replace(plane, object_grid=line[0], exit_grid=line[1])
     source = Field(line[0], np.ones(24, complex), WAVELENGTH_UM)
     for build in (EikonalTiles, AnnularSlices, WavePropagation):
-        with pytest.raises(InputError, match="the lens is not symmetric about it"):
+        with pytest.raises(InputError, match="not symmetric"):
             build(scene).forward(source)

@@ -73,7 +73,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("name", READERS)
 def test_an_archive_that_unpacks_to_gigabytes_is_refused_unpacked(name: str, packed: Path) -> None:
     def refused() -> None:
-        with pytest.raises(InputError, match=r"object\.npz: unpacks to 4\.31 GB; at most 3\.2 GB are read"):
+        with pytest.raises(InputError, match=r"object\.npz.*4\.31 GB.*3\.2 GB"):
             READERS[name](packed)
 
     refused()  # imports count not
@@ -95,7 +95,7 @@ def test_view_refuses_it_in_a_sentence(
 @pytest.mark.parametrize("name", READERS)
 def test_headers_that_promise_more_than_follows_are_refused(name: str, tmp_path: Path) -> None:
     path = declared(tmp_path / "object.npz", (12_000, 12_000))
-    with pytest.raises(InputError, match="an array of 1152000000 bytes is declared, in"):
+    with pytest.raises(InputError, match="1152000000 bytes"):
         READERS[name](path)
     path = declared(tmp_path / "object.npz", (2**31, 2**31))
     with pytest.raises(InputError, match="unpacks to"):
@@ -108,13 +108,13 @@ def test_headers_that_promise_more_than_follows_are_refused(name: str, tmp_path:
 def test_memory_that_is_free_bounds_what_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lensdesign.common.memory.available_bytes", lambda: 1e6)
     np.savez(tmp_path / "object.npz", values=np.zeros((400, 400), np.complex64), pitch_um=1.0)
-    with pytest.raises(InputError, match=r"object\.npz: unpacking 0\.00128 GB needs"):
+    with pytest.raises(InputError, match=r"object\.npz.*0\.00128 GB"):
         read_field(tmp_path / "object.npz")
 
 
 def test_maps_and_checkpoints_are_bounded_too(tmp_path: Path) -> None:
     (tmp_path / "flat.npy").write_bytes(header((2**16, 2**16)) + bytes(64))
-    with pytest.raises(InputError, match=r"flat\.npy: unpacks to 34\.4 GB"):
+    with pytest.raises(InputError, match=r"flat\.npy.*34\.4 GB"):
         read_map(tmp_path / "flat.npy")
     np.savez_compressed(tmp_path / "kept.npz", key=np.asarray("k"), values=np.zeros(10**7))
     assert Checkpoint(tmp_path / "kept.npz", "k").load() is None  # packed: no checkpoint is

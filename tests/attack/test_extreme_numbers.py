@@ -97,7 +97,7 @@ def test_indices_are_held_against_memory(study: Path, monkeypatch: pytest.Monkey
     study.write_text(HEAD + DECENTER + RADIUS + SPREAD)
     loaded = load_study(study)
     monkeypatch.setattr(memory, "available_bytes", lambda: 1e6)
-    with pytest.raises(InputError, match=r"base = 1048576 needs .* GB of memory"):
+    with pytest.raises(InputError, match=r"base = 1048576.*GB"):
         variance_indices(loaded, 1048576)
 
 
@@ -155,7 +155,7 @@ def test_extreme_options_are_refused_in_a_sentence(tmp_path: Path, run: Run, opt
 
 
 def test_settings_state_what_is_allowed() -> None:
-    with pytest.raises(ValueError, match="must be 0 or of a size from 1e-12 to 1e\\+12"):
+    with pytest.raises(ValueError, match=r"from 1e-12 to 1e\+12"):
         FrameSetSettings(exposure=(1e-300,))
     with pytest.raises(ValueError, match="exposure"):
         FrameSettings(
@@ -166,7 +166,7 @@ def test_settings_state_what_is_allowed() -> None:
 
 
 def test_results_that_are_no_number_are_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(InputError, match=r"no finite result for points\.1\.rms: numbers of the input"):
+    with pytest.raises(InputError, match=r"points\.1\.rms"):
         print_json({"points": [{"rms": 1.0}, {"rms": float("nan")}]})
     assert capsys.readouterr().out == ""
     assert [known_text(cell) for cell in ("nan", "nan %", "1.0", "nanometre")] == [
@@ -179,16 +179,16 @@ def test_sizes_of_arrays_are_held_against_memory(study: Path, monkeypatch: pytes
     study.write_text(HEAD + DECENTER + SPREAD)
     loaded = load_study(study).study
     monkeypatch.setattr(memory, "available_bytes", lambda: 1e6)
-    with pytest.raises(InputError, match=r"object_pitch_um = 0\.1: an object of 500 x 500 samples needs"):
+    with pytest.raises(InputError, match=r"object_pitch_um = 0\.1.*500 x 500"):
         object_patch(lens, 0.05, object_pitch_um=0.1)
-    with pytest.raises(InputError, match=r"chord_error_um = 0\.1: a mesh of .* triangles needs"):
+    with pytest.raises(InputError, match=r"chord_error_um = 0\.1.*triangles"):
         lens_mesh(lens, chord_error_um=0.1)
     with pytest.raises(InputError, match=r"trials = 1000000 needs"):
         sample_perturbations(loaded, range(1_000_000))
 
 
 def test_a_scene_has_no_more_samples_than_can_be_counted() -> None:
-    with pytest.raises(InputError, match="at most 10000000 are allowed"):
+    with pytest.raises(InputError, match="at most 10000000"):
         patch_scene(load_design(DESIGNS / "paper_singlet.toml"), 0.05, object_pitch_um=1e-300)
 
 
@@ -203,11 +203,11 @@ def test_a_run_has_no_more_processes_than_trials_and_processors(monkeypatch: pyt
 def test_faults_of_thousands_of_tables_are_a_short_message(study: Path) -> None:
     table = DECENTER.replace("sigma", "sigmas").replace("normal", "nor" + "m" * 2000)
     study.write_text(HEAD + table * 400 + SPREAD)
-    with pytest.raises(DesignError, match=r"and \d+ more faults") as refused:
+    with pytest.raises(DesignError, match=r"\d+ more") as refused:
         load_study(study)
     assert len(str(refused.value)) < 60_000
     study.write_text(HEAD + DECENTER.replace("sigma", "sigmas") * 3000 + SPREAD)
-    with pytest.raises(DesignError, match=r"and \d+ more faults") as refused:
+    with pytest.raises(DesignError, match=r"\d+ more") as refused:
         load_study(study)
     assert len(str(refused.value)) < 20_000
 

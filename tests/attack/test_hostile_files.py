@@ -127,7 +127,7 @@ def test_dotted_keys_without_end(tmp_path: Path, text: str) -> None:
     """tomllib takes minutes for twenty thousand bytes of them."""
     path = tmp_path / "lens.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match="a dotted key of more than 8 parts"):
+    with pytest.raises(InputError, match=r"dotted key.* 8"):
         load_design(path)
 
 
@@ -142,7 +142,7 @@ def test_nesting_without_end(tmp_path: Path, piece: str) -> None:
 def test_faults_without_number_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "lens.toml"
     path.write_text("".join(f"key{i} = 1\n" for i in range(50_000)))
-    with pytest.raises(InputError, match=r"and \d+ more faults") as caught:
+    with pytest.raises(InputError, match=r"\d+ more") as caught:
         load_design(path)
     assert len(str(caught.value)) < 20_000
 
@@ -168,7 +168,7 @@ def test_a_lens_file_never_has_another_file_opened(
     monkeypatch.setattr(
         Path, "open", lambda self, *a, **k: (opened.append(self.name), whole(self, *a, **k))[1]
     )
-    with pytest.raises(LossyImportError, match=r"glass catalogues .*own.agf.* are not opened; give them"):
+    with pytest.raises(LossyImportError, match=r"own\.agf.*not opened"):
         read(path)
     assert read(path, lossy=True)
     assert set(opened) == {path.name}
@@ -358,7 +358,7 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
 def test_names_of_outputs(tmp_path: Path, paper_lens: Lens, name: str) -> None:
     path = tmp_path / name
     if "\0" in name:
-        with pytest.raises(InputError, match=r"cannot write '.*a\\x00b.toml'"):
+        with pytest.raises(InputError, match=r"a\\x00b\.toml"):
             save_design(paper_lens, path)
         assert list(tmp_path.iterdir()) == []
         return
@@ -525,7 +525,7 @@ def test_files_outside_a_designs_folder_need_consent(
         named = str(own) if way == "catalogue" else "near.agf"
         text = f'glass_catalogs = ["{named}"]\n' + text
     design.write_text(text)
-    with pytest.raises(DesignError, match=r"(own\.agf|grid\.csv) lies outside .*strange; copy it there, or"):
+    with pytest.raises(DesignError, match=r"(own\.agf|grid\.csv) .*outside .*strange"):
         load_design(design)
     with files_from(tmp_path):
         assert load_design(design).surfaces
@@ -555,7 +555,7 @@ def test_files_outside_a_studys_folder_need_consent(tmp_path: Path, part: str) -
     study.parent.mkdir()
     study.write_text(HEAD + DECENTER + SPREAD + part)
     (study.parent / "design.toml").write_text(DESIGN)
-    with pytest.raises(DesignError, match=r"(merit|perturbation) 2: .* lies outside .*strange"):
+    with pytest.raises(DesignError, match=r"(merit|perturbation) 2: .*outside .*strange"):
         load_study(study)
     with files_from("/"):
         held = load_study(study)

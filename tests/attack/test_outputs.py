@@ -94,7 +94,7 @@ def test_every_writer_checks_its_output_first(
 
 
 def test_a_file_is_no_folder_and_a_folder_is_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="it is a folder; give a file name"):
+    with pytest.raises(InputError, match="is a folder"):
         check_output_file(tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="it is no folder"):
@@ -128,7 +128,7 @@ def test_a_disk_that_becomes_read_only_keeps_its_own_message(
         raise OSError(errno.EROFS, "Read-only file system")
 
     (tmp_path / "out.txt").write_text("before")
-    with pytest.raises(InputError, match=r"cannot write .*out\.txt: Read-only file system"), atomic_path(  # noqa: PT012
+    with pytest.raises(InputError, match=r"out\.txt.*Read-only"), atomic_path(  # noqa: PT012
         tmp_path / "out.txt"
     ) as temporary:  # fmt: skip
         temporary.write_text("half")
@@ -146,7 +146,7 @@ def test_results_are_written_all_or_none(tmp_path: Path, monkeypatch: pytest.Mon
             (folder / "a.txt").write_text("new")
             (folder / "b.txt").write_text("new")
 
-    with pytest.raises(InputError, match=r"b\.txt: it is a folder"):
+    with pytest.raises(InputError, match=r"b\.txt.*folder"):
         write()
     assert os.listdir(tmp_path) == ["b.txt"]
 

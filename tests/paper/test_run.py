@@ -48,7 +48,7 @@ ELEMENTS = {one.key: one for one in (element("a", "c"), element("b"), element("c
 def test_what_is_needed_comes_first_and_the_rest_in_the_papers_order() -> None:
     assert [one.key for one in wanted(ELEMENTS, ())] == ["c", "a", "b"]
     assert [one.key for one in wanted(ELEMENTS, ["a"])] == ["c", "a"]
-    with pytest.raises(InputError, match="--only d: unknown; there are a, b, c"):
+    with pytest.raises(InputError, match=r"--only d: .*a, b, c"):
         wanted(ELEMENTS, ["b", "d"])
 
 
@@ -99,7 +99,7 @@ def test_results_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["", "[]", '{"key": "b"}', '{"made": 3}'])
 def test_a_file_that_is_no_result_is_refused_by_name(tmp_path: Path, text: str) -> None:
     (tmp_path / "b.json").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"b\.json: no result of this program"):
+    with pytest.raises(InputError, match=r"b\.json: no result"):
         make_all(ELEMENTS, tmp_path, "quick")
 
 
@@ -108,7 +108,7 @@ def test_a_number_that_differs_says_why() -> None:
     assert Number("correlation", 0.999, "", 0.99, relation=">=").agrees
     assert Number("angle", 4.0, "°", 4.8, relation="<=").agrees
     assert Number("without the paper's", 1.0).agrees is None
-    with pytest.raises(ValueError, match=r"correlation: 0\.98 is not the paper's 0\.99"):
+    with pytest.raises(ValueError, match=r"correlation: 0\.98 .*0\.99"):
         Number("correlation", 0.98, "", 0.99, relation=">=")
 
 
@@ -135,10 +135,10 @@ def test_the_page_has_what_the_folder_has(tmp_path: Path) -> None:
 def test_the_documentation_has_all_of_it(tmp_path: Path) -> None:
     docs, last = tmp_path / "docs", {"c": replace(ELEMENTS["c"], documented="full")}
     make_all(ELEMENTS, tmp_path, "quick", ["c", "b"])
-    with pytest.raises(InputError, match=r"lacks a as .*: python -m paper --quick --only a$"):
+    with pytest.raises(InputError, match=r"lacks a .*--quick --only a$"):
         write_pages(tmp_path, ELEMENTS, docs)
     make_all(ELEMENTS, tmp_path, "quick")
-    with pytest.raises(InputError, match=r"lacks c as .*: python -m paper --only c$"):
+    with pytest.raises(InputError, match=r"lacks c .*--only c$"):
         write_pages(tmp_path, ELEMENTS | last, docs)
     assert not docs.exists()
     write_pages(tmp_path, ELEMENTS, docs)

@@ -24,7 +24,7 @@ PAPER_MM, OFF_MM = 13.501, 1e-3
 PITCH_UM, STOP_SHARE, REACH_MM = 0.4, 0.9, 0.05
 WHOLE = {"lens": 1.0, "patch_mm": 0.1, "step_mm": 1e-3, "error": 0.1}
 SETTINGS: dict[Budget, dict[str, float]] = {
-    "small": {"lens": 0.125, "patch_mm": 0.06, "step_mm": 4e-3, "error": 0.4},
+    "small": {"lens": 0.0625, "patch_mm": 0.06, "step_mm": 4e-3, "error": 0.4},
     "quick": WHOLE,
     "full": WHOLE,
 }

@@ -37,7 +37,7 @@ FINE_UM = 2.0
 """Elements of lines up to so wide are shown enlarged."""
 
 SETTINGS: dict[Budget, dict[str, float]] = {
-    "small": {"twin": 1 / 48, "iterations": 40, "lensless": 1 / 9},
+    "small": {"twin": 1 / 48, "iterations": 25, "lensless": 1 / 9},
     "quick": {"twin": 1 / 16, "iterations": 200, "lensless": 1 / 9},
     "full": {"twin": 1 / 8, "iterations": 500, "lensless": 1 / 8},
 }

@@ -97,7 +97,7 @@ def test_a_mesh_says_that_it_leaves_figures_out(paper_lens: Lens, tmp_path: Path
     assert done.exit_code == 0
     assert json.loads(done.stdout)["surfaces_without_their_figure"] == [1, 2]
     assert "surface 2: nominal shape written, its measured figure left out" in done.stderr
-    with pytest.warns(UserWarning, match="surface 1: nominal shape written, its measured figure left out"):
+    with pytest.warns(UserWarning, match=r"surface 1.*figure left out"):
         write_mesh(paper_lens.with_surface(0, figure=measured(paper_lens).surfaces[0].figure), mesh, 20.0)
 
 
@@ -131,5 +131,5 @@ def test_a_map_is_drawn_of_every_measured_surface(
 
 
 def test_no_map_of_a_surface_without_a_figure(paper_lens: Lens) -> None:
-    with pytest.raises(InputError, match="surface 1 has no measured figure"):
+    with pytest.raises(InputError, match=r"surface 1.*figure"):
         figure_map(paper_lens, 0)

@@ -145,13 +145,13 @@ def test_a_lens_without_light_is_refused(paper_lens: Lens) -> None:
     blocked = paper_lens.with_surface(1, semi_diameter_mm=0.01).with_surface(0, semi_diameter_mm=0.5)
     far = blocked.replaced(object=paper_lens.object.model_copy(update={"field_diameter_mm": 300.0}))
     assert math.isnan(largest_spread(far, 0.532).per_field_deg[-1])
-    with pytest.raises(DesignError, match=r"no ray of the field passes at 0.532 um"):
+    with pytest.raises(DesignError, match=r"no ray.*0\.532 um"):
         largest_spread(far, 0.532, [150.0])
 
 
 @pytest.mark.parametrize("heights", [[-0.1], [1.6], [], [math.nan]])
 def test_heights_outside_the_field_are_refused(paper_lens: Lens, heights: list[float]) -> None:
-    with pytest.raises(InputError, match=r"field_heights_mm = .*: must be from 0 to 1.5 mm"):
+    with pytest.raises(InputError, match=r"field_heights_mm = .*0 to 1\.5 mm"):
         largest_spread(paper_lens, 0.532, heights)
 
 
@@ -294,7 +294,7 @@ def test_a_point_in_the_dark(paper_lens: Lens) -> None:
     assert found.fraction == 0.0
     assert math.isnan(found.largest_deg)
     assert len(found.ok) == 817
-    with pytest.raises(InputError, match=r"sensor_point_mm = .* must be two finite numbers"):
+    with pytest.raises(InputError, match=r"sensor_point_mm = .*finite"):
         arrival_angles(paper_lens, (0.0, math.inf))
 
 

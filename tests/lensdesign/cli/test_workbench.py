@@ -17,7 +17,7 @@ def test_without_the_extra_one_message_says_what_to_install(
     paper_design: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install 'transferlens\[studio\]'"):
+    with pytest.raises(InputError, match=r"transferlens\[studio\]"):
         studio(paper_design, 0, "precision", False)
 
 

@@ -28,7 +28,7 @@ def test_a_container_has_what_it_was_given(tmp_path: Path, monkeypatch: pytest.M
 def test_arrays_beyond_what_is_free_are_refused_with_both_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available_bytes", lambda: 10e9)
     check_memory(8e9, "a grid", "take fewer samples")
-    with pytest.raises(MemoryLimitError, match=r"a grid needs 8\.1 GB of memory, and 8 GB are allowed: take"):
+    with pytest.raises(MemoryLimitError, match=r"8\.1 GB.* 8 GB"):
         check_memory(8.1e9, "a grid", "take fewer samples")
     assert issubclass(MemoryLimitError, InputError)
 

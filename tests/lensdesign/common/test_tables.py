@@ -31,15 +31,15 @@ def test_ways_to_write_a_number(text, value):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0,5", r"a, line 2: r = '0,5' is not a number: .*write a decimal point, 0.5"),
-        ("1,234", r"is not a number: .* decimal comma or a thousands separator"),
-        ("1,234,567", "thousands separators are not read"),
-        ("1.234.567", "thousands separators are not read"),
-        ("1 234", "thousands separators are not read"),
-        ("1\u00a0234,5", "thousands separators are not read"),
-        ("1\u202f234", "thousands separators are not read"),
-        ("1\u2019234.5", "thousands separators are not read"),
-        ("012", "unneeded zero"),
+        ("0,5", r"a, line 2: r = '0,5'.*0.5"),
+        ("1,234", r"is not a number.*decimal comma"),
+        ("1,234,567", "thousands"),
+        ("1.234.567", "thousands"),
+        ("1 234", "thousands"),
+        ("1\u00a0234,5", "thousands"),
+        ("1\u202f234", "thousands"),
+        ("1\u2019234.5", "thousands"),
+        ("012", "needless zero"),
         ("\u22121.5", "its sign is a dash"),
         ("\uff11", "is not a number"),
         ("\u0661", "is not a number"),
@@ -59,10 +59,10 @@ def test_cells_that_are_not_plain_numbers(text, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a,b\n1,2,3\n", "line 2: 3 cells, but the first line names 2 columns"),
+        ("a,b\n1,2,3\n", r"line 2: 3 cells.* 2"),
         ("a,b\n1,2,\n", "line 2: 3 cells"),
         ("a,b\n1\n", "line 2: no value in column 'b'"),
-        ("a\n0,5\n", "line 2: 2 cells, but the first line names 1 column: must be equal; '0,5' may hold"),
+        ("a\n0,5\n", r"line 2: 2 cells.* 1 column.*'0,5'"),
         ("a;b\n0,5;1,5;2\n", "line 2: 3 cells"),
         ("", "is empty"),
         (",,\n\n", "is empty"),
@@ -87,7 +87,7 @@ def test_lists_take_remarks_but_no_second_number(tmp_path):
     assert [value for value, _ in read_list(tmp_path / "l.txt", "radius")] == [37.5, -12.0, 5.0]
     for text in ("37,5", "37, 5", "37;5", "37 ,5 mm", "1.5; -2", "1, .5"):
         (tmp_path / "l.txt").write_text(text)
-        with pytest.raises(InputError, match=r"l.txt, line 1: .*more than one number, or a decimal comma"):
+        with pytest.raises(InputError, match=r"l\.txt, line 1: .*decimal comma"):
             read_list(tmp_path / "l.txt", "radius")
 
 
@@ -106,7 +106,7 @@ def test_lists_take_remarks_but_no_second_number(tmp_path):
 def test_grids_of_decimal_commas(rows, is_refused):
     lines = [(text, f"g.csv, line {n}") for n, text in enumerate(rows, start=1)]
     if is_refused:
-        with pytest.raises(InputError, match=r"g.csv, line 1: .*decimal commas"):
+        with pytest.raises(InputError, match=r"g\.csv, line 1: .*decimal comma"):
             validate_no_comma_pairs(lines)
     else:
         validate_no_comma_pairs(lines)

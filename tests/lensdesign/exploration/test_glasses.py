@@ -24,7 +24,7 @@ def test_a_catalogue_is_all_its_glasses_that_are_known_here(specification: Speci
 
 
 def test_what_is_no_glass_is_refused(specification: Specification) -> None:
-    with pytest.raises(InputError, match=r"there is no such catalogue; allowed: .*Schott"):
+    with pytest.raises(InputError, match=r"no such catalogue.*Schott"):
         with_glasses(specification, "catalogue:ZEISS")
     with pytest.raises(MaterialError, match="N-BK77"):
         with_glasses(specification, "N-BK77")

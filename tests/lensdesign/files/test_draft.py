@@ -61,7 +61,7 @@ def test_lines_end_as_anyone_ends_them(tmp_path: Path) -> None:
     path = tmp_path / "text"
     path.write_bytes(b"a\r\nb\rc\nd\x85e")
     assert read_lines(path) == ["a", "b", "c", "d\x85e"]
-    with pytest.raises(InputError, match=r"cannot read 'a.*00b'"):
+    with pytest.raises(InputError, match=r"'a.*00b'"):
         read_lines("a\0b")
 
 
@@ -83,7 +83,7 @@ def test_dummy_planes_are_folded_into_the_space_before() -> None:
     assert (len(lens.surfaces), lens.sensor.plane_distances_mm) == (2, (92.0,))
     assert lens.object.working_distance_mm == 100.0
     nothing = [rows[0], row(5.0), row(5.0), rows[-1]]
-    with pytest.raises(InputError, match="only planes in air"):
+    with pytest.raises(InputError, match="planes in air"):
         assembled(nothing)
     kept = [*rows[:3], row(2.0, semi_diameter_mm=3.0), rows[-1]]
     assert len(assembled(kept).lens.surfaces) == 3
@@ -127,7 +127,7 @@ def test_other_breaks_are_a_loss(axes: CoordinateBreak) -> None:
         row(0.0, "second", axes=axes.inverse()),
         rows[-1],
     ]
-    with pytest.raises(InputError, match="first: coordinate break that is not a pose"):
+    with pytest.raises(InputError, match="first: coordinate break"):
         assembled(broken)
     result = assembled(broken, lossy=True)
     assert (result.lens, len(result.dropped)) == (assembled(rows).lens, 2)
@@ -147,13 +147,13 @@ def test_a_plane_that_ends_a_glass_behind_a_break_is_kept() -> None:
 
 def test_a_value_given_along_is_taken_even_if_it_is_wrong() -> None:
     wrong = Supplement(0.0, 1.0, 0.05, 3.0, (10, 10))
-    with pytest.raises(InputError, match=r"working_distance_mm = 0.0: must be greater than 0"):
+    with pytest.raises(InputError, match=r"working_distance_mm = 0\.0.* 0"):
         assembled(lens_rows(), wrong)
 
 
 def test_an_object_at_infinity_needs_a_working_distance() -> None:
     rows = [row(np.inf, "object"), *lens_rows()[1:]]
-    with pytest.raises(InputError, match="lens: the file lacks working_distance_mm; give"):
+    with pytest.raises(InputError, match=r"lens: .*working_distance_mm"):
         assembled(rows)
 
 
@@ -162,7 +162,7 @@ def test_glasses_are_found_as_the_named_makers_have_them() -> None:
     assert find_glass("F2", ["HIKARI", "SCHOTT"], (), "") == "Hikari:F2"
     assert find_glass("NBK7", ["SCHOTT"], (), "") == "N-BK7"
     assert find_glass("N-BK7", ["INFRARED"], (), "") == "N-BK7"
-    with pytest.raises(MaterialError, match="here: unknown material 'NBK7'"):
+    with pytest.raises(MaterialError, match=r"here: .*'NBK7'"):
         find_glass("NBK7", [], (), "here")
 
 

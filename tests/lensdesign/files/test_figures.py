@@ -110,19 +110,19 @@ def test_units_comments_and_points_not_measured(tmp_path: Path, unit: str, value
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("# unit = um\n1,2\n", "no line '# spacing_mm = ...' before the grid"),
-        ("# spacing_mm = 1\n1,2\n", "no line '# unit = ...' before the grid"),
+        ("# unit = um\n1,2\n", "no line '# spacing_mm"),
+        ("# spacing_mm = 1\n1,2\n", "no line '# unit"),
         ("# spacing_mm = 1\n# unit = um\n", "holds no values"),
-        ("# spacing_mm = 1\n# unit = um\n1,2\n1,2,3\n", "line 4: 3 values, but the first row holds 2"),
+        ("# spacing_mm = 1\n# unit = um\n1,2\n1,2,3\n", r"line 4: 3 values.* 2"),
         ("# spacing_mm = 1\n# unit = um\n1,x\n", "line 3: 'x' is not a number"),
         ("# spacing_mm = 1\n# unit = um\n0,1,0,2\n0,3,-1,4\n", "line 3: '0,1,0,2': may be 4 whole numbers"),
         ("# spacing_mm = 1\n# unit = um\n0,15;0,2\n", "line 3: '15;0' is not a number"),
-        ("# spacing_mm = 1\n# unit = um\n0,012,1\n", "line 3: '012': begins with an unneeded zero"),
-        ("# spacing_mm = 0,1\n# unit = um\n1.5,2\n", "line 1: spacing_mm = '0,1' is not a number: a comma"),
-        ("# spacing_mm = 1\n# unit = um\n1,inf\n", "line 3: inf is not a valid sag error"),
-        ("# spacing_mm = -1\n# unit = um\n1\n", "line 1: spacing_mm = -1: must be finite and above 0"),
+        ("# spacing_mm = 1\n# unit = um\n0,012,1\n", "line 3: '012': begins with a needless zero"),
+        ("# spacing_mm = 0,1\n# unit = um\n1.5,2\n", r"line 1: spacing_mm = '0,1'.*comma"),
+        ("# spacing_mm = 1\n# unit = um\n1,inf\n", "line 3: inf is no sag error"),
+        ("# spacing_mm = -1\n# unit = um\n1\n", "line 1: spacing_mm = -1"),
         ("# spacing_mm = 1\n# unit = mils\n1\n", "line 2: unit = mils: allowed: mm, um, nm, waves_633nm"),
-        ("# spacing = 1\n1\n", r"line 1: spacing: unknown key; .*did you mean spacing_mm\?"),
+        ("# spacing = 1\n1\n", r"line 1: spacing: .*did you mean spacing_mm"),
         ("# unit = um\n# unit = um\n1\n", "line 2: unit is given twice"),
     ],
 )
@@ -179,15 +179,15 @@ def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("figure", "message"),
     [
-        ("", "surface 1, figure: nothing given: must be one of file, zernike_um, zernike_waves_633nm"),
-        ('file = "front.csv"\nzernike_um = { 4 = 1.0 }', "file and zernike_um given: must be one of"),
+        ("", r"surface 1, figure: .*file, zernike_um, zernike_waves_633nm"),
+        ('file = "front.csv"\nzernike_um = { 4 = 1.0 }', "file and zernike_um"),
         ("zernike_um = { 4 = 0.1 }", "zernike_um needs a semi_diameter_mm"),
         ('file = "front.csv"\nsemi_diameter_mm = 5.0', "semi_diameter_mm goes with Zernike coefficients"),
-        ("zernike_um = { 4 = 0.1 }\nsemi_diameter_mm = 3.9", "3.9 is less than the surface's of 4"),
-        ("zernike = { 4 = 0.1 }", r"figure, zernike: unknown key; .*did you mean zernike_um\?"),
+        ("zernike_um = { 4 = 0.1 }\nsemi_diameter_mm = 3.9", r"3.9 .* 4"),
+        ("zernike = { 4 = 0.1 }", r"figure, zernike: .*did you mean zernike_um"),
         ("zernike_um = { 999 = 0.1 }\nsemi_diameter_mm = 5.0", "Zernike index 999: must be a whole number"),
         ("zernike_um = { coma = 0.1 }\nsemi_diameter_mm = 5.0", "Zernike index 'coma'"),
-        ("zernike_um = { 4 = inf }\nsemi_diameter_mm = 5.0", "coefficient 4 = inf: must be a finite number"),
+        ("zernike_um = { 4 = inf }\nsemi_diameter_mm = 5.0", "coefficient 4 = inf"),
         ("zernike_um = [0.1]\nsemi_diameter_mm = 5.0", "zernike_um: must be a table"),
         ('file = "none.csv"', r"surface 1: cannot read .*none\.csv: No such file"),
         ("file = 3", "surface 1, figure, file = 3: must"),
@@ -209,7 +209,7 @@ def test_faults_of_a_figure_table_are_named(tmp_path: Path, figure: str, message
 
 def test_a_figure_needs_a_clear_aperture(paper_lens: Lens) -> None:
     figure = {"semi_diameter_mm": 20.0, "zernike_um": {4: 0.1}}
-    with pytest.raises(DesignError, match="a surface with a figure needs a semi_diameter_mm"):
+    with pytest.raises(DesignError, match=r"figure.*semi_diameter_mm"):
         paper_lens.with_surface(1, semi_diameter_mm=None, figure=figure)
 
 
@@ -236,7 +236,7 @@ def test_zernike_figures_scale_with_the_lens(tmp_path: Path) -> None:
 
 def test_a_grid_file_does_not_scale(tmp_path: Path) -> None:
     lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
-    with pytest.raises(DesignError, match=r"front\.csv cannot be scaled; give it as Zernike coefficients"):
+    with pytest.raises(DesignError, match=r"front\.csv.*scaled"):
         scaled(lens, 0.5)
 
 
@@ -245,7 +245,7 @@ def test_specifications_and_derivatives_refuse_figures(tmp_path: Path) -> None:
     lens = load_design(path)
     with path.open("a") as file:
         file.write('[[variable]]\nsurface = 2\nparameter = "conic"\nbounds = [-2.0, 0.0]\n')
-    with pytest.raises(DesignError, match="surface 1: optimize the nominal lens, without a measured figure"):
+    with pytest.raises(DesignError, match=r"surface 1: .*figure"):
         load_specification(path)
     with pytest.raises(InputError, match="remove the measured figures"):
         gradient_trace(

@@ -126,7 +126,7 @@ def test_holes_inside_the_disc_are_counted() -> None:
     values = np.zeros((41, 41))
     values[20, 18:21] = np.nan
     values[0, 0] = np.nan
-    with pytest.raises(InputError, match=r"figure: 3 of \d+ points inside the semi-diameter of 4 mm"):
+    with pytest.raises(InputError, match=r"figure: 3 of \d+ points.*4 mm"):
         figure_from_grid(values, 0.25, SEMI_MM)
 
 
@@ -137,11 +137,11 @@ def test_holes_inside_the_disc_are_counted() -> None:
             np.zeros((21, 41)),
             0.25,
             4.0,
-            r"reaches 2\.5 mm from the vertex, less than .* of 4 mm",
+            r"2\.5 mm from the vertex.* 4 mm",
         ),
         (np.zeros((7, 41)), 0.25, 0.5, "both at least 8"),
         (np.zeros(41), 0.25, 4.0, r"shape \(41,\)"),
-        (np.zeros((41, 41)), 0.0, 4.0, "spacing_mm = 0.0: must be finite and above 0"),
+        (np.zeros((41, 41)), 0.0, 4.0, r"spacing_mm = 0.0"),
         (np.zeros((41, 41)), 0.25, math.nan, "semi_diameter_mm = nan"),
     ],
 )
@@ -318,7 +318,7 @@ def test_measured_and_added_figures_add() -> None:
 
 def test_a_figure_of_lesser_size_than_the_surface_is_refused() -> None:
     change = {0: SurfacePerturbation(figure=figure_from_zernike({5: 0.1}, 3.0))}
-    with pytest.raises(InputError, match=r"surface 1: the perturbation's figure is known over .* 3 mm"):
+    with pytest.raises(InputError, match=r"surface 1: .*figure.* 3 mm"):
         compile_system(singlet(radius_mm=40.0), 0.532, surface_perturbations=change)
 
 

@@ -107,7 +107,7 @@ def test_every_glass_has_the_index_that_its_maker_states(maker: str) -> None:
 
 @pytest.mark.parametrize("wavelength_um", [0.2999, 2.5001, 0.0, -1.0, 532.0, math.nan, math.inf])
 def test_outside_the_range_is_refused(wavelength_um: float) -> None:
-    with pytest.raises(MaterialError, match=r"N-BK7 \(Schott\).* must be from 0\.3 to 2\.5 um") as caught:
+    with pytest.raises(MaterialError, match=r"N-BK7 \(Schott\).*0\.3 to 2\.5 um") as caught:
         refractive_index("N-BK7", wavelength_um)
     assert f"{wavelength_um:g} um" in str(caught.value)
     assert isinstance(caught.value, InputError)
@@ -121,9 +121,9 @@ def test_both_ends_of_the_range_are_inside() -> None:
 
 
 def test_data_that_is_no_transparent_medium_is_refused() -> None:
-    with pytest.raises(MaterialError, match=r"X \(test\): the data gives nan as the index at 1 um"):
+    with pytest.raises(MaterialError, match=r"X \(test\): .*nan.* 1 um"):
         Material("X", (0.5, 2.0), "test", "", lambda _: math.nan).index(1.0)
-    with pytest.raises(MaterialError, match=r"gives 0\.9 as the index"):
+    with pytest.raises(MaterialError, match=r"0\.9 as the index"):
         Material("X", (0.5, 2.0), "test", "", lambda _: 0.9).index(1.0)
 
 
@@ -142,7 +142,7 @@ def test_air_is_one(name: str) -> None:
 
 @pytest.mark.parametrize("value", [0.999, 0.0, -1.5, math.nan, math.inf, True, None, [1.5]])
 def test_constant_that_is_no_index_is_refused(value: object) -> None:
-    with pytest.raises(MaterialError, match="name of a material or a finite refractive index of at least 1"):
+    with pytest.raises(MaterialError, match=r"name of a material.*index.* 1"):
         get_material(value)  # type: ignore[arg-type]
 
 
@@ -161,7 +161,7 @@ def test_the_first_maker_is_taken_unless_one_is_named() -> None:
 def test_names_that_only_case_tells_apart() -> None:
     assert refractive_index("BaF2", 0.5875618) == pytest.approx(1.47448, abs=1e-5)
     assert refractive_index("BAF2", 0.5875618) == pytest.approx(1.56970, abs=1e-5)
-    with pytest.raises(MaterialError, match=r"could be any of BaF2 \(refractiveindex.info\), BAF2 \(CDGM\)"):
+    with pytest.raises(MaterialError, match=r"BaF2 \(refractiveindex.info\), BAF2 \(CDGM\)"):
         get_material("baf2")
 
 
@@ -174,11 +174,11 @@ def test_names_that_only_case_tells_apart() -> None:
         ("OHARA:SBSL7", r"did you mean S-BSL7 \(Ohara\)"),
         ("SCHOTT:S-BSL7", r"unknown material 'SCHOTT:S-BSL7'"),
         ("PMAM", r"did you mean PMMA"),
-        ("NIKON:BK7", r"unknown catalogue .*known are .*Schott, Ohara, Hoya"),
+        ("NIKON:BK7", r"unknown catalogue .*Schott, Ohara, Hoya"),
         ("??", "nothing known has a similar name"),
-        ("", "must be a name such as"),
-        ("SCHOTT:", "must be a name such as"),
-        (":N-BK7", "must be a name such as"),
+        ("", "must be a name"),
+        ("SCHOTT:", "must be a name"),
+        (":N-BK7", "must be a name"),
     ],
 )
 def test_unknown_names_are_never_guessed(name: str, hint: str) -> None:
@@ -193,9 +193,9 @@ def test_catalogue_files_come_first(catalogue: Path) -> None:
     assert get_material("N-SF11", [catalogue]).catalog == "Schott"
     for name in ("myglass", "house:MYGLASS", "HOUSE.AGF:myglass"):
         assert get_material(name, (catalogue,)).name == "MYGLASS"
-    with pytest.raises(MaterialError, match=r"MYGLASS \(house.agf\).* from 0\.4 to 0\.7 um"):
+    with pytest.raises(MaterialError, match=r"MYGLASS \(house.agf\).*0\.4 to 0\.7 um"):
         refractive_index("MYGLASS", 0.8, [catalogue])
-    with pytest.raises(MaterialError, match=r"did you mean MYGLASS \(house.agf\)"):
+    with pytest.raises(MaterialError, match="did you mean MYGLASS"):
         get_material("MY-GLAS", [catalogue])
 
 
@@ -267,7 +267,7 @@ def test_import_stays_light(catalogue: Path) -> None:
 
 @pytest.mark.parametrize("wavelength_um", [0.0, math.inf])
 def test_a_constant_index_needs_a_wavelength_all_the_same(wavelength_um: float) -> None:
-    with pytest.raises(MaterialError, match=r"wavelength_um = .*: must be finite and above 0"):
+    with pytest.raises(MaterialError, match=r"wavelength_um = .*above 0"):
         refractive_index(1.5, wavelength_um)
 
 
@@ -280,9 +280,9 @@ def test_one_faulty_glass_does_not_hide_the_others_of_its_catalogue(tmp_path: Pa
     assert get_material("B", [file]).index(0.532) == pytest.approx(
         math.sqrt(1 + 1.5 * 0.532**2 / (0.532**2 - 0.01))
     )
-    with pytest.raises(MaterialError, match="line 7: glass A is already given on line 1 with another index"):
+    with pytest.raises(MaterialError, match=r"line 7: glass A .*line 1"):
         get_material("A", [file])
-    with pytest.raises(MaterialError, match=r"line 10: the NM record of glass LIQ gives nd = 1\.4991"):
+    with pytest.raises(MaterialError, match=r"line 10: the NM record.*LIQ.*nd = 1\.4991"):
         get_material("own.agf:LIQ", [file])
     assert [name for name, catalog in list_glasses([file]) if catalog == "own.agf"] == ["A", "B", "LIQ"]
 

@@ -62,7 +62,7 @@ def test_a_changed_lens_is_a_new_one() -> None:
     changed = lens.with_surface(1, radius_mm=-40.0)
     assert (lens.surfaces[1].radius_mm, changed.surfaces[1].radius_mm) == (-30.0, -40.0)
     assert lens.replaced(title="other").title == "other"
-    with pytest.raises(DesignError, match="radius_mm: a radius of 0"):
+    with pytest.raises(DesignError, match=r"radius_mm: .* 0"):
         lens.with_surface(1, radius_mm=0.0)
     with pytest.raises(ValidationError, match="frozen"):
         lens.title = "other"  # type: ignore[misc]
@@ -72,12 +72,12 @@ def test_a_changed_lens_is_a_new_one() -> None:
     ("surfaces", "message"),
     [
         ([FRONT.model_copy(update={"thickness_mm": None}), BACK], "surface 1: thickness_mm is missing"),
-        ([FRONT, BACK.model_copy(update={"thickness_mm": 1.0})], "surface 2: the last surface has no thick"),
+        ([FRONT, BACK.model_copy(update={"thickness_mm": 1.0})], r"surface 2: .*last surface.*thick"),
         ([FRONT.model_copy(update={"stop": True}), BACK.model_copy(update={"stop": True})], "one stop"),
         ([FRONT.model_copy(update={"semi_diameter_mm": None}), BACK], "needs a semi_diameter_mm"),
         (
             [FRONT.model_copy(update={"thickness_mm": 0.3}), BACK],
-            "surfaces 1 and 2 cross inside the aperture",
+            "surfaces 1 and 2 cross",
         ),
     ],
 )
@@ -94,8 +94,8 @@ def test_surfaces_that_make_no_lens_are_refused(surfaces: list[Surface], message
         ({"thickness_mm": -1.0}, "greater than 0"),
         ({"semi_diameter_mm": 0.0}, "greater than 0"),
         ({"material": 0.9}, "greater than or equal to 1"),
-        ({"radius_mm": 5.0, "semi_diameter_mm": 5.1}, "beyond the edge of the conic, which ends .* 5 mm"),
-        ({"radius_mm": 5.0, "conic": 3.0, "semi_diameter_mm": 2.6}, "ends at a radial height of 2.5 mm"),
+        ({"radius_mm": 5.0, "semi_diameter_mm": 5.1}, r"edge of the conic.* 5 mm"),
+        ({"radius_mm": 5.0, "conic": 3.0, "semi_diameter_mm": 2.6}, r"height of 2.5 mm"),
         ({"bend_mm": 1.0}, "Extra inputs"),
     ],
 )
@@ -107,7 +107,7 @@ def test_a_bad_surface_is_refused(values: dict[str, Any], message: str) -> None:
 def test_an_object_within_the_lens_is_refused() -> None:
     bowl = Surface(radius_mm=-10.0, thickness_mm=5.0, material=1.5, semi_diameter_mm=9.9)
     lens = make(bowl, Surface())
-    with pytest.raises(DesignError, match=r"working_distance_mm = 8, but surface 1 comes 8\.589 mm towards"):
+    with pytest.raises(DesignError, match=r"working_distance_mm = 8, .*surface 1 .*8\.589 mm"):
         lens.replaced(object=lens.object.replaced(working_distance_mm=8.0))
 
 

@@ -160,7 +160,7 @@ def test_surfaces_that_cross_between_axis_and_edge_are_refused() -> None:
         {"radius_mm": 20.0, "thickness_mm": 0.6, "material": "N-BK7", "semi_diameter_mm": 2.0},
         {"asphere": [1.4e-4], "semi_diameter_mm": 16.0},
     )
-    with pytest.raises(InputError, match="cross at a radial height of"):
+    with pytest.raises(InputError, match=r"cross.*height"):
         closed_elements(lens)
 
 
@@ -175,7 +175,7 @@ def test_an_element_without_size_is_refused() -> None:
         {"radius_mm": 20.0, "thickness_mm": 3.0, "material": "N-BK7"},
         {},
     )
-    with pytest.raises(InputError, match="give surface 2 or 3 a semi_diameter_mm"):
+    with pytest.raises(InputError, match=r"surface 2 or 3.*semi_diameter_mm"):
         glass_elements(lens)
 
 
@@ -184,5 +184,5 @@ def test_a_conic_that_ends_before_the_edge_needs_a_size() -> None:
         {"thickness_mm": 9.0, "material": "N-BK7", "semi_diameter_mm": 9.0},
         {"radius_mm": -8.0},
     )
-    with pytest.raises(InputError, match="surface 2 ends at a radial height of 8 mm"):
+    with pytest.raises(InputError, match=r"surface 2 .*8 mm"):
         glass_elements(lens)

@@ -49,5 +49,5 @@ def test_all_are_orthonormal_over_the_disc() -> None:
 
 @pytest.mark.parametrize("index", [-1, HIGHEST_INDEX + 1, 2.0, True, "4"])
 def test_other_indices_are_refused(index: Any) -> None:
-    with pytest.raises(InputError, match="must be a whole number from 0 to 135"):
+    with pytest.raises(InputError, match="0 to 135"):
         zernike(index, 0.5, 0.0)

@@ -157,7 +157,7 @@ def test_algorithms_that_refuse_constraints_are_only_used_inside_auglag(refuses)
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match=r"'simplex': unknown; allowed: slsqp"):
+    with pytest.raises(InputError, match=r"'simplex'.*slsqp"):
         minimize(quadratic, np.array([0.1, 0.9]), "simplex")
     with pytest.raises(InputError, match="unit box"):
         minimize(quadratic, np.array([0.1, 1.9]))

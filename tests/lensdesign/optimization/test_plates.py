@@ -64,7 +64,7 @@ def test_a_plate_that_is_there_already_changes_nothing():
 
 
 def test_without_spheres_or_plates_it_is_refused():
-    with pytest.raises(InputError, match="no sphere has a radius that may vary"):
+    with pytest.raises(InputError, match="no sphere"):
         fit_plates(specification((1, "radius_mm")), PLATES)
     with pytest.raises(InputError, match="plates: there is none"):
         fit_plates(specification(), ())
@@ -82,18 +82,18 @@ def test_plates_are_read_from_lists_and_tables(tmp_path):
         ("a.csv", "12\nflat\n", "a.csv, line 2: radius = 'flat' is not a number"),
         ("a.csv", "0\n", "line 1: 0: must be a radius in mm, finite and not 0"),
         ("a.csv", "# none\n", "holds no radius"),
-        ("a.csv", "40\n37,5\n", "line 2: '37,5': holds more than one number, or a decimal comma"),
-        ("a.csv", "37;5\n", "line 1: '37;5': holds more than one number"),
-        ("a.csv", "1.234,5\n", "line 1: '1.234,5': holds more than one number"),
-        ("a.csv", "1,234.5\n", "line 1: '1,234.5': holds more than one number"),
-        ("a.csv", "37.5, 12.5, 50.25\n", "line 1: .* holds more than one number"),
-        ("a.csv", "37,5 mm\n", "line 1: .* holds more than one number"),
-        ("a.csv", "1 234.5\n", "line 1: radius = '1 234.5' is not a number: thousands separators"),
+        ("a.csv", "40\n37,5\n", r"line 2: '37,5'.*decimal comma"),
+        ("a.csv", "37;5\n", r"line 1: '37;5': .*more than one"),
+        ("a.csv", "1.234,5\n", r"line 1: '1.234,5': .*more than one"),
+        ("a.csv", "1,234.5\n", r"line 1: '1,234.5': .*more than one"),
+        ("a.csv", "37.5, 12.5, 50.25\n", r"line 1: .*more than one"),
+        ("a.csv", "37,5 mm\n", r"line 1: .*more than one"),
+        ("a.csv", "1 234.5\n", r"line 1: radius = '1 234.5'.*thousands"),
         ("a.csv", "1'234\n", "thousands separators"),
         ("a.csv", "37.5 mm\n", "radius = '37.5 mm' is not a number"),
         ("a.csv", "1_000\n", "radius = '1_000' is not a number"),
         ("a.csv", "\u221240\n", "its sign is a dash"),
-        ("a.toml", 'radii_mm = ["37,5"]\n', "number 1: radius = '37,5' is not a number: a comma may be"),
+        ("a.toml", 'radii_mm = ["37,5"]\n', r"number 1: radius = '37,5'.*comma"),
         ("a.toml", "radii_mm = [1, inf]\n", "radii_mm, number 2: inf: must be"),
         ("a.toml", "radii = [1]\n", "must hold radii_mm"),
     ],
@@ -105,5 +105,5 @@ def test_faulty_lists_are_refused(tmp_path, name, text, message):
 
 
 def test_plates_with_decimal_commas_are_refused():
-    with pytest.raises(InputError, match=r"plates.txt, line 1: '37,5': .*decimal comma"):
+    with pytest.raises(InputError, match=r"plates\.txt, line 1: '37,5'.*decimal comma"):
         load_plates(GOLDEN / "files" / "decimal_comma_plates" / "plates.txt")

@@ -277,7 +277,7 @@ def test_bounds_without_any_traceable_lens_are_refused(thinnest):
         optimize=Settings(goal="thinnest lens", start="random"),
         variables=(VariableRange(parameter="conic", surface=1, bounds=(800.0, 900.0)), bent),
     ).with_surface(0, radius_mm=42.0)
-    with pytest.raises(DesignError, match="no start can be traced"):
+    with pytest.raises(DesignError, match="no start"):
         optimize(specification)
 
 
@@ -321,16 +321,14 @@ def test_a_result_that_is_no_lens_is_an_error(thinnest):
     """A plate of 0.1 mm cannot bend light as asked without its surfaces crossing."""
     thin = VariableRange(parameter="thickness_mm", surface=1, bounds=(0.001, 0.1))
     specification = changed(thinnest, variables=(*thinnest.variables[:2], thin))
-    with pytest.raises(
-        DesignError, match=r"no lens was found: .* cross inside the aperture.*widen the bounds"
-    ):
+    with pytest.raises(DesignError, match=r"no lens was found.*cross.*bounds"):
         optimize(specification)
 
 
 def test_a_result_that_no_ray_passes_is_an_error(smallest_spread):
     dark = smallest_spread.with_surface(0, material=4.0, radius_mm=-8.4)
     problem = DesignProblem(dark, dark.lens)
-    with pytest.raises(DesignError, match=r"no lens was found: .*no ray passes"):
+    with pytest.raises(DesignError, match=r"no lens was found.*no ray"):
         finished_lens(problem, problem.to_unit(dark.lens), sample_rays(1.5, 1, 2, 1))
 
 
@@ -352,7 +350,7 @@ def test_a_search_that_a_limit_cut_says_so_and_gives_the_same_lens_again(thinnes
 def test_a_time_limit_that_cuts_is_told_though_every_constraint_is_met(thinnest):
     """What a start came to on its first rays may converge, and still be cut before worse rays were added."""
     hurried = changed(thinnest, optimize=thinnest.optimize.replaced(max_seconds=1e-6))
-    with pytest.raises(DesignError, match=r"no start was made: max_seconds left no time"):
+    with pytest.raises(DesignError, match=r"no start.*max_seconds"):
         optimize(hurried)
 
 
@@ -481,7 +479,7 @@ def test_each_surface_may_be_the_stop(thinnest: Specification) -> None:
 @pytest.mark.parametrize("choices", [(3,), (0,), ("front",)])
 def test_a_stop_that_is_no_surface_is_refused(thinnest: Specification, choices: tuple) -> None:
     stop = VariableRange(parameter="stop", choices=choices)
-    with pytest.raises(ValueError, match=r"variable stop: choices = .* there is no surface"):
+    with pytest.raises(ValueError, match=r"variable stop: choices = .*no surface"):
         Specification.model_validate(
             thinnest.model_dump(by_alias=True)
             | {"variable": [*(v.model_dump() for v in thinnest.variables), stop.model_dump()]}

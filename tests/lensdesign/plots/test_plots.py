@@ -375,13 +375,13 @@ def test_a_lens_that_does_not_close_has_no_3d_view(tmp_path: Path, paper_lens: L
 
 @pytest.mark.parametrize("formats", [("bmp",), ("png", "pdf"), ()])
 def test_unknown_formats(tmp_path: Path, paper_lens: Lens, formats: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match="allowed are png, svg"):
+    with pytest.raises(InputError, match="png, svg"):
         draw_all(paper_lens, tmp_path, formats)
     assert not list(tmp_path.iterdir())
 
 
 def test_save_figure_knows_two_suffixes(tmp_path: Path, paper_lens: Lens) -> None:
-    with pytest.raises(InputError, match=r"allowed suffixes are \.png, \.svg"):
+    with pytest.raises(InputError, match=r"\.png, \.svg"):
         write_figure(layout_figure(paper_lens), tmp_path / "layout.jpg")
 
 

@@ -61,5 +61,5 @@ def test_a_surface_that_no_ray_reaches_needs_a_size(paper_lens: Lens) -> None:
         Surface(thickness_mm=5.0, semi_diameter_mm=1e-4),
         Surface(radius_mm=50.0),
     )
-    with pytest.raises(InputError, match="surface 3 has no semi_diameter_mm and no ray reaches it"):
+    with pytest.raises(InputError, match=r"surface 3 .*semi_diameter_mm"):
         sized_lens(paper_lens.replaced(surfaces=surfaces))

@@ -425,7 +425,7 @@ def test_an_earlier_result_is_overwritten(paper_lens: Lens) -> None:
     assert np.array_equal(again.hits, fresh.hits)
     with pytest.raises(InputError, match="another record_hits"):
         trace(paper_lens, origins, directions, 0.532, out=first)
-    with pytest.raises(InputError, match=r"out has rays of shape \(500,\): must be \(499,\)"):
+    with pytest.raises(InputError, match=r"\(500,\).*\(499,\)"):
         trace(paper_lens, origins[1:], directions[1:], 0.532, out=first, record_hits=True)
     apart = replace(first, opl=np.zeros((500, 2))[:, 0])
     with pytest.raises(InputError, match="not contiguous"):
@@ -471,7 +471,7 @@ def test_no_rays_are_no_fault(paper_lens: Lens) -> None:
         ([[0, 0, -9]], [[0, 0, math.nan]], "not finite"),
         ([[0, math.nan, -9]], [[0, 0, 1]], "not finite"),
         ([[0, math.inf, -9]], [[0, 0, 1]], "not finite"),
-        ([[0, 0]], [[0, 0, 1]], r"origins has shape \(1, 2\): must be \(rays, 3\)"),
+        ([[0, 0]], [[0, 0, 1]], r"origins .*\(1, 2\).*\(rays, 3\)"),
         ([[0, 0, -9]] * 2, [[0, 0, 1]] * 3, "2 origins and 3 directions"),
         ([[[0, 0, -9]]] * 2, [[[0, 0, 1]]] * 3, "different numbers of trials"),
     ],

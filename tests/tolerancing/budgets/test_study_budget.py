@@ -159,7 +159,7 @@ def test_a_dear_tolerance_is_loosened_at_the_cost_of_others(write_study, ray_stu
 
 
 def test_unknown_weights_are_refused(loaded, trials):
-    with pytest.raises(InputError, match="weight of 'radius': there is no such perturbation; allowed: lens"):
+    with pytest.raises(InputError, match=r"'radius'.*no such perturbation.*lens"):
         budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.8, {"radius": 2.0})
 
 
@@ -182,7 +182,7 @@ def test_single_values_cannot_be_scaled(write_study, ray_study):
         'distribution = "discrete"\nvalues = [0.0, 0.01]',
     )
     loaded = load_study(write_study(single))
-    with pytest.raises(InputError, match="shop_radius_mm: a discrete distribution has no width"):
+    with pytest.raises(InputError, match=r"shop_radius_mm: .*discrete"):
         scaled_study(loaded, np.array([0.5, 2.0]))
 
 
@@ -193,9 +193,9 @@ def test_measured_deviations_cannot_be_scaled(write_study, ray_study, tmp_path):
         'distribution = "empirical"\nfile = "measured.csv"\ncolumn = "radius"',
     )
     loaded = load_study(write_study(text))
-    with pytest.raises(InputError, match="shop_radius_mm: a measured distribution has no width"):
+    with pytest.raises(InputError, match=r"shop_radius_mm: .*measured"):
         scaled_study(loaded, np.array([0.5, 2.0]))
-    with pytest.raises(InputError, match="shop_radius_mm: a measured distribution has no width"):
+    with pytest.raises(InputError, match=r"shop_radius_mm: .*measured"):
         budget_of_study(loaded.lens, loaded.study, np.zeros((9, 2)), np.zeros((9, 1)), 0.7)
 
 

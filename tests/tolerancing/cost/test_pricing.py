@@ -57,7 +57,7 @@ def test_an_element_has_the_process_that_is_asked_for():
     found = cost_of(LOADED.study, LOADED.lens, moulded)
     assert line(found, "surface_1_thickness_mm").process == "moulded_plastic"
     assert line(found, "surface_1_thickness_mm").cost == pytest.approx(0.17 * 0.025 / 0.015)
-    with pytest.raises(InputError, match=r"process 'cast': there is none; allowed: polished_glass"):
+    with pytest.raises(InputError, match=r"'cast'.*polished_glass"):
         TABLE.with_processes({None: "cast"})
 
 
@@ -72,7 +72,7 @@ def test_gaps_are_all_named(tmp_path):
 
 @pytest.mark.parametrize("tolerances", [[1.0], [0.0] * 12, [np.nan] * 12])
 def test_what_is_no_tolerance_is_refused(tolerances):
-    with pytest.raises(InputError, match="one for each perturbation, finite and above 0"):
+    with pytest.raises(InputError, match=r"each perturbation.*above 0"):
         cost_of(LOADED.study, LOADED.lens, TABLE, tolerances)
 
 

@@ -115,13 +115,13 @@ def test_what_is_all_but_black_shows_nothing(chain):
 
 
 def test_refuses_bars_beyond_the_field_stop(chain):
-    with pytest.raises(InputError, match=r"patch_mm = 0\.05: the image is shifted"):
+    with pytest.raises(InputError, match=r"field stop.*patch_mm = 0\.05"):
         chain.contrasts(chain.transmission, np.array([0.0, 20.0]))
 
 
 def test_refuses_planes_that_tell_too_little(paper_lens):
     one = merit(patch_mm=0.1)
-    with pytest.raises(InputError, match=r"patch_mm = 0\.1: the diversity .*lensdesign scale"):
+    with pytest.raises(InputError, match=r"patch_mm = 0\.1: .*diversity.*lensdesign scale"):
         one.check(paper_lens)
     with pytest.raises(InputError, match="diversity"):
         one.scores(Context(paper_lens, Sampling()), PerturbationBatch((DECENTER,), np.zeros((1, 1))))
@@ -135,7 +135,7 @@ def test_refuses_a_patch_larger_than_the_field(twin):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"patch_mm": 0.012}, "need a field stop of 0.0153 mm"),
+        ({"patch_mm": 0.012}, r"field stop of 0.0153 mm"),
         ({"level": "pupil"}, "allowed: auto, wave"),
         ({"method": "magic"}, "method"),
         ({"electrons": 1.0}, "electrons"),
@@ -148,5 +148,5 @@ def test_refuses_bad_keys(keys, message):
 
 def test_refuses_compensators(twin):
     own = Compensator(target="lens", parameter="decenter_y_mm", limit=0.01)
-    with pytest.raises(InputError, match="cannot adapt lens_decenter_y_mm"):
+    with pytest.raises(InputError, match="lens_decenter_y_mm"):
         merit().scores(Context(twin, Sampling(), (own,)), PerturbationBatch((DECENTER,), np.zeros((1, 1))))

@@ -68,7 +68,7 @@ def test_plane_distances_are_found(paper_lens):
 def test_what_refocusing_does_already_is_refused(paper_lens):
     despace = (compensator("despace_mm", 0.05),)
     context = Context(paper_lens, SAMPLING, despace, (AXIS,))
-    with pytest.raises(InputError, match=r"compensator lens_despace_mm: at its limit of 0\.05 mm it changes"):
+    with pytest.raises(InputError, match=r"lens_despace_mm: .*0\.05 mm"):
         context.compensator_values(lens_batch(despace_mm=[0.01]))
 
 
@@ -85,7 +85,7 @@ def test_values_do_not_depend_on_the_batch(paper_lens):
     [
         ({"target": "light", "parameter": "wavelength_um"}, "cannot adapt"),
         ({"target": "surface 1", "parameter": "irregularity_pv_waves"}, "cannot adapt"),
-        ({"target": "lens", "parameter": "tilt_x_deg", "limit": 0.0}, "limit = 0.0: must be greater"),
+        ({"target": "lens", "parameter": "tilt_x_deg", "limit": 0.0}, r"limit = 0.0"),
     ],
 )
 def test_what_cannot_be_adapted_is_refused(keys, message):

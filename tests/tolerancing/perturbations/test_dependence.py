@@ -125,30 +125,30 @@ def test_a_table_is_read():
     [
         ({"coefficient": 0.5}, r"here: names: missing key"),
         ({"names": ["a"], "coefficient": 0.5}, r"names = \['a'\]: .*at least 2"),
-        ({"names": ["a", "b", "a"], "coefficient": 0.5}, r"names: 'a' is given twice"),
-        ({"names": ["a", "b"]}, r"give one of coefficient and matrix; both are missing"),
+        ({"names": ["a", "b", "a"], "coefficient": 0.5}, r"names: 'a' stands twice"),
+        ({"names": ["a", "b"]}, r"coefficient and matrix.*missing"),
         (
             {"names": ["a", "b"], "coefficient": 0.5, "matrix": [[1, 0.5], [0.5, 1]]},
-            r"give one of coefficient and matrix; both are given",
+            r"coefficient and matrix.*given",
         ),
-        ({"names": ["a", "b"], "coefficient": 1.01}, r"coefficient = 1.01: must be less than or equal to 1"),
+        ({"names": ["a", "b"], "coefficient": 1.01}, r"coefficient = 1.01.* 1"),
         ({"names": ["a", "b"], "coefficient": float("nan")}, r"coefficient = nan"),
         (
             {"names": ["a", "b", "c"], "coefficient": -0.6},
-            r"coefficient = -0.6: .* 3 perturbations; allowed: -0.5 to 1",
+            r"coefficient = -0.6: 3 .*-0.5 to 1",
         ),
-        ({"names": ["a", "b"], "matrix": [[1, 0.5]]}, r"matrix has 1 rows; there are 2 names"),
+        ({"names": ["a", "b"], "matrix": [[1, 0.5]]}, r"1 rows.* 2 names"),
         ({"names": ["a", "b"], "matrix": [[1, 0.5], [0.5]]}, r"matrix, row 2: holds 1 numbers"),
         (
             {"names": ["a", "b"], "matrix": [[1, 0.5], [0.4, 1]]},
-            r"matrix: a with b is 0.5, but b with a is 0.4: must be equal",
+            r"a with b is 0.5.*b with a is 0.4",
         ),
-        ({"names": ["a", "b"], "matrix": [[1, 0.5], [0.5, 0.9]]}, r"matrix: b with itself is 0.9: must be 1"),
+        ({"names": ["a", "b"], "matrix": [[1, 0.5], [0.5, 0.9]]}, r"b with itself is 0.9"),
         ({"names": ["a", "b"], "matrix": [[1, 1.5], [1.5, 1]]}, r"matrix 1 2 = 1.5: must be less than"),
         ({"names": ["a", "b"], "matrix": "none"}, r"matrix = 'none': must be a (valid tuple|list)"),
         (
             {"names": ["a", "b", "c"], "matrix": [[1, 0.9, 0.9], [0.9, 1, -0.9], [0.9, -0.9, 1]]},
-            r"smallest eigenvalue is -0.8: must not be negative; multiply .* by 0.5555",
+            r"eigenvalue is -0.8.* 0.5555",
         ),
     ],
 )
@@ -180,15 +180,15 @@ def pair(*names):
 @pytest.mark.parametrize(
     ("correlations", "groups", "message"),
     [
-        ([pair("a", "x")], {}, r"correlation 1: there is no perturbation 'x'; allowed: a_mm, b_mm"),
+        ([pair("a", "x")], {}, r"correlation 1: .*'x'.*a_mm, b_mm"),
         ([pair("a_mn", "b")], {}, r"no perturbation 'a_mn'.*did you mean a_mm"),
-        ([], {"g": ["a", "q"]}, r"group 'g': there is no perturbation 'q'"),
-        ([], {"g": ["a"]}, r"group 'g': has one member, 'a': must be at least 2"),
-        ([], {"g": ["a", "a_mm"]}, r"'a_mm' is given twice in group 'g'"),
-        ([], {"g": ["a", "b"], "h": ["c", "b"]}, r"'b' is given in group 'g' and in group 'h'"),
-        ([pair("a", "b"), pair("c", "a")], {}, r"'a' is given in correlation 1 and in correlation 2"),
-        ([pair("a", "b")], {"g": ["c", "b_mm"]}, r"'b' is given in group 'g' and in correlation 1"),
-        ([pair("a", "a_mm")], {}, r"'a_mm' is given twice in correlation 1"),
+        ([], {"g": ["a", "q"]}, r"group 'g': .*'q'"),
+        ([], {"g": ["a"]}, r"group 'g': .*one member, 'a'"),
+        ([], {"g": ["a", "a_mm"]}, r"'a_mm' stands twice in group 'g'"),
+        ([], {"g": ["a", "b"], "h": ["c", "b"]}, r"'b' stands in group 'g' and in group 'h'"),
+        ([pair("a", "b"), pair("c", "a")], {}, r"'a' stands in correlation 1 and in correlation 2"),
+        ([pair("a", "b")], {"g": ["c", "b_mm"]}, r"'b' stands in group 'g' and in correlation 1"),
+        ([pair("a", "a_mm")], {}, r"'a_mm' stands twice in correlation 1"),
     ],
 )
 def test_names_that_do_not_fit_are_refused(correlations, groups, message):
@@ -198,11 +198,11 @@ def test_names_that_do_not_fit_are_refused(correlations, groups, message):
 
 def test_a_name_that_may_be_two_columns_needs_its_unit():
     columns = ("a_mm", "a_um", "b")
-    with pytest.raises(DesignError, match=r"'a' may be a_mm or a_um; give the unit too"):
+    with pytest.raises(DesignError, match=r"'a' .*a_mm or a_um"):
         study_dependence(columns, [pair("a", "b")], {})
     assert study_dependence(columns, [pair("a_um", "b")], {}).mixtures[0][0] == (1, 2)
 
 
 def test_an_empty_group_is_refused():
-    with pytest.raises(DesignError, match=r"group 'g': has no members: must be at least 2"):
+    with pytest.raises(DesignError, match=r"group 'g': .*at least 2"):
         study_dependence(COLUMNS, [], {"g": []})

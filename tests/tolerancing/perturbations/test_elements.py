@@ -81,8 +81,8 @@ def test_a_wedge_lifts_the_rim_on_one_side(paper_lens, target, parameter, reach,
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"target": "element 2", "parameter": "decenter_x_mm"}, "no such element; allowed: element 1"),
-        ({"target": "element 1", "parameter": "radius_mm"}, "has no such parameter; allowed: decenter_x_mm"),
+        ({"target": "element 2", "parameter": "decenter_x_mm"}, r"no such element.*element 1"),
+        ({"target": "element 1", "parameter": "radius_mm"}, r"no such parameter.*decenter_x_mm"),
         (
             {"target": "element 1", "parameter": "despace_mm", "seat": "back"},
             "only tilts and rolls of",

@@ -166,7 +166,7 @@ def scaled(lens, factor):
 
 
 def test_a_part_beyond_the_table_is_refused():
-    with pytest.raises(InputError, match=r"surface 1: the part measures 320 mm; .* ends at 300 mm"):
+    with pytest.raises(InputError, match=r"surface 1: .*320 mm.*300 mm"):
         starting_study(scaled(paper(), 16.0), "a.toml", "iso10110")
 
 
@@ -220,9 +220,7 @@ def test_comments_are_aligned_and_lines_short(grade):
 
 
 def test_an_unknown_grade_is_refused():
-    with pytest.raises(
-        InputError, match=r"grade = 'precise': .*commercial, .*iso10110; did you mean precision"
-    ):
+    with pytest.raises(InputError, match=r"grade = 'precise'.*commercial.*iso10110.*did you mean precision"):
         starting_study(paper(), "a.toml", "precise")
 
 

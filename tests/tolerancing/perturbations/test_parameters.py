@@ -41,16 +41,16 @@ def test_table_is_read_with_its_distribution():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"sgma": 1.0}, r"here: sgma: unknown key; allowed: .*target.*sigma"),
+        ({"sgma": 1.0}, "here: sgma: unknown key"),
         ({"distribution": "norml"}, r"distribution = 'norml'.*allowed: normal, .*did you mean normal"),
         ({"distribution": 3}, r"distribution = 3.*allowed: normal"),
-        ({"sigma": -0.1}, r"here: sigma = -0.1: must be greater than 0"),
-        ({"sigma": float("inf")}, r"here: sigma = inf: must be a finite number"),
-        ({"target": "lense"}, r"'lense' is not a target; allowed: lens, surface N"),
-        ({"target": "surface 0"}, r"'surface 0' is not a target"),
-        ({"parameter": "radius_mm"}, r"lens has no such parameter; allowed: decenter_x_mm"),
-        ({"target": "object"}, r"object has no such parameter; allowed: decenter_x_mm.*working_distance_mm"),
-        ({"target": "light"}, r"light has no such parameter; allowed: wavelength_um"),
+        ({"sigma": -0.1}, r"here: sigma = -0.1"),
+        ({"sigma": float("inf")}, "here: sigma = inf"),
+        ({"target": "lense"}, r"'lense'.*lens, surface N"),
+        ({"target": "surface 0"}, r"'surface 0' is no target"),
+        ({"parameter": "radius_mm"}, r"lens .*no such parameter.*decenter_x_mm"),
+        ({"target": "object"}, r"object .*no such parameter.*decenter_x_mm.*working_distance_mm"),
+        ({"target": "light"}, r"light .*no such parameter.*wavelength_um"),
         ({"group": "Barrel 1"}, r"group = 'Barrel 1'"),
         ({"parameter": "pivot_z_mm"}, r"lens has no such parameter"),
         ({"name": "Tilt X"}, r"name = 'Tilt X'"),
@@ -70,16 +70,16 @@ def test_missing_keys_are_named(key):
 @pytest.mark.parametrize(
     ("target", "parameter", "message"),
     [
-        ("surface 3", "conic", r"no such surface; allowed: lens, surface 1, surface 2"),
+        ("surface 3", "conic", r"no such surface.*lens, surface 1, surface 2"),
         ("surface 1", "radius_mm", r"surface 1 is a plane"),
         ("surface 1", "radius_percent", r"surface 1 is a plane"),
         (
             "surface 2",
             "radius_x_mm",
-            r"surface 2 \(conic\) has no radius_x_mm; it has radius_mm, conic",
+            r"surface 2 \(conic\).*radius_x_mm.*radius_mm, conic",
         ),
-        ("surface 2", "conic_x", r"shape of surface 2 \(conic\) has no conic_x"),
-        ("surface 2", "asphere_4", r"shape of surface 2 \(conic\) has no asphere_4"),
+        ("surface 2", "conic_x", r"surface 2 \(conic\).*conic_x"),
+        ("surface 2", "asphere_4", r"surface 2 \(conic\).*asphere_4"),
         ("surface 2", "radius_fringes", r"surface 2 has no semi_diameter_mm"),
         ("surface 2", "irregularity_rms_waves", r"surface 2 has no semi_diameter_mm"),
         ("sensor", "plane_distance_2_mm", r"the design has 1 sensor plane"),
@@ -107,7 +107,7 @@ def test_a_shape_brings_its_own_parameters(paper_lens, parameter):
     perturbed.check(paper_lens.with_surface(1, shape_type="biconic", radius_x_mm=-14.0))
     flat = paper_lens.with_surface(1, shape_type="biconic")
     if parameter.startswith("radius"):
-        with pytest.raises(ValueError, match="surface 2 is a plane and has no radius_x_mm"):
+        with pytest.raises(ValueError, match=r"surface 2 .*plane.*radius_x_mm"):
             perturbed.check(flat)
 
 

@@ -71,7 +71,7 @@ def test_rays_that_the_nominal_lens_clips_are_left_out() -> None:
     blind = whole.model_copy(
         update={"surfaces": (whole.surfaces[0], narrow.model_copy(update={"semi_diameter_mm": 1e-6}))}
     )
-    with pytest.raises(DesignError, match="no ray from the object points"):
+    with pytest.raises(DesignError, match="no ray"):
         arrival_differentials(blind, moved, np.ones(1), ((1.0, 1.0),), samples)
 
 

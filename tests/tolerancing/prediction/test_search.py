@@ -176,17 +176,17 @@ def test_a_yield_that_no_lens_reaches_ends_with_the_best(wavefront_study: Path) 
 def test_what_a_search_cannot_use_is_refused(wavefront_study: Path, tmp_path: Path) -> None:
     study = wavefront_study.read_text(encoding="utf-8")
     (tmp_path / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
-    with pytest.raises(DesignError, match="there is no such file"):
+    with pytest.raises(DesignError, match="no such file"):
         load_specification(specified(tmp_path / "none.toml", "a.toml", **{'"thinnest lens"': '"yield"'}))
     far = tmp_path / "far.toml"
     far.write_text(study.replace("[0.0, 1.4]", "[0.0, 1.45]"), encoding="utf-8")
     smaller = {'"thinnest lens"': '"yield"', "field_diameter_mm = 3.0": "field_diameter_mm = 2.0"}
-    with pytest.raises(DesignError, match=r"lies 1\.45 mm from the axis"):
+    with pytest.raises(DesignError, match=r"1\.45 mm from the axis"):
         load_specification(specified(far, "b.toml", **smaller))
     text = specified(wavefront_study, "c.toml", **{'"thinnest lens"': '"yield"'}).read_text(encoding="utf-8")
     lone = tmp_path / "d.toml"
     lone.write_text(text.replace("[tolerances]\n", "").replace('study = "study.toml"\ntrials = 200\n', ""))
-    with pytest.raises(DesignError, match=r"need their tolerances: \[tolerances\] study"):
+    with pytest.raises(DesignError, match=r"\[tolerances\] study"):
         load_specification(lone)
 
 
@@ -220,7 +220,7 @@ def test_a_wavelength_that_the_specification_does_not_have_is_refused(figured_st
     with figured_study.open("a", encoding="utf-8") as more:
         more.write(SECOND_WAVELENGTH)
     study = read_as_built(Tolerances(study=str(figured_study)))
-    with pytest.raises(DesignError, match=r"merits at 0\.6328 um: .* alone, 0\.532 um"):
+    with pytest.raises(DesignError, match=r"0\.6328 um.*alone, 0\.532 um"):
         study.check(load_design(DESIGNS / "paper_singlet.toml"))
 
 
@@ -268,7 +268,7 @@ def test_a_study_that_perturbs_the_temperature_is_none_of_a_lens_at_one(
     study = tmp_path / "heat.toml"
     study.write_text(wavefront_study.read_text(encoding="utf-8") + HEAT, encoding="utf-8")
     warm = {"[constraints]\n": "[environment]\ntemperatures_c = [50]\n\n[constraints]\nmin_yield = 0.6\n"}
-    with pytest.raises(DesignError, match="is at a temperature already"):
+    with pytest.raises(DesignError, match="temperature already"):
         load_specification(specified(study, "spec.toml", **warm))
 
 
@@ -338,7 +338,7 @@ def test_cost_is_traded_for_what_is_built(wavefront_study: Path) -> None:
     assert cheap["as_built_rms_waves"] == pytest.approx(11 / 5 * dear["as_built_rms_waves"], rel=0.1)
     low, high = axes_of("cost,as_built_rms", asked)[0].bounds or (0.0, 0.0)
     assert high - 1.0 == pytest.approx(4.0 * (low - 1.0))
-    with pytest.raises(InputError, match="cost has no effect without as_built_rms or yield"):
+    with pytest.raises(InputError, match=r"cost .*as_built_rms or yield"):
         axes_of("thickness,cost", asked)
 
 

@@ -89,7 +89,7 @@ def test_parts_of_a_field_travel_without_a_warning(cluster, recwarn):
 
 def test_a_cluster_without_workers_is_refused(rays, cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "CONNECT_SECONDS", 4.0)
-    with pytest.raises(InputError, match="no worker has joined the scheduler within 4 s"):
+    with pytest.raises(InputError, match=r"no worker.*4 s"):
         run_study(rays, tmp_path / "store", cluster=cluster.address)
 
 
@@ -158,8 +158,8 @@ def test_when_the_last_worker_dies_the_run_says_so_and_ends(loaded, cluster, tmp
     assert "the cluster's last worker is gone; waiting 2 s" in capsys.readouterr().err
     with open_store(tmp_path / "store") as store:
         held = store.trial_count()
-    assert 0 < held < 2000
-    assert run_study(loaded, tmp_path / "store", trials=2000, workers=2).trials_run == 2000 - held
+    assert 0 < held < 800
+    assert run_study(loaded, tmp_path / "store", trials=800, workers=2).trials_run == 800 - held
 
 
 def test_a_worker_that_comes_in_time_goes_on(loaded, cluster, tmp_path, monkeypatch):

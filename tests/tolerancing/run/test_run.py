@@ -136,7 +136,7 @@ def test_unwritable_place_is_an_input_error(rays, tmp_path):
 
 @pytest.mark.parametrize("keys", [{"workers": 0}, {"trials": 0}, {"trials": 10**20}])
 def test_counts_must_be_positive(rays, tmp_path, keys):
-    with pytest.raises(InputError, match="must be at least 1"):
+    with pytest.raises(InputError, match="at least 1"):
         run_study(rays, tmp_path / "store", **{"workers": 1} | keys)
     assert not (tmp_path / "store").exists()
 
@@ -172,7 +172,7 @@ def test_failing_trials_are_stored_and_count_as_bad(rays, tmp_path, monkeypatch)
 def test_dead_worker_is_told_plainly():
     future = Future()
     future.set_exception(BrokenProcessPool("gone"))
-    with pytest.raises(RunError, match="a worker process died"):
+    with pytest.raises(RunError, match=r"worker.*died"):
         executors.result(future)
 
 
@@ -187,7 +187,7 @@ class Bomb:
 
 def test_worker_that_dies_leaves_a_store_that_goes_on(rays, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "missing_trials", lambda *_, **__: iter([Bomb(), Bomb()]))
-    with pytest.raises(RunError, match="a worker process died"):
+    with pytest.raises(RunError, match=r"worker.*died"):
         run_study(rays, tmp_path / "store", workers=2)
     monkeypatch.undo()
     assert run_study(rays, tmp_path / "store", workers=1).trials_run == 40
@@ -283,7 +283,7 @@ def test_what_others_finished_is_handed_over_before_a_failure_is_told():
     futures = iter([bad, good])
     batches = executors.in_flight(lambda _: next(futures), [Task((1,)), Task((2,))], lambda: 1)
     assert next(batches) == [(Task((2,)), "row")]
-    with pytest.raises(RunError, match="a worker process died"):
+    with pytest.raises(RunError, match=r"worker.*died"):
         next(batches)
 
 

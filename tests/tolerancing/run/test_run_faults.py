@@ -241,7 +241,7 @@ def test_a_merit_that_a_signal_ends_for_the_nominal_lens_is_told_at_the_start(
 ):
     (tmp_path / "mine.py").write_text("import os\ndef score(trial):\n    os.kill(os.getpid(), 9)\n")
     study = load_study(write_study(ray_study + OWN_MERIT))
-    with pytest.raises(InputError, match=r"^mine\.py: SIGKILL ended the process .* nothing was run"):
+    with pytest.raises(InputError, match=r"^mine\.py: SIGKILL"):
         run_study(study, tmp_path / "a.db", workers=2, trials=4)
     assert not (tmp_path / "a.db").exists()
 
@@ -255,7 +255,7 @@ def test_a_death_that_no_trial_repeats_is_none_of_a_trial(write_study, ray_study
         "        once.touch()\n        os.kill(os.getpid(), 9)\n    return 1.0\n"
     )
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
-    with pytest.raises(RunError, match="the same command goes on from there"):
+    with pytest.raises(RunError, match="same command"):
         run_study(study, tmp_path / "a.db", workers=2, trials=2)
     with open_store(tmp_path / "a.db") as store:
         assert store.trials().messages == ("", "")

@@ -62,7 +62,7 @@ def test_rays_of_the_lens_give_the_indices_of_a_plain_estimate(loaded):
 
 
 def test_what_has_no_indices_is_refused(loaded, write_study, ray_study):
-    with pytest.raises(InputError, match="base = 100: must be a power of two"):
+    with pytest.raises(InputError, match=r"base = 100.*power of two"):
         variance_indices(loaded, 100)
     first, _ = loaded.study.perturbations
     alone = loaded.study.model_copy(update={"perturbations": (first,)})
@@ -76,5 +76,5 @@ def test_what_has_no_indices_is_refused(loaded, write_study, ray_study):
 
 def test_a_trial_without_a_score_leaves_no_indices(loaded, monkeypatch):
     scored_by(lambda values: np.where(np.arange(len(values)) == 3, np.nan, 1.0)[:, None], monkeypatch)
-    with pytest.raises(IndicesError, match="1 of 64 trials could not be scored"):
+    with pytest.raises(IndicesError, match="1 of 64 trials"):
         variance_indices(loaded, 16)

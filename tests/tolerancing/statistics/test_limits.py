@@ -91,7 +91,7 @@ def test_missing_scores_lie_beyond_the_limit():
 
 
 def test_a_nominal_lens_that_misses_its_limit_is_refused():
-    with pytest.raises(InputError, match=r"scores 5\.2 and misses its limit, at most 5"):
+    with pytest.raises(InputError, match=r"5\.2.*at most 5"):
         inverse_limits(lambda x: 5.2 + x, [5.2], [1.0], SPREAD, 0)
     with pytest.raises(InputError, match="no score"):
         inverse_limits(lambda x: x, [math.nan], [1.0], SPREAD, 0, change=1.0)
@@ -137,9 +137,9 @@ def test_an_irregularity_goes_as_far_as_no_shape_misses_the_limit(write_study, f
 
 def test_what_a_study_does_not_have_is_refused(write_study, full_study):
     loaded = load_study(write_study(full_study))
-    with pytest.raises(InputError, match="merit = 'speed': there is no such merit; allowed: largest_spread"):
+    with pytest.raises(InputError, match=r"merit = 'speed'.*largest_spread"):
         inverse(loaded, "speed")
-    with pytest.raises(InputError, match=r"change = 0\.1: is in one merit's unit; name the merit: largest_s"):
+    with pytest.raises(InputError, match=r"change = 0\.1.*largest_s"):
         inverse(loaded, change=0.1)
 
 
@@ -183,5 +183,5 @@ at_least = 0.5
 
 def test_a_number_of_slices_has_no_limit(write_study, ray_study):
     loaded = load_study(write_study("sensitivity = false\n" + ray_study + SLICED))
-    with pytest.raises(InputError, match="reconstruction_slices: a number of slices is no deviation"):
+    with pytest.raises(InputError, match=r"reconstruction_slices: .*slices"):
         inverse(loaded, "largest_spread_deg")

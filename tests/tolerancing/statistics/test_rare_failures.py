@@ -92,7 +92,7 @@ def test_a_stored_study_gives_the_yield_of_a_far_longer_plain_run(rare_store, tm
 
 
 def test_too_few_trials_are_refused(rare_store):
-    with pytest.raises(InputError, match="trials = 10: must be at least 50"):
+    with pytest.raises(InputError, match=r"trials = 10.*at least 50"):
         rare_yield(rare_store, 10)
 
 

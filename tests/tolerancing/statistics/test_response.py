@@ -83,7 +83,7 @@ def test_a_perturbation_or_a_merit_that_does_not_vary():
 
 def test_too_few_trials_are_refused():
     x = np.random.default_rng(6).normal(size=(11, 3))
-    with pytest.raises(InputError, match=r"merit 1 has 11 scored trials.*needs 12"):
+    with pytest.raises(InputError, match=r"merit 1 .*11 .*12"):
         fit_response(x, x[:, 0])
     with pytest.raises(InputError, match="finite"):
         fit_response(np.full((20, 1), np.nan), np.zeros(20))

@@ -115,5 +115,5 @@ def test_files_larger_than_any_that_is_read_are_refused_unread(
 ) -> None:
     monkeypatch.setattr("tolerancing.store.checks.TABLE_BYTES", 1000)
     store = changed(whole, tmp_path, ("INSERT INTO file VALUES ('large.csv', zeroblob(1001))", ()))
-    with pytest.raises(InputError, match=r"'large.csv': 1001 bytes; at most 1000"), open_store(store) as held:
+    with pytest.raises(InputError, match=r"large\.csv.*1001 bytes.*1000"), open_store(store) as held:
         assert held.study

@@ -214,7 +214,7 @@ def test_full_disk_leaves_whole_batches(path):
         store.add(some_trials(0, 5))
         pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
         store._connection.execute(f"PRAGMA max_page_count = {pages}")
-        with pytest.raises(InputError, match=r"cannot write the store .*full; "):
+        with pytest.raises(InputError, match=r"store .*full"):
             store.add(some_trials(5, 3000))
         assert store.trials().trials.tolist() == list(range(5))
     with open_store(path) as store:
@@ -243,7 +243,7 @@ def test_a_batch_broken_off_halfway_leaves_nothing(path, monkeypatch):
 def test_other_files_are_refused_and_left_alone(tmp_path, content):
     path = tmp_path / "other"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="no store of a tolerance study"):
+    with pytest.raises(InputError, match="no store"):
         open_store(path)
     assert path.read_bytes() == content
     assert list(tmp_path.iterdir()) == [path]
@@ -253,7 +253,7 @@ def test_other_databases_are_refused(tmp_path):
     path = tmp_path / "other.db"
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE study (a)")
-    with pytest.raises(InputError, match="no store of a tolerance study"):
+    with pytest.raises(InputError, match="no store"):
         open_store(path)
 
 
@@ -430,7 +430,7 @@ def test_a_store_in_use_is_not_replaced(path, loaded, monkeypatch):
     with open_store(path) as store:
         store.start_writing()
         store.add(some_trials(0, 5))
-        with pytest.raises(InputError, match="another process has it open"):
+        with pytest.raises(InputError, match="another process"):
             create_store(loaded, path, {}, 40)
         store.add(some_trials(5, 5))
     with open_store(path) as store:
@@ -454,7 +454,7 @@ def test_a_store_on_a_medium_that_cannot_be_written_is_read(path, monkeypatch):
     with open_store(path) as store:
         assert len(store.trials()) == 5
         assert not path.with_name("a.store-shm").exists()
-        with pytest.raises(InputError, match=r"cannot write the store .* cannot be written"):
+        with pytest.raises(InputError, match=r"store .*nothing can be written"):
             store.add(some_trials(5, 5))
         with pytest.raises(InputError, match="cannot write the store"):
             store.start_writing()

@@ -33,14 +33,14 @@ def test_study_is_read_with_its_design(write_study, full_study):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("seed = 7", "sed = 7", r"study.toml: sed: unknown key; allowed: title, .*; did you mean seed"),
+        ("seed = 7", "sed = 7", r"study.toml: sed: .*did you mean seed"),
         (
             "sigma = 0.02",
             "sgma = 0.02",
-            r"perturbation 1: sgma: unknown key; allowed: .*; did you mean sigma",
+            r"perturbation 1: sgma: .*did you mean sigma",
         ),
         ('design = "design.toml"', 'design = "a\\u0000"', r"cannot read .*null byte"),
-        ("trials = 40", "trials = 0", r"trials = 0: must be greater than or equal to 1"),
+        ("trials = 40", "trials = 0", r"trials = 0.* 1"),
         ("trials = 40", "", r"trials: missing key"),
         ("sigma = 0.02", "sigma = -0.02", r"study.toml: perturbation 1: sigma = -0.02"),
         ('"normal"', '"gauss"', r"perturbation 1: distribution = 'gauss'.*allowed: normal, truncated_normal"),
@@ -50,7 +50,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
             'kind = "largest"',
             r"merit 1: kind = 'largest'.*allowed: largest_sp",
         ),
-        ("at_most = 4.83", "", r"merit 1: give one limit, at_least or at_most; the limit is missing"),
+        ("at_most = 4.83", "", r"merit 1: .*at_least or at_most.*missing"),
         ("at_most = 4.83", "at_most = 5.0\nat_least = 1.0", r"merit 1: .*both are given"),
         ("at_most = 4.83", "at_most = 5.0\nfield_points_mm = [[0.0, 2.0]]", r"lies 2 mm from the axis"),
         ("at_most = 4.83", "at_most = 5.0\nline_width_um = 1.0", r"merit 1: line_width_um: unknown key"),
@@ -65,7 +65,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
             "at_most = 4.83",
             'at_most = 5.0\n[[correlation]]\nnames = ["lens_decenter_y", "shop_radius"]\n'
             "matrix = [[1.0, 0.5], [0.4, 1.0]]",
-            r"correlation 1: matrix: lens_decenter_y with shop_radius is 0.5, but .*must be equal",
+            r"correlation 1: matrix: lens_decenter_y with shop_radius is 0.5",
         ),
         (
             "at_most = 4.83",
@@ -80,12 +80,12 @@ def test_study_is_read_with_its_design(write_study, full_study):
         (
             "at_most = 4.83",
             'at_most = 5.0\n[[merit]]\nkind = "strehl"\nname = "s"\nat_least = 0.5\npredicted_by = "speed"',
-            r"merit 's': predicted_by: there is no merit 'speed'; allowed: largest_spread_deg",
+            r"merit 's': predicted_by: .*'speed'.*largest_spread_deg",
         ),
         (
             "at_most = 4.83",
             'at_most = 5.0\n[[merit]]\nkind = "python"\nfunction = "mine.txt:f"\nat_least = 0.5',
-            r"merit 2: function: 'mine.txt:f': must be file.py:name",
+            r"merit 2: function: 'mine.txt:f'.*file.py:name",
         ),
         (
             "at_most = 4.83",
@@ -97,19 +97,19 @@ def test_study_is_read_with_its_design(write_study, full_study):
             'at_most = 5.0\n[[grid]]\nname = "g"\nmerits = ["strehl"]\n'
             '[grid.x]\ntarget = "lens"\nparameter = "tilt_x_deg"\nvalues = [0.0]\n'
             '[grid.y]\ntarget = "lens"\nparameter = "tilt_x_deg"\nvalues = [0.0]',
-            r"grid 1: .*x and y are both lens_tilt_x_deg",
+            r"grid 1: .*x and y .*lens_tilt_x_deg",
         ),
         (
             "at_most = 4.83",
             "at_most = 5.0\n[[slice_count]]\nslices = [10, 10]\nline_widths_um = [1.0]",
-            r"slice_count 1: .*must be different from each other",
+            r"slice_count 1: .*twice",
         ),
         ("arms = 6", "arms = 1", r"sampling, arms = 1"),
         ('design = "design.toml"', 'design = "none.toml"', r"cannot read .*none.toml"),
         (
             'merits = ["largest_spread_deg"]',
             'merits = ["speed"]',
-            r"there is no merit 'speed'; allowed: larg",
+            r"no merit 'speed'.*larg",
         ),
         (
             "picture_values = [0.04]",
@@ -144,7 +144,7 @@ def test_names_must_differ(write_study, full_study):
 
 def test_sections_must_be_arrays_of_tables(write_study, full_study):
     path = write_study(full_study.replace("[[merit]]", "[merit]", 1).replace("[[merit]]", "[other]"))
-    with pytest.raises(DesignError, match=r"merit: must be tables, each headed \[\[merit\]\]"):
+    with pytest.raises(DesignError, match=r"merit: .*\[\[merit\]\]"):
         load_study(path)
 
 
@@ -173,7 +173,7 @@ def test_fingerprint_follows_study_design_and_indices(write_study, full_study):
 def test_no_perturbation_is_too_few(write_study, ray_study):
     head, _, rest = ray_study.partition("[[perturbation]]")
     path = write_study("perturbation = []\n" + head + "[[merit]]" + rest.partition("[[merit]]")[2])
-    with pytest.raises(DesignError, match=r"perturbation = \[\]: must hold at least 1 item"):
+    with pytest.raises(DesignError, match=r"perturbation = \[\].*at least 1"):
         load_study(path)
 
 
@@ -209,7 +209,7 @@ def test_a_study_is_read_again_from_its_files(write_study, full_study, tmp_path)
 def test_files_that_lead_out_of_the_folder_are_refused(write_study, ray_study, tmp_path):
     loaded = load_study(write_study(ray_study))
     folder = make(tmp_path / "elsewhere")
-    with pytest.raises(DesignError, match="leads out of the study's folder"):
+    with pytest.raises(DesignError, match="out of the study's folder"):
         load_from_files(loaded.name, {**loaded.files, "../outside.txt": b"x"}, folder)
     assert not (tmp_path / "outside.txt").exists()
 

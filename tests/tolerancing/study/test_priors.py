@@ -66,9 +66,7 @@ def test_an_irregularity_is_shared_among_the_terms_of_a_figure(tmp_path: Path) -
 
 def test_a_study_of_another_design_is_refused(tmp_path: Path) -> None:
     lens = scaled(load_design(PAPER), 0.5)
-    with pytest.raises(
-        InputError, match=r"paper_tolerances.toml: is a study of another design, paper_singlet"
-    ):
+    with pytest.raises(InputError, match=r"paper_tolerances\.toml: .*another design, paper_singlet"):
         calibration_priors(DESIGNS / "paper_tolerances.toml", lens)
     save_design(load_design(PAPER), tmp_path / "copy.toml")
     assert calibration_priors(DESIGNS / "paper_tolerances.toml", load_design(tmp_path / "copy.toml"))

@@ -94,7 +94,7 @@ def test_amplitude_at_the_edge_of_the_waist_has_fallen_to_nothing() -> None:
     [
         ((0.0,), "wavelength_um = 0.0"),
         ((math.nan,), "wavelength_um = nan"),
-        ((0.5, 0.3), "spread = 0.3 rad: must be above 0 and at most 0.18"),
+        ((0.5, 0.3), r"spread = 0.3 rad.*0.18"),
         ((0.5, 0.0), "spread = 0.0"),
         ((0.5, 0.1, math.inf), "waist_z_mm = inf"),
     ],

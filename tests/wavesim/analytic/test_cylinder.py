@@ -217,14 +217,14 @@ def test_scene_holds_the_beam_and_its_grids_start_and_end_dark() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: cylinder_scene(0.004), "radius_mm = 0.004: must be at least 15 wavelengths"),
-        (lambda: cylinder_scene(0.1, spread=0.15), "spread = 0.15 rad: must be at most 0.13"),
-        (lambda: cylinder_scene(-1.0), "radius_mm = -1.0: must be finite and above 0"),
-        (lambda: cylinder_scene(5.0), "circumference of 5.905e\\+04 wavelengths must be from 0.1 to 20000"),
-        (lambda: Cylinder(0.1, 0.9, 0.5), "index = 0.9: must be finite and at least 1"),
-        (lambda: cylinder(0.1).debye_coefficients(-1), "p = -1: must be a whole number from 0"),
+        (lambda: cylinder_scene(0.004), r"radius_mm = 0.004.* 15 wavelengths"),
+        (lambda: cylinder_scene(0.1, spread=0.15), r"spread = 0.15 rad.* 0.13"),
+        (lambda: cylinder_scene(-1.0), r"radius_mm = -1.0"),
+        (lambda: cylinder_scene(5.0), r"circumference of 5.905e\+04 wavelengths.*0.1 to 20000"),
+        (lambda: Cylinder(0.1, 0.9, 0.5), r"index = 0.9.* 1"),
+        (lambda: cylinder(0.1).debye_coefficients(-1), r"p = -1.* 0"),
         (lambda: total_field(cylinder(0.1), beam_for(0.1), 0.0, 0.05), "inside the cylinder"),
-        (lambda: total_field(cylinder(0.1), Beam(0.6), 0.0, 0.2), "0.6 um is not the cylinder's 0.532 um"),
+        (lambda: total_field(cylinder(0.1), Beam(0.6), 0.0, 0.2), r"0.6 um.*0.532 um"),
     ],
 )
 def test_unusable_values_are_refused(call: Any, message: str) -> None:

@@ -114,11 +114,11 @@ def test_phase_on_the_axis_is_the_optical_path() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"radius_mm": 0.004}, "radius_mm = 0.004: must be from 0.00798 to 0.2128 mm"),
+        ({"radius_mm": 0.004}, r"radius_mm = 0.004.*0.00798 to 0.2128 mm"),
         ({"radius_mm": 0.3}, "radius_mm = 0.3"),
         ({"radius_mm": math.nan}, "radius_mm = nan"),
         ({"wavelength_um": -1.0}, "wavelength_um = -1.0"),
-        ({"spread": 0.2}, "spread = 0.2 rad: must be from 0.05 to 0.13"),
+        ({"spread": 0.2}, r"spread = 0.2 rad.*0.05 to 0.13"),
     ],
 )
 def test_unusable_values_are_refused(arguments: dict[str, Any], message: str) -> None:

@@ -89,16 +89,16 @@ def test_their_light_holds_while_the_rest_is_sought(
 
 
 def test_frames_that_saw_an_object_are_refused(lens: Lens, star: tuple[Frame, ...]) -> None:
-    with pytest.raises(InputError, match=r"empty: a smooth light leaves \d+\.\d times the noise"):
+    with pytest.raises(InputError, match=r"empty: .*\d+\.\d times the noise"):
         calibrate_empty(lens, star, SETTINGS, most_mountings=10)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"wavelength_um": 0.6}, "empty: wavelength_um = 0.6; that of the object's frames is 0.532"),
-        ({"pixel_pitch_um": 3.0}, "empty: pixel_pitch_um = 3; that of the object's frames is 3.2"),
-        ({"plane_distance_mm": 0.3}, "empty: planes at 0.3 mm; the object's frames have"),
+        ({"wavelength_um": 0.6}, r"empty: wavelength_um = 0.6; .*0.532"),
+        ({"pixel_pitch_um": 3.0}, r"empty: pixel_pitch_um = 3; .*3.2"),
+        ({"plane_distance_mm": 0.3}, r"empty: planes at 0.3 mm"),
     ],
 )
 def test_frames_of_another_light_pitch_or_plane_are_refused(
@@ -114,7 +114,7 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
     bench = Bench(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
     small: dict[str, Any] = {"patch_mm": 0.04, "engine": "eikonal", "error": 0.1}
-    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0, 1000.0), **small).frames
+    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0), **small).frames
     taken: list[int] = []
 
     def spied(self: SparsePixels, *given: Any) -> ForwardModel:
@@ -124,7 +124,7 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     model = SparsePixels.model
     monkeypatch.setattr(SparsePixels, "model", spied)
     names = "plane_2_shift_x_um,plane_2_shift_y_um"
-    found = calibrate_frames(lens, frames, parameters=names, most_mountings=8, iterations=4, **small)
+    found = calibrate_frames(lens, frames, parameters=names, most_mountings=5, iterations=3, **small)
     assert set(taken) == {taken[0]}
     assert 1.9 < frames[0].counts.shape[0] / taken[0] < 4.5
     assert found.values == pytest.approx((4.0, -3.0), abs=0.3)

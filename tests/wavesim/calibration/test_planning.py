@@ -135,10 +135,10 @@ def test_the_fewest_frames_that_are_enough_are_recommended() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"planes_mm": (2.0, 1.0)}, "planes_mm: must be two numbers, increasing"),
+        ({"planes_mm": (2.0, 1.0)}, r"planes_mm: .*two numbers"),
         ({"most_planes": 0}, "most_planes"),
         ({"correlation": 1.0}, "correlation"),
-        ({"exposures": (0.0, 1.0)}, "exposures: must be greater than 0"),
+        ({"exposures": (0.0, 1.0)}, r"exposures.* 0"),
         ({"patch_mm": 9.0}, "patch"),
     ],
 )
@@ -149,5 +149,5 @@ def test_refused(changes: dict, message: str) -> None:
 
 def test_a_design_of_one_plane_asks_for_two() -> None:
     lens = LENS.replaced(sensor=LENS.sensor.replaced(plane_distances_mm=(0.1,)))
-    with pytest.raises(InputError, match=r"the design has one plane, at 0\.1 mm: give the nearest"):
+    with pytest.raises(InputError, match=r"one plane, at 0\.1 mm"):
         plan_frames(lens, patch_mm=0.02)

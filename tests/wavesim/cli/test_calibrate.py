@@ -63,7 +63,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
         "--kind",
         "amplitude",
         "--iterations",
-        12,
+        8,
         "--truth",
         data,
     )
@@ -135,7 +135,7 @@ def test_both_in_one_run(
 
     def few(*asked: object) -> tuple[object, ...]:
         """Of each part: the search has tests of its own."""
-        return chosen_parameters(*asked)[::8]  # type: ignore[arg-type]
+        return chosen_parameters(*asked)[::16]  # type: ignore[arg-type]
 
     def taken(*arguments: object, **settings: object) -> object:
         given.append(settings["calibration"])

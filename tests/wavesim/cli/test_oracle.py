@@ -73,5 +73,5 @@ def test_bad_input_is_one_message_and_status_two(
 def test_settings_are_those_given_in_the_engines_words() -> None:
     given = SingleEngineDetails(slices=30, compensation="oblique", step_um=0.5, pitch_um=0.25)
     assert given.details() == {"slices": 30, "compensation": "oblique", "step_um": 0.5, "pitch_mm": 2.5e-4}
-    with pytest.raises(InputError, match="tile_width_mm: must be finite"):
+    with pytest.raises(InputError, match=r"tile_width_mm: .*finite"):
         SingleEngineDetails().replaced(tile_width_mm=float("nan"))

@@ -141,7 +141,7 @@ def test_patches_are_those_of_imaging() -> None:
     wider = patch_scene(TWIN, 0.19, plane_distance_mm=0.125, meridional=True)
     assert choose(wider, 0.5).chosen.engine
     for asked in (lambda: patch_scene(TWIN, 0.192), lambda: object_patch(TWIN, 0.192)):
-        with pytest.raises(InputError, match=r"patch_mm = 0.192: .*1.02 times .*field_diameter_mm = 0.1875"):
+        with pytest.raises(InputError, match=r"patch_mm = 0\.192: .*1\.02 .*field_diameter_mm = 0\.1875"):
             asked()
 
 

@@ -79,5 +79,5 @@ def test_predicts_its_memory_and_time(paper_lens: Lens, shape: tuple[int, ...]) 
 def test_a_huge_plane_is_refused(paper_lens: Lens) -> None:
     grids = Grid((9000, 9000), 2.5e-4, -13.5), Grid((9000, 7000), 3.2e-3, 12.7)
     engine = NoLens(Scene(paper_lens, *grids, WAVELENGTH_UM))
-    with pytest.raises(SamplingError, match=r"samples take .* bytes and .* hours.*force = True"):
+    with pytest.raises(SamplingError, match=r"samples .*bytes.*force = True"):
         engine.forward(Field(grids[0], np.broadcast_to(1.0 + 0j, grids[0].shape), WAVELENGTH_UM))

@@ -178,5 +178,5 @@ def test_predicts_its_memory_and_time(make: Callable[[], Scene]) -> None:
 def test_full_plane_of_a_full_lens_is_refused(paper_lens: Lens) -> None:
     grids = Grid((200, 200), 2.5e-4, -13.5), Grid((400, 400), 4e-3, 12.7)
     engine = ThinLens(Scene(paper_lens, *grids, 0.532))
-    with pytest.raises(SamplingError, match=r"samples take .* bytes and .* hours.*force = True"):
+    with pytest.raises(SamplingError, match=r"samples .*bytes.*force = True"):
         engine.forward(Field(grids[0], np.ones(grids[0].shape), 0.532))

@@ -49,14 +49,14 @@ def test_files_that_hold_no_field_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=rf"field .*field\.npz.*{words}"):
             read_field(path)
     np.savez(path, values=good["values"])  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"has no pitch_um; it holds \['values'\]"):
+    with pytest.raises(InputError, match=r"pitch_um.*\['values'\]"):
         read_field(path)
     np.savez(path, **good)  # type: ignore[arg-type]
     data = path.read_bytes()
     for cut in (0, 10, len(data) // 2, len(data) - 10):
         path.write_bytes(data[:cut])
-        with pytest.raises(InputError, match=r"cannot read the field .*field\.npz"):
+        with pytest.raises(InputError, match=r"field .*field\.npz"):
             read_field(path)
     path.write_bytes(data[:70] + bytes(40) + data[110:])
-    with pytest.raises(InputError, match=r"cannot read the field .*field\.npz"):
+    with pytest.raises(InputError, match=r"field .*field\.npz"):
         read_field(path)

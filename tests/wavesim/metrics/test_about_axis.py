@@ -63,5 +63,5 @@ def test_rings_fill_the_aperture_and_end_within_the_grid() -> None:
 def test_surfaces_that_are_not_of_revolution_are_refused() -> None:
     scene = patch_scene(scaled(DESIGN, 1 / 64), 0.01, plane_distance_mm=2 / 64, meridional=True)
     tilted = replace(scene, pose=Pose(tilt_x_deg=0.1))
-    with pytest.raises(InputError, match="surface 0 is not one of revolution"):
+    with pytest.raises(InputError, match=r"surface 0 .*revolution"):
         summed_plane_waves(tilted, np.ones(scene.object_grid.shape), np.zeros(1))

@@ -132,11 +132,11 @@ def test_radius_is_that_of_the_oracle() -> None:
         (lambda: run_analytic_case("no-lens", "cylindre"), "oracle = 'cylindre': .*did you mean cylinder"),
         (
             lambda: run_analytic_case("no-lens", "beam", 0.1),
-            "oracle beam: radius_mm = 0.1: there is no such argument",
+            r"oracle beam: radius_mm = 0.1",
         ),
         (
             lambda: run_analytic_case("no-lens", "beam", slices=3),
-            "engine no-lens: slices = 3: there is no such setting",
+            "engine no-lens: slices = 3",
         ),
         (lambda: run_analytic_case("no-lens", radius_mm=-1.0), "radius_mm = -1.0"),
         (

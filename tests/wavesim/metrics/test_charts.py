@@ -18,7 +18,6 @@ from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements
 
 GRID = Grid((256, 256), 4e-4, -1.0)
 ELEMENTS = usaf_elements((8, 9))
-FINEST = min(one.line_width_um for one in ELEMENTS)
 SHOWN = tuple(one for one in ELEMENTS if one.line_width_um >= 0.8)
 WAVELENGTH = 0.532
 

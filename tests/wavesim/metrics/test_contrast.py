@@ -25,7 +25,6 @@ from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements
 GRID = Grid((400, 400), 2.5e-4, 0.0)
 ELEMENTS = usaf_elements((8, 9))
 WAVELENGTH = 0.532
-APERTURE = 0.5
 
 
 def light() -> Field:

@@ -139,10 +139,10 @@ def test_writing_takes_less_than_the_field_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("values", "pitch_um", "quantities", "words"),
     [
-        (np.zeros(3), 1.0, ["amplitude"], r"shape \(3,\): must be real or complex \(ny, nx\)"),
-        (np.zeros((0, 3)), 1.0, ["amplitude"], "must be real or complex"),
-        (np.array([["a"]]), 1.0, ["amplitude"], "must be real or complex"),
-        (np.zeros((3, 3)), 0.0, ["amplitude"], r"pitch_um = 0\.0: must be finite"),
+        (np.zeros(3), 1.0, ["amplitude"], r"shape \(3,\):.*real or complex \(ny, nx\)"),
+        (np.zeros((0, 3)), 1.0, ["amplitude"], "real or complex"),
+        (np.array([["a"]]), 1.0, ["amplitude"], "real or complex"),
+        (np.zeros((3, 3)), 0.0, ["amplitude"], r"pitch_um = 0\.0"),
         (np.zeros((3, 3)), np.nan, ["amplitude"], "pitch_um = nan"),
         (np.zeros((3, 3)), 1.0, [], "must be one or more"),
         (np.zeros((3, 3)), 1.0, ["a", "a"], "and differ"),
@@ -165,7 +165,7 @@ def test_a_failure_leaves_what_stood_there(tmp_path: Path, monkeypatch: pytest.M
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(tifffile.TiffWriter, "write", full)
-    with pytest.raises(InputError, match=r"cannot write .*field\.tif: No space left"):
+    with pytest.raises(InputError, match=r"field\.tif.*No space left"):
         write_pyramid(np.ones((3, 3)), path, 1.0, ["amplitude"])
     assert [p.name for p in tmp_path.iterdir()] == ["field.tif"]
     assert path.read_text() == "before"

@@ -282,12 +282,12 @@ def test_a_sampler_survives_pickling(sampler: PupilSampler) -> None:
 
 
 def test_a_plane_behind_the_caustic_is_refused() -> None:
-    with pytest.raises(FoldError, match="choose a plane before or behind the caustic"):
+    with pytest.raises(FoldError, match="caustic"):
         PupilSampler(PAPER, plane_distance_mm=200.0, samples=64)
 
 
 def test_aiming_that_does_not_settle_is_refused(sampler: PupilSampler) -> None:
-    with pytest.raises(RayAimError, match="too large for the nominal ray map"):
+    with pytest.raises(RayAimError, match=r"too large.*ray map"):
         sampler.pupil(Pose(despace_mm=9.0))
 
 

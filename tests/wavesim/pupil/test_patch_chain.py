@@ -271,7 +271,7 @@ def test_a_chain_can_be_sent_to_another_process(line: PatchChain) -> None:
 
 
 def test_too_few_samples_are_refused_beforehand() -> None:
-    with pytest.raises(SamplingError, match=r"samples = 101.*raise samples to at least 129"):
+    with pytest.raises(SamplingError, match=r"samples = 101.*at least 129"):
         PatchChain(PAPER, samples=101)
     with pytest.raises(SamplingError, match="smaller patch"):
         PatchChain(PAPER, samples=129, patch_um=60.0, line=True)
@@ -285,9 +285,9 @@ def test_a_displacement_beyond_the_window_is_refused(plane: PatchChain) -> None:
 
 
 def test_folds_and_lost_rays_are_refused(line: PatchChain) -> None:
-    with pytest.raises(FoldError, match="choose a plane before or behind the caustic"):
+    with pytest.raises(FoldError, match="caustic"):
         PatchChain(PAPER, plane_distance_mm=200.0)
-    with pytest.raises(RayAimError, match="too large for the nominal ray map"):
+    with pytest.raises(RayAimError, match=r"too large.*ray map"):
         line.perturbed(Pose(despace_mm=9.0))
 
 

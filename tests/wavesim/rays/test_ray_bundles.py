@@ -89,7 +89,7 @@ def test_open_pupil_ends_where_a_later_surface_clips() -> None:
 def test_rays_that_leave_the_meridional_plane_are_refused(paper_lens: Lens) -> None:
     grids = Grid((20,), 1e-3, -13.5), Grid((20,), 1e-2, 12.7)
     scene = Scene(paper_lens, *grids, 0.532, pose=Pose(decenter_x_mm=0.1))
-    with pytest.raises(InputError, match="leave the plane x = 0"):
+    with pytest.raises(InputError, match="plane x = 0"):
         trace_bundle(scene, np.zeros(2), np.array([[0.0, 0.5]]), 12.7)
 
 
@@ -102,5 +102,5 @@ def test_stop_points_beyond_the_surface_are_missed_rays(paper_lens: Lens) -> Non
 def test_an_object_that_the_lens_does_not_see_is_refused() -> None:
     front = Surface(thickness_mm=1.0, semi_diameter_mm=STOP_MM, stop=True)
     scene = scene_of((front, Surface(semi_diameter_mm=0.1)), 1)
-    with pytest.raises(InputError, match=r"no ray from the object point \(0, 5\) mm gets through"):
+    with pytest.raises(InputError, match=r"object point \(0, 5\) mm"):
         open_pupil(scene, (0.0, 5.0), 2.0)

@@ -67,6 +67,6 @@ def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: P
     ):
         with pytest.raises(InputError, match=message):
             reconstruct_frames(LENS, imaged.frames[:1], folder=tmp_path, **{"patch_mm": 0.05} | changes)
-    with pytest.raises(InputError, match="frames: must be one at least"):
+    with pytest.raises(InputError, match=r"frames: .*one"):
         reconstruct_frames(LENS, [])
     assert not list(tmp_path.iterdir())

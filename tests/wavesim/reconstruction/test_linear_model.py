@@ -15,8 +15,6 @@ from wavesim.reconstruction.linear_model import CachedSamples, FreeSpaceMeasurem
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.sensor.measurement import Measurement
 
-PITCH = 3.2e-3
-
 
 @pytest.fixture(scope="module")
 def parts() -> tuple:

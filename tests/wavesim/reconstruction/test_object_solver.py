@@ -146,7 +146,7 @@ def test_amplitudes_of_any_unit_give_the_same_object(case: Case, power: int) -> 
 def test_amplitudes_that_no_unit_fits_are_refused(case: Case) -> None:
     near, far = case.recorded
     bright = replace(far, amplitude=far.amplitude * np.float32(1e30))
-    with pytest.raises(InputError, match=r"plane 2: amplitudes reach 2\.49e\+30 times those of plane 1: "):
+    with pytest.raises(InputError, match=r"plane 2: .*2\.49e\+30.*plane 1"):
         reconstruct(case.engine, case.illumination, [near, bright])
 
 

@@ -164,7 +164,7 @@ def test_progress_is_told() -> None:
         ({"recorded": [Measurement(d, -np.ones(GRID.shape)) for d in DISTANCES]}, "not negative"),
         (
             {"recorded": [Measurement(d, np.ones(GRID.shape), shift_mm=(0.0, d)) for d in DISTANCES]},
-            "Appendix A supports neither shifts nor backgrounds",
+            "neither shifts nor backgrounds",
         ),
         ({"recorded": [Measurement(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "all dark"),
         ({"recorded": [Measurement(d, np.ones(GRID.shape)) for d in (1.0, np.inf)]}, "distance_mm = inf"),
@@ -177,7 +177,7 @@ def test_progress_is_told() -> None:
         ),
         (
             {"recorded": [Measurement(p.distance_mm, 1e30 * p.amplitude) for p in recorded(truth())]},
-            r"plane 1: amplitudes reach .*e\+3\d, whose squares overflow or vanish: divide",
+            r"plane 1: amplitudes reach .*e\+3\d",
         ),
         ({"start": "guess"}, "start = 'guess'"),
         ({"start": Field(GRID.at(1.0), np.ones(GRID.shape, complex), 0.532)}, "start: its grid"),

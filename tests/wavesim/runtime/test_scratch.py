@@ -70,7 +70,7 @@ def test_a_full_disk_is_told_before_anything_is_written(
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     room = Scratch(tmp_path, 0.0)
-    with pytest.raises(InputError, match=r"is full: 0\.02 GB are needed for the last step, \d+ MB are free"):
+    with pytest.raises(InputError, match=r"0\.02 GB.*\d+ MB are free"):
         room.array((1000, 2500), np.complex64, "the last step")
     assert list(tmp_path.iterdir()) == []
     assert (room.bytes_in_memory, room.bytes_in_files) == (0, 0)
@@ -88,10 +88,10 @@ def test_files_whose_room_cannot_be_reserved_are_written(
 
 
 def test_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot make a file in .*missing.* for weights: No such file"):
+    with pytest.raises(InputError, match=r"missing.*weights"):
         Scratch(tmp_path / "missing", 0.0).array((10,), np.float64, "weights")
     for limit in (-1.0, float("nan")):
         with pytest.raises(InputError, match=f"memory_bytes = {limit}: must be 0 or more"):
             Scratch(tmp_path, limit)
-    with pytest.raises(InputError, match="memory_bytes = 10: needs a folder"):
+    with pytest.raises(InputError, match=r"memory_bytes = 10: .*folder"):
         Scratch(None, 10.0)

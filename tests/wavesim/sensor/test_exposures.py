@@ -126,7 +126,7 @@ def test_exposures_of_any_unit_do() -> None:
 
 
 def test_frames_that_do_not_lie_on_each_other_are_no_plane() -> None:
-    with pytest.raises(InputError, match="all of the same size"):
+    with pytest.raises(InputError, match="same size"):
         merged_intensity([frame_of(LIGHT[:10], 1.0, 0), frame_of(LIGHT[:9], 1.0, 0)])
     with pytest.raises(InputError, match="one at least"):
         merged_intensity([])
@@ -205,7 +205,7 @@ def test_what_a_lab_s_frames_do_not_say_is_taken_of_the_design_and_told(
     for path in paths:
         Image.fromarray(frame_of(LIGHT, 1.0, 0).counts).save(path)
     asked = {"bits": 16, "offset_counts": 100.0, "gain_electrons_per_count": 1.0, "exposure": (1.0, 1.0)}
-    with pytest.raises(InputError, match=r"near\.tif does not say .*; to be given: exposure, bits,"):
+    with pytest.raises(InputError, match=r"near\.tif .*to be given: exposure, bits,"):
         read_frames(paths, lens=paper_lens)
     with pytest.warns(AssumedWarning) as told:
         frames = read_frames(paths, lens=paper_lens, **asked)
@@ -214,10 +214,10 @@ def test_what_a_lab_s_frames_do_not_say_is_taken_of_the_design_and_told(
     assert {frame.settings.wavelength_um for frame in frames} == {paper_lens.wavelengths_um[0]}
     assert f"plane_distance_mm = {far:g}" in str(told[1].message)
     assert "far.tif" in str(told[1].message)
-    with pytest.raises(InputError, match=r"near\.tif .*to be given: plane_distance_mm$"):
+    with pytest.raises(InputError, match=r"near\.tif .*: plane_distance_mm$"):
         read_frames(paths[:1], lens=paper_lens, **asked | {"exposure": (1.0,)})
     colours = paper_lens.model_copy(update={"wavelengths_um": (0.5, 0.6)})
-    with pytest.raises(InputError, match=r"to be given: wavelength_um$"):
+    with pytest.raises(InputError, match=r": wavelength_um$"):
         read_frames(paths, lens=colours, **asked)
 
 
@@ -228,12 +228,12 @@ def test_other_pictures_and_wrong_exposures_of_a_plane_are_refused(tmp_path: Pat
         frame_of(LIGHT[:, ::-1], 1000.0, 1),
         Frame(frame_of(LIGHT, 0.5, 1).counts, frame.settings),
     ):
-        with pytest.raises(InputError, match=r"1\.tif.*both state plane_distance_mm = 2, but show different"):
+        with pytest.raises(InputError, match=r"1\.tif.*plane_distance_mm = 2, .*different"):
             read(write(tmp_path, [frame, other]))
     for same in (frame_of(LIGHT, 1.0, 1), frame_of(1.03 * LIGHT, 30.0, 1), frame_of(LIGHT, 1e3, 1)):
         assert len(read(write(tmp_path, [frame, same]))) == 2
     paths = write(tmp_path, [frame])
-    with pytest.raises(InputError, match=r"0\.tif: is named twice"):
+    with pytest.raises(InputError, match=r"0\.tif: .*twice"):
         read([*paths, *paths])
 
 
@@ -244,9 +244,9 @@ def test_saturation_counts_where_all_frames_of_a_plane_are_clipped(tmp_path: Pat
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read(write(tmp_path, [short, long]))
-    with pytest.warns(SaturationWarning, match="1 % of the pixels are saturated, at"):
+    with pytest.warns(SaturationWarning, match="1 % of the pixels"):
         read(write(tmp_path, [long]))
     spot[:20, :20] = 4000.0
     longer = [frame_of(spot, time, 2) for time in (50.0, 100.0)]
-    with pytest.raises(InputError, match="4 % of the pixels are saturated in each of these frames"):
+    with pytest.raises(InputError, match=r"4 % of the pixels .*each"):
         read(write(tmp_path, longer))

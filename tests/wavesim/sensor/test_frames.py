@@ -92,9 +92,7 @@ def test_a_camera_file_needs_its_settings_given(tmp_path: Path, kind: str, compr
     path = tmp_path / "camera.tif"
     counts = (COUNTS % 250).astype(kind)
     Image.fromarray(counts).save(path, compression=compression, description="Camera 12 {not ours}")
-    with pytest.raises(
-        InputError, match=r"camera\.tif.* to be given: plane_distance_mm, wavelength_um, exposure"
-    ):
+    with pytest.raises(InputError, match=r"camera\.tif.*: plane_distance_mm, wavelength_um, exposure"):
         read_frame(path, bits=12, pixel_pitch_um=3.2, offset_counts=0.0, gain_electrons_per_count=1.0)
     frame = read_frame(path, **GIVEN)
     np.testing.assert_array_equal(frame.counts, counts)
@@ -109,7 +107,7 @@ def test_settings_that_are_given_come_before_the_file(place: Path) -> None:
 def test_counts_in_the_upper_bits_are_told_from_wrong_ones(tmp_path: Path) -> None:
     path = tmp_path / "shifted.tif"
     Image.fromarray(COUNTS * 16).save(path)
-    with pytest.raises(InputError, match=r"shifted\.tif: .*12 bits end at 4095; all are multiples of 16"):
+    with pytest.raises(InputError, match=r"shifted\.tif: .*12 bits.*4095.*multiples of 16"):
         read_frame(path, **GIVEN)
     Image.fromarray(COUNTS * 15).save(path)
     with pytest.raises(InputError, match=r"12 bits end at 4095$"):
@@ -195,9 +193,9 @@ def test_a_png_is_read_as_it_stands(tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot read .*none\.tif: No such file"):
+    with pytest.raises(InputError, match=r"none\.tif.*No such file"):
         read_frame(tmp_path / "none.tif")
-    with pytest.raises(InputError, match=r"cannot read .*: Is a directory"):
+    with pytest.raises(InputError, match="Is a directory"):
         read_frame(tmp_path)
 
 
@@ -235,5 +233,5 @@ def test_damaged_settings_are_told_from_absent_ones(tmp_path: Path) -> None:
     path = tmp_path / "damaged.tif"
     for text in ('{"transferlens_frame": {', '{"transferlens_frame": 3}', '["transferlens_frame"]'):
         Image.fromarray(COUNTS).save(path, description=text)
-        with pytest.raises(InputError, match=r"damaged\.tif: damaged: its ImageDescription"):
+        with pytest.raises(InputError, match=r"damaged\.tif: .*ImageDescription"):
             read_frame(path, **GIVEN)

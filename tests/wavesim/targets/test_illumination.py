@@ -105,17 +105,17 @@ def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: 
     rng = np.random.default_rng(2)
     rough = rng.normal(size=(64, 64)) + 1j * rng.normal(size=(64, 64))
     np.save(tmp_path / "rough.npy", rough)
-    with pytest.raises(SamplingError, match="too fine to be carried"):
+    with pytest.raises(SamplingError, match="too fine"):
         measured_field(tmp_path / "rough.npy", Grid((40, 40), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
     kept = measured_field(tmp_path / "rough.npy", Grid((64, 64), 1e-3, -1.0), WAVELENGTH_UM, 1.0)
     np.testing.assert_array_equal(kept.values, rough)
     slanted = plane_wave(Grid((128, 128), 1e-3, -1.0), WAVELENGTH_UM, tilt_x_deg=3.0)
     np.save(tmp_path / "slanted.npy", slanted.values)
-    with pytest.raises(SamplingError, match="to a pitch of 6 um"):
+    with pytest.raises(SamplingError, match="pitch of 6 um"):
         measured_field(tmp_path / "slanted.npy", Grid((15, 15), 6e-3, -1.0), WAVELENGTH_UM, 1.0)
     mixed = np.ones((128, 128), complex) + 0.02 * rng.normal(size=(128, 128))
     np.save(tmp_path / "mixed.npy", mixed)
-    with pytest.warns(SamplingWarning, match="too fine to be carried"):
+    with pytest.warns(SamplingWarning, match="too fine"):
         measured_field(tmp_path / "mixed.npy", Grid((60, 60), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
 
 

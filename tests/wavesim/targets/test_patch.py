@@ -60,7 +60,7 @@ def test_a_patch_holds_the_light_of_the_aperture() -> None:
         (0.4, None, "field_diameter_mm = 0.375"),
         (0.0, None, "patch_mm = 0"),
         (math.nan, None, "patch_mm = nan"),
-        (0.1, 0.2, "field_stop_mm = 0.2: must be above 0 and at most patch_mm = 0.1"),
+        (0.1, 0.2, r"field_stop_mm = 0.2.*patch_mm = 0.1"),
     ],
 )
 def test_patches_that_are_refused(patch_mm: float, stop_mm: float | None, message: str) -> None:
@@ -109,8 +109,8 @@ def test_charts_beside_the_middle_lie_about_their_points_and_apart() -> None:
     ("points", "message"),
     [
         ([(0.02, 0.01)], "overlaps another chart"),
-        ([(0.15, 0.0), (0.15, 0.0)], "chart at 0.15, 0 mm: .* overlaps another chart"),
-        ([(0.199, 0.0)], "reaches beyond the field stop of 0.4 mm"),
+        ([(0.15, 0.0), (0.15, 0.0)], r"chart at 0.15, 0 mm: .*overlaps"),
+        ([(0.199, 0.0)], r"field stop of 0.4 mm"),
         ([(math.nan, 0.0)], "chart at nan, 0.0 mm: must be finite"),
     ],
 )
@@ -123,7 +123,7 @@ def test_a_chart_beside_takes_fewer_groups_where_there_is_less_room() -> None:
     patch = object_patch(PAPER, 0.4, object_pitch_um=0.24)
     groups = [{one.group for one in usaf_charts_of(patch, [(x, 0.0)])[1]} for x in (0.15, 0.18, 0.19)]
     assert groups == [{8, 9, 10}, {9, 10}, {10}]
-    with pytest.raises(SamplingError, match=r"lines of 1\.953 um, the widest that are 0\.15, 0 mm from"):
+    with pytest.raises(SamplingError, match=r"1\.953 um.* 0\.15, 0 mm"):
         usaf_charts_of(object_patch(PAPER, 0.4, object_pitch_um=1.5), [(0.15, 0.0)])
 
 
@@ -147,9 +147,9 @@ def test_sizes_of_a_picture_that_do_not_fit_are_refused_in_one_message(tmp_path:
     path = tmp_path / "picture.png"
     Image.fromarray(np.full((20, 30), 255, np.uint8)).save(path)
     patch = object_patch(TWIN, 0.1, 0.05)
-    with pytest.raises(InputError, match=r"picture_width_mm = 0\.06: .* give at most 0\.0416"):
+    with pytest.raises(InputError, match=r"picture_width_mm = 0\.06: .*0\.0416"):
         make_target(patch, str(path), numerical_aperture=0.5, picture_width_mm=0.06)
-    with pytest.raises(InputError, match="picture_pixel_um, picture_width_mm: give only one of them"):
+    with pytest.raises(InputError, match="picture_pixel_um, picture_width_mm"):
         make_target(patch, str(path), numerical_aperture=0.5, picture_width_mm=0.01, picture_pixel_um=1.0)
 
 
@@ -160,7 +160,7 @@ def test_a_picture_larger_than_the_field_stop_is_refused(tmp_path: Path) -> None
     found = make_target(patch, str(path), numerical_aperture=0.5, picture_pixel_um=1.0)
     lit = float(np.sum(np.abs(found.transmission.values) ** 2)) * patch.grid.cell
     assert lit == pytest.approx(0.02 * 0.03, rel=0.02)
-    with pytest.raises(InputError, match=r"picture_pixel_um = 2: .*30 x 20 pixels.* give at most 1\.387"):
+    with pytest.raises(InputError, match=r"picture_pixel_um = 2: .*30 x 20 pixels.*1\.387"):
         make_target(patch, str(path), numerical_aperture=0.5, picture_pixel_um=2.0)
     with pytest.raises(InputError, match=r"object = 'usef'.*did you mean usaf"):
         make_target(patch, "usef", numerical_aperture=0.5)
@@ -200,12 +200,12 @@ def test_windows_hold_the_footprint_and_no_more_than_the_sensor() -> None:
     # The disc is about the axis; a lens that is moved also bends the light.
     wider = footprint_mm(SMALL, patch, 0.0625, Pose(decenter_x_mm=0.05)) - footprint_mm(SMALL, patch, 0.0625)
     assert 0.1 < wider < 0.2
-    with pytest.raises(InputError, match="pixels = 300: must be from 1 to the sensor's 219"):
+    with pytest.raises(InputError, match=r"pixels = 300: .*1 to the sensor's 219"):
         sensor_window(SMALL, patch, planes, 300)
     # The sensor is wider than high.
     assert sensor_window(SMALL, patch, planes, SMALL.sensor.pixels).pixels == (292, 219)
     assert sensor_window(SMALL, patch, planes, (292, 100)).pixels == (292, 100)
-    with pytest.raises(InputError, match="pixels = 219 x 292: must be from 1 x 1 to the sensor's 292 x 219"):
+    with pytest.raises(InputError, match=r"pixels = 219 x 292: .*1 x 1 to the sensor's 292 x 219"):
         sensor_window(SMALL, patch, planes, (219, 292))
 
 
@@ -214,9 +214,9 @@ def test_a_footprint_beyond_the_sensor_is_told_then_refused() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_footprint(SMALL, patch, SMALL.sensor, (0.0625,))
-    with pytest.warns(FootprintWarning, match="reaches beyond the sensor's"):
+    with pytest.warns(FootprintWarning, match="beyond the sensor's"):
         check_footprint(SMALL, patch, SMALL.sensor.replaced(pixels=(180, 180)), (0.0625,))
-    with pytest.raises(InputError, match="take a smaller patch, more pixels or a nearer plane"):
+    with pytest.raises(InputError, match="smaller patch, more pixels"):
         check_footprint(SMALL, patch, SMALL.sensor.replaced(pixels=(100, 100)), (0.0625,))
 
 
@@ -247,7 +247,7 @@ def test_engines_of_choice() -> None:
     coarser = asked(EngineSettings(engine="eikonal", error=0.2))
     assert coarser.settings()["error"] == 0.2
     assert asked(EngineSettings(engine="slices", slices=7)).settings()["slices"] == 7
-    with pytest.raises(InputError, match="auto: slices = 12: there is no such setting"):
+    with pytest.raises(InputError, match="auto: slices = 12"):
         asked(EngineSettings(slices=12))
-    with pytest.raises(InputError, match=r"engine slices: error = 0\.1: there is no such setting"):
+    with pytest.raises(InputError, match=r"engine slices: error = 0\.1"):
         asked(EngineSettings(engine="slices", error=0.1))

@@ -163,14 +163,14 @@ def test_a_patch_takes_the_groups_that_fit_and_the_lines_that_its_grid_shows() -
     assert elements[0].group == 6
     assert (elements[-1].group, elements[-1].element) == (9, 2)
     assert usaf_elements_within(Grid((900, 900), 0.4256e-3, -1.0), 0.83)[0].group == 4
-    with pytest.raises(InputError, match="too small for group 10"):
+    with pytest.raises(InputError, match="group 10"):
         usaf_elements_within(grid, 0.001)
-    with pytest.raises(SamplingError, match=r"too coarse for lines of 7\.812 um"):
+    with pytest.raises(SamplingError, match=r"lines of 7\.812 um"):
         usaf_elements_within(Grid((90, 90), 4.0e-3, -1.0), 0.26)
 
 
 def test_a_chart_finer_than_its_grid_is_refused() -> None:
-    with pytest.raises(SamplingError, match=r"group 9, element 6\) of 0\.5481 um: finer than 2 samples"):
+    with pytest.raises(SamplingError, match=r"group 9, element 6\).*0\.5481 um.*2 samples"):
         usaf_chart(Grid((900, 900), 0.4e-3, -1.0), usaf_elements((8, 9)))
     with pytest.raises(InputError, match="larger grid"):
         usaf_chart(Grid((100, 100), 0.4e-3, -1.0), usaf_elements((6,)))
@@ -180,7 +180,7 @@ def test_a_chart_finer_than_its_grid_is_refused() -> None:
 
 @pytest.mark.parametrize("groups", [(), (3, 4), (10, 11), (4, 6)])
 def test_groups_that_are_no_neighbours_of_the_chart_are_refused(groups: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="give neighbours from 4 to 10"):
+    with pytest.raises(InputError, match="4 to 10"):
         usaf_elements(groups)
 
 
@@ -325,7 +325,7 @@ def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read the picture"):
         picture_target(tmp_path / "cut.tif", grid, 2.0)
     Image.new("RGBA", (20, 20), (255, 255, 255, 9)).save(tmp_path / "clear.png")
-    with pytest.raises(InputError, match="mode RGBA; give grey of 8 or 16 bits, or opaque colours"):
+    with pytest.raises(InputError, match="mode RGBA"):
         picture_target(tmp_path / "clear.png", grid, 2.0)
     pages = [Image.new("L", (20, 20), shade) for shade in (0, 9)]
     pages[0].save(tmp_path / "two.tif", save_all=True, append_images=pages[1:])
@@ -351,7 +351,7 @@ def test_objects_that_no_grid_can_hold_are_refused() -> None:
     ):
         with pytest.raises(InputError, match="must be a plane"):
             make(line)
-    with pytest.raises(SamplingError, match=r"bars of 1\.5 um: finer than 2 samples"):
+    with pytest.raises(SamplingError, match=r"bars of 1\.5 um.*2 samples"):
         line_pairs(GRID, 1.5)
     with pytest.raises(SamplingError, match="spokes' inner ends"):
         siemens_star(GRID, 36, 0.09, 0.01)

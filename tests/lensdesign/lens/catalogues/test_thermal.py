@@ -55,9 +55,9 @@ def test_names_with_temperatures_are_taken_apart_again(temperature):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("N-BK7@warm", "a temperature must be given as in 'N-BK7@50C'"),
-        ("N-BK7@900C", "must be from -100 to 140 C"),
-        ("SILICA@50C", r"SILICA .*change of its index with temperature is not known"),
+        ("N-BK7@warm", "'N-BK7@50C'"),
+        ("N-BK7@900C", "-100 to 140 C"),
+        ("SILICA@50C", r"SILICA .*no data"),
         ("1.5@50C", "a constant index is a number"),
     ],
 )
@@ -89,5 +89,5 @@ def test_zeros_in_a_catalogue_file_are_no_data():
 
 
 def test_a_faulty_expansion_is_refused():
-    with pytest.raises(MaterialError, match="line 2: ED record has 'x'"):
+    with pytest.raises(MaterialError, match=r"line 2: ED record.*'x'"):
         parse_agf(RECORDS.format(ed="x", td="0"), "own.agf")

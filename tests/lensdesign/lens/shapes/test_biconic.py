@@ -190,7 +190,7 @@ def test_a_step_file_has_it_as_a_spline(lens: Lens, tmp_path: Path) -> None:
     (body,) = write_step(lens, tmp_path / "lens.step").bodies
     assert max(body.surface_errors_mm) < 1e-7
     assert body.volume_mm3 == pytest.approx(closed_elements(lens)[0].volume_mm3, rel=1e-9)
-    with pytest.raises(InputError, match="bevels and flanges of bodies of revolution only"):
+    with pytest.raises(InputError, match="bevels and flanges"):
         write_step(lens.replaced(edges=(Edge(front_bevel_mm=0.1),)), tmp_path / "lens.step")
 
 
@@ -206,7 +206,7 @@ def test_files_of_other_programs(lens: Lens, tmp_path: Path) -> None:
     assert "PARM 1 -14.0" in text
     assert "PARM 2 -1.2" in text
     assert read_zmx(tmp_path / "lens.zmx").lens == lens
-    with pytest.raises(InputError, match=r"surface 2: a \.seq file cannot hold a surface of shape biconic"):
+    with pytest.raises(InputError, match=r"surface 2.*\.seq.*biconic"):
         write_seq(lens, tmp_path / "lens.seq")
 
 
@@ -217,22 +217,20 @@ def test_a_design_file_keeps_it(lens: Lens, tmp_path: Path) -> None:
 
 
 def test_what_does_not_belong_together_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match=r'radius_x_mm = 5\.0: a surface of shape conic has none; write shape = "biconic"'
-    ):
+    with pytest.raises(ValueError, match=r'radius_x_mm = 5\.0.*conic.*shape = "biconic"'):
         Surface(radius_x_mm=5.0)
-    with pytest.raises(ValueError, match=r"asphere = .* a surface of shape biconic has none"):
+    with pytest.raises(ValueError, match=r"asphere = .*biconic"):
         Surface.model_validate({"shape": "biconic", "asphere": [1e-5]})
-    with pytest.raises(ValueError, match="shape = 'toroid': unknown; allowed: conic, even asphere, biconic"):
+    with pytest.raises(ValueError, match=r"shape = 'toroid'.*conic, even asphere, biconic"):
         Surface.model_validate({"shape": "toroid"})
-    with pytest.raises(ValueError, match="leave radius_x_mm out"):
+    with pytest.raises(ValueError, match="radius_x_mm"):
         Surface.model_validate({"shape": "biconic", "radius_x_mm": 0.0})
-    with pytest.raises(ValueError, match="radial height of 4 mm"):
+    with pytest.raises(ValueError, match=r"height.* 4 mm"):
         Surface.model_validate({"shape": "biconic", "radius_x_mm": 4.0, "semi_diameter_mm": 5.0})
 
 
 def test_drawings_refuse_it_by_name(lens: Lens) -> None:
-    with pytest.raises(InputError, match="a drawing cannot describe a surface of shape biconic"):
+    with pytest.raises(InputError, match=r"drawing.*biconic"):
         lens_drawing(lens)
 
 

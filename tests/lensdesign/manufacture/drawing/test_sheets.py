@@ -290,12 +290,12 @@ def test_pdf_has_a_page_for_each_sheet_and_is_the_same_again(tmp_path: Path) -> 
 
 
 def test_refusals(tmp_path: Path, paper_lens: Lens) -> None:
-    with pytest.raises(InputError, match=r"must end in \.pdf or \.svg"):
+    with pytest.raises(InputError, match=r"\.pdf or \.svg"):
         write_drawing(lens_drawing(paper_lens), tmp_path / "sheet.dxf")
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match="for 2 elements, but the lens has 1"):
+    with pytest.raises(InputError, match=r"2 elements.* 1$"):
         lens_drawing(paper_lens, DrawingOptions(tolerances=(None, FULL)))
-    with pytest.raises(InputError, match=r"element 1 \(surfaces 1 and 2\): the part measures 400 mm"):
+    with pytest.raises(InputError, match=r"element 1 .*400 mm"):
         lens_drawing(singlet(None, None, 20.0, (200.0, 200.0)))
     assert len(
         lens_drawing(singlet(None, None, 20.0, (200.0, 200.0)), DrawingOptions(tolerances=(FULL,))).sheets

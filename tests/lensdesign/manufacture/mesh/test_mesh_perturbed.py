@@ -206,9 +206,7 @@ def test_figure_finer_than_the_facets_is_seen() -> None:
 def test_figure_that_needs_too_many_triangles_is_named() -> None:
     rng = np.random.default_rng(0)
     figure = figure_from_grid(1e-2 * rng.normal(size=(401, 401)), 0.03, 5.5)
-    with pytest.raises(
-        InputError, match=r"surface 2 would need .* triangles for its figure .*every 0\.03"
-    ) as error:
+    with pytest.raises(InputError, match=r"surface 2 .*triangles.* 0\.03") as error:
         lens_mesh(plate(), 1e-3, surface_perturbations={1: SurfacePerturbation(figure=figure)})
     needed = re.search(r"need ([0-9.e+]+) triangles", str(error.value))
     assert needed is not None

@@ -37,12 +37,12 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
             'goal = "thinest"',
             r"optimize, goal = 'thinest': must be 'smallest spread'",
         ),
-        ('start = "plate"', 'algorithm = "simplex"', r"unknown algorithm 'simplex'; allowed: slsqp"),
-        ('start = "plate"', "strat = 1", r"optimize, strat: unknown key; allowed: goal, start"),
+        ('start = "plate"', 'algorithm = "simplex"', r"'simplex'.*slsqp"),
+        ('start = "plate"', "strat = 1", "optimize, strat: unknown key"),
         (
             'parameter = "conic"',
             'parameter = "conique"',
-            r"parameter = 'conique': unknown; allowed: radius_mm",
+            r"parameter = 'conique'.*radius_mm",
         ),
         (
             'parameter = "conic"',
@@ -56,7 +56,7 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
         ("smallest_radius_mm = 10.0", "bounds = [1.0, 2.0]", r"radius_mm needs smallest_radius_mm"),
         ("smallest_radius_mm = 10.0", "smallest_radius_mm = 0.0", r"must be greater than 0"),
         ("surface = 1\n", "surface = 3\n", r"the lens has 2 surfaces"),
-        ("surface = 1\n", "", r"radius_mm needs a surface number"),
+        ("surface = 1\n", "", r"radius_mm .*surface number"),
         ('surface = 2\nparameter = "radius_mm"', 'surface = 1\nparameter = "radius_mm"', r"is given twice"),
         (
             'surface = 1\nparameter = "thickness_mm"',
@@ -93,7 +93,7 @@ def test_unknown_choice_of_glass_is_named(tmp_path):
 
 def test_etendue_bound_refuses_before_any_search(tmp_path):
     path = edited(tmp_path, ("field_diameter_mm = 3.0", "field_diameter_mm = 4.0"))
-    with pytest.raises(DesignError, match=r"infeasible: by the etendue .*4 x 0.5 / 0.083125 = 24.06 mm"):
+    with pytest.raises(DesignError, match=r"etendue.*4 x 0\.5 / 0\.083125 = 24\.06 mm"):
         load_specification(path)
 
 
@@ -102,7 +102,7 @@ def test_the_shortest_wavelength_binds_the_etendue(tmp_path):
     path = edited(tmp_path, ("wavelengths_um = [0.532]", "wavelengths_um = [0.65, 0.532, 0.43]"))
     assert len(load_specification(path).wavelengths_um) == 3
     path = edited(tmp_path, ("wavelengths_um = [0.532]", "wavelengths_um = [0.65, 0.532, 0.42]"))
-    with pytest.raises(DesignError, match=r"infeasible: by the etendue .*3 x 0.5 / 0.065625 = 22.86 mm"):
+    with pytest.raises(DesignError, match=r"etendue.*3 x 0\.5 / 0\.065625 = 22\.86 mm"):
         load_specification(path)
 
 

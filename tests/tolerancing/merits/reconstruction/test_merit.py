@@ -95,7 +95,7 @@ def test_a_calibrated_model_finds_what_the_nominal_one_loses(twin):
 
 
 def test_a_calibrated_model_needs_compensators(context):
-    with pytest.raises(InputError, match=r"model = 'calibrated' needs \[\[compensator\]\]"):
+    with pytest.raises(InputError, match=r"model = 'calibrated'.*\[\[compensator\]\]"):
         merit(model="calibrated").scores(context, batch((DECENTER, [0.0])))
 
 
@@ -108,7 +108,7 @@ def test_noise_belongs_to_the_trial(context):
 
 
 def test_refuses_an_object_that_the_unperturbed_chain_does_not_find(context):
-    with pytest.raises(InputError, match=r"region_mm = 0\.05 .* correlation of 0\.\d+, and must reach 0\.97"):
+    with pytest.raises(InputError, match=r"region_mm = 0\.05 .*correlation of 0\.\d+.*0\.97"):
         merit(object="complex").scores(context, batch((DECENTER, [0.0])))
 
 
@@ -118,7 +118,7 @@ def test_refuses_an_object_that_the_unperturbed_chain_does_not_find(context):
 )
 def test_refuses_what_leaves_the_meridional_plane(target, parameter):
     one = PerturbedParameter(target=target, parameter=parameter)
-    with pytest.raises(ValueError, match="meridional line along y"):
+    with pytest.raises(ValueError, match="meridional line"):
         merit().check_perturbation(one)
 
 
@@ -130,12 +130,12 @@ def test_takes_what_stays_in_the_meridional_plane():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"region_mm": 0.02}, "the lines of line_widths_um need 0.0"),
+        ({"region_mm": 0.02}, r"line_widths_um.* 0.0"),
         ({"line_width_um": 2.0, "figure": "contrast"}, "line_width_um = 2: allowed: .*0.775, 1.55"),
-        ({"line_width_um": 1.55}, "figure = 'correlation' is evaluated on the whole object"),
-        ({"field_mm": (0.1, 0.0)}, "x = 0"),
-        ({"slices": 20}, "slices: has no effect with reconstruction_engine = 'eikonal'"),
-        ({"imaging_slices": 20}, "imaging_slices: has no effect"),
+        ({"line_width_um": 1.55}, "figure = 'correlation'"),
+        ({"field_mm": (0.1, 0.0)}, "give x = 0"),
+        ({"slices": 20}, r"slices: .*reconstruction_engine = 'eikonal'"),
+        ({"imaging_slices": 20}, "imaging_slices: means nothing"),
         ({"planes_mm": (2.0,)}, "must be two or more, increasing"),
         ({"line": False}, "line"),
         ({"level": "pupil"}, "allowed: auto, wave"),
@@ -147,7 +147,5 @@ def test_refuses_bad_keys(keys, message):
 
 
 def test_refuses_a_region_wider_than_the_field(twin):
-    with pytest.raises(
-        ValueError, match=r"region_mm = 0\.5: wider than the field; allowed: up to 0\.1875 mm"
-    ):
+    with pytest.raises(ValueError, match=r"region_mm = 0\.5.*up to 0\.1875 mm"):
         merit(region_mm=0.5).check(twin)

@@ -29,7 +29,7 @@ def slices(**keys):
 
 def test_slices_are_whole_numbers():
     assert slices(distribution="discrete", values=[10, 30]).column == "reconstruction_slices"
-    with pytest.raises(DesignError, match=r"reconstruction_slices = 10\.5: must be a whole number from 1"):
+    with pytest.raises(DesignError, match=r"reconstruction_slices = 10\.5.*whole number"):
         slices(distribution="discrete", values=[10.5, 30])
-    with pytest.raises(DesignError, match=r"distribution = 'normal': .*allowed: discrete"):
+    with pytest.raises(DesignError, match=r"distribution = 'normal'.*discrete"):
         slices(distribution="normal", sigma=3.0)

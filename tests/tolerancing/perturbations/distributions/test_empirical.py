@@ -58,7 +58,7 @@ def test_measured_values_are_known_by_their_digest(tmp_path):
 def test_values_are_read_at_their_first_use(tmp_path, monkeypatch):
     unread = written(tmp_path, "radius_mm\n1.0\n2.0\n")
     for use in (lambda: unread.digest, lambda: unread.quantile(np.array([0.5])), lambda: unread.largest):
-        with pytest.raises(InputError, match=r"cannot read shop.csv: No such file"):
+        with pytest.raises(InputError, match=r"shop\.csv.*No such file"):
             use()
     monkeypatch.chdir(tmp_path)
     assert unread.quantile(np.array([0.5]))[0] == 0.5 + 1.5
@@ -72,25 +72,25 @@ def test_values_are_read_at_their_first_use(tmp_path, monkeypatch):
             "radius_m,thickness_mm\n1,2\n",
             r"no column 'radius_mm'; .*did you mean radius_m",
         ),
-        ("1.0\n2.0\n", r"there is no column 'radius_mm'; allowed: 1.0"),
+        ("1.0\n2.0\n", r"there is no column 'radius_mm'.*1.0"),
         ("radius_mm,radius_mm\n1,2\n", r"2 columns are called 'radius_mm'"),
-        ("", r"shop.csv: is empty"),
-        ("\n\n", r"shop.csv: is empty"),
-        ("radius_mm\n1.0\n", r"has 1 values: must be at least 2"),
-        ("radius_mm\n1.0\n1.0\n", r"has only the value 1"),
+        ("", r"shop.csv: holds nothing"),
+        ("\n\n", r"shop.csv: holds nothing"),
+        ("radius_mm\n1.0\n", r"holds 1 values.* 2"),
+        ("radius_mm\n1.0\n1.0\n", "nothing but 1"),
         ("radius_mm\n1.0\n\nabc\n", r"shop.csv, line 4: radius_mm = 'abc' is not a number"),
-        ("radius_mm\n1.0\nnan\n", r"line 3: radius_mm = nan: must be a finite number"),
-        ("radius_mm\n1.0\n-inf\n", r"line 3: radius_mm = -inf: must be a finite number"),
-        ("radius_mm\n1.0\n1e300\n", r"line 3: radius_mm = 1e\+300: must be a finite number"),
+        ("radius_mm\n1.0\nnan\n", "line 3: radius_mm = nan"),
+        ("radius_mm\n1.0\n-inf\n", "line 3: radius_mm = -inf"),
+        ("radius_mm\n1.0\n1e300\n", r"line 3: radius_mm = 1e\+300"),
         ("radius_mm\n1.0\n1_0\n", r"line 3: radius_mm = '1_0' is not a number"),
-        ("radius_mm\n1,0\n2,5\n", r"line 2: 2 cells, but the first line names 1 column: .*'1,0' may hold a"),
-        ("part,radius_mm\n1,1.0\n2,0,5\n", r"line 3: 3 cells, but the first line names 2"),
-        ("part;radius_mm\n1;0,012\n", r"line 2: radius_mm = '0,012' is not a number: a comma may be"),
-        ("part\tradius_mm\n1\t0,012\n", r"line 2: radius_mm = '0,012' is not a number: a comma may be"),
+        ("radius_mm\n1,0\n2,5\n", r"line 2: 2 cells.* 1 column.*'1,0'"),
+        ("part,radius_mm\n1,1.0\n2,0,5\n", r"line 3: 3 cells.* 2"),
+        ("part;radius_mm\n1;0,012\n", r"line 2: radius_mm = '0,012'.*comma"),
+        ("part\tradius_mm\n1\t0,012\n", r"line 2: radius_mm = '0,012'.*comma"),
         ('part,radius_mm\n1,"0,012"\n', r"line 2: radius_mm = '0,012' is not a number"),
-        ('part,radius_mm\n1,"1,234.5"\n', r"line 2: radius_mm = '1,234.5' is not a number: thousands"),
-        ("part;radius_mm\n1;1.234,5\n", r"line 2: radius_mm = '1.234,5' is not a number: thousands"),
-        ("part radius_mm\n1 0.5\n", r"no column 'radius_mm'; allowed: part radius_mm"),
+        ('part,radius_mm\n1,"1,234.5"\n', r"line 2: radius_mm = '1,234.5'.*thousands"),
+        ("part;radius_mm\n1;1.234,5\n", r"line 2: radius_mm = '1.234,5'.*thousands"),
+        ("part radius_mm\n1 0.5\n", r"no column 'radius_mm'.*part radius_mm"),
         ("part,radius_mm\n1,1.0\n2\n", r"line 3: no value in column 'radius_mm'"),
         ("part,radius_mm\n1,1.0\n2,\n", r"line 3: radius_mm = '' is not a number"),
         ("radius_mm\n" + "1" * 200_000, r"line 2: not a CSV file: field larger"),
@@ -103,14 +103,14 @@ def test_faulty_measured_values_are_refused(tmp_path, text, message):
 
 
 def test_files_that_are_none_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"cannot read .*absent.csv: No such file"):
+    with pytest.raises(InputError, match=r"absent\.csv.*No such file"):
         Empirical(file="absent.csv", column="x").loaded(tmp_path)
-    with pytest.raises(InputError, match=r"cannot read .*: Is a directory"):
+    with pytest.raises(InputError, match="Is a directory"):
         Empirical(file=".", column="x").loaded(tmp_path)
     (tmp_path / "raw.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"raw.csv: not a text file in UTF-8"):
+    with pytest.raises(InputError, match=r"raw\.csv.*UTF-8"):
         Empirical(file="raw.csv", column="x").loaded(tmp_path)
-    with pytest.raises(ValidationError, match=r"must not contain a NUL character"):
+    with pytest.raises(ValidationError, match="NUL character"):
         Empirical(file="a\0b", column="x")
 
 

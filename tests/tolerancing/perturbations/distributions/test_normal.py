@@ -32,8 +32,8 @@ def test_at_the_ends_of_its_limits_truncated_normal_is_another_distribution():
 @pytest.mark.parametrize(
     ("sigma", "limit", "message"),
     [
-        (1.0, 1e-4, r"limit = 0.0001 is 0.0001 sigma; allowed: 0.001 to 30; beyond, .* is uniform"),
-        (1.0, 31.0, r"limit = 31 is 31 sigma; .* is normal"),
+        (1.0, 1e-4, r"limit = 0.0001 is 0.0001 sigma.*0.001 to 30.*uniform"),
+        (1.0, 31.0, r"limit = 31 is 31 sigma.*normal"),
         (1e-9, 1.0, r"is 1e\+09 sigma"),
     ],
 )

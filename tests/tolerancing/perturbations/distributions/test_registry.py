@@ -117,7 +117,7 @@ def test_scaling_multiplies_the_deviations_alone(kind, made):
 @every
 @pytest.mark.parametrize("factor", [0.0, -1.0, math.inf, math.nan])
 def test_scales_must_be_positive(kind, factor, made):
-    with pytest.raises(InputError, match=r"scale = .*: must be a finite number above 0"):
+    with pytest.raises(InputError, match=r"scale = .*above 0"):
         made(kind).scaled(factor)
 
 

@@ -13,7 +13,6 @@ from lensdesign.optimization import load_specification
 from lensdesign.optimization.specification.specification import Specification
 
 FOLDER = Path(__file__).parents[3] / "golden" / "designer_b"
-START = 'start = "plate"'
 
 
 @pytest.fixture(scope="session")

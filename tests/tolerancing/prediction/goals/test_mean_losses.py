@@ -112,15 +112,15 @@ def test_a_limit_bounds_the_search(tmp_path: Path) -> None:
 
 def test_a_study_without_such_a_merit_is_refused(tmp_path: Path) -> None:
     merits = LOSS.replace("reconstruction_loss", "rms_waves").replace("patch_mm = 0.02\n", "")
-    with pytest.raises(DesignError, match="has no merit of kind reconstruction_loss: add one"):
+    with pytest.raises(DesignError, match="no merit of kind reconstruction_loss"):
         load_specification(specified(tmp_path, merits))
 
 
 def test_a_study_whose_lens_cannot_stand_for_the_search_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match="patch_mm = 4: wider than the field"):
+    with pytest.raises(DesignError, match=r"patch_mm = 4: .*field"):
         load_specification(specified(tmp_path, LOSS.replace("0.02", "4.0")))
 
 
 def test_a_yield_needs_a_limit_that_can_be_predicted(tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match="no merit can be predicted without trials"):
+    with pytest.raises(DesignError, match="without trials"):
         load_specification(specified(tmp_path, goal="yield"))

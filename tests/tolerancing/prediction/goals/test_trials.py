@@ -82,9 +82,7 @@ def test_yield_is_printed_jointly_and_by_its_parts(specified) -> None:
 
 
 def test_what_cannot_be_predicted_is_no_goal(specified) -> None:
-    with pytest.raises(
-        DesignError, match=r"no merit can be predicted without trials \(rms_waves, contrast\)"
-    ):
+    with pytest.raises(DesignError, match=r"without trials \(rms_waves, contrast\)"):
         specified("refocus = false\n" + CONTRAST)
-    with pytest.raises(DesignError, match="limits the refocused wavefront"):
+    with pytest.raises(DesignError, match="refocused wavefront"):
         specified("refocus = false\n" + SPREAD, **{'goal = "yield"': 'goal = "as-built rms"'})

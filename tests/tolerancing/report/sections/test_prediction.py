@@ -94,7 +94,7 @@ def test_the_command_puts_a_start_and_a_front_beside_the_lens(
 @pytest.mark.parametrize("text", ["", "design,glasses,on_front\n", FRONT.replace("8.19", "thin")])
 def test_what_is_no_front_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "front.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"front\.csv: is no front"):
+    with pytest.raises(InputError, match=r"front\.csv.*no front"):
         read_front(tmp_path)
     with pytest.raises(InputError, match="is no front"):
         read_front(tmp_path / "nowhere.csv")

@@ -25,7 +25,6 @@ from wavesim.scene.scene import Scene, placed_scene
 from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.mounting import light_on, planes_at
 
-PITCH = 3.2e-3
 TRUE = {
     "light_tilt_x_deg": 0.25,
     "light_tilt_y_deg": -0.15,

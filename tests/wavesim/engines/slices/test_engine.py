@@ -275,7 +275,7 @@ def test_equal_phase_helps_where_phase_is_what_is_wrong(paper_line: Scene) -> No
 
 def test_warns_of_too_few_slices(paper_line: Scene) -> None:
     source = line_source(paper_line.object_grid)
-    with pytest.warns(SamplingWarning, match="slices = 20: .*vertical .* waves .* more slices"):
+    with pytest.warns(SamplingWarning, match=r"slices = 20: vertical .*waves"):
         AnnularSlices(paper_line, 20).forward(source)
     with warnings.catch_warnings():
         warnings.simplefilter("error", SamplingWarning)
@@ -319,7 +319,7 @@ def test_refuses_the_papers_lens_on_the_plane() -> None:
     assert all(front.grid.shape[0] > 31_000 for front, _ in engine.sides)
     assert cost.seconds > 3600.0
     assert cost.peak_bytes > 31_000**2 * 16
-    with pytest.raises(SamplingError, match=r"samples .* bytes .* h.* force"):
+    with pytest.raises(SamplingError, match=r"samples .*bytes.*force"):
         engine.forward(spot(scene.object_grid, 0.01))
 
 

@@ -73,9 +73,9 @@ def test_asked_for_grids_are_taken_or_refused_with_the_limit() -> None:
     finer = working_grid(scene, 0.5 * chosen.pitch_mm, 1.2 * half).grid
     assert finer.pitch_mm == 0.5 * chosen.pitch_mm
     assert finer.half_widths_mm[0] >= 1.2 * half
-    with pytest.raises(SamplingError, match=r"pitch_mm = .*too coarse.*at most .* mm"):
+    with pytest.raises(SamplingError, match=r"pitch_mm = .*at most .* mm"):
         working_grid(scene, 1.2 * chosen.pitch_mm)
-    with pytest.raises(SamplingError, match=r"half_width_mm = .*too narrow.*at least .* mm"):
+    with pytest.raises(SamplingError, match=r"half_width_mm = .*at least .* mm"):
         working_grid(scene, None, 0.9 * half)
     for bad in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(InputError, match="above 0"):
@@ -86,13 +86,13 @@ def test_light_that_never_gets_through_is_refused() -> None:
     with pytest.raises(InputError, match="fewer than three rays"):
         working_grid(scene_of(perturbations={1: SurfacePerturbation(decenter_y_mm=1.4)}))
     beside = replace(scene_of(), pose=Pose(decenter_x_mm=0.4))
-    with pytest.raises(InputError, match=r"surface 0 .* decenter"):
+    with pytest.raises(InputError, match=r"surface 0 .*decentered"):
         working_grid(beside)
 
 
 def test_an_object_behind_the_lens_is_refused() -> None:
     scene = replace(scene_of(), pose=Pose(despace_mm=-1.5))
-    with pytest.raises(InputError, match=r"front vertex lies 0.5 mm in front of the object grid"):
+    with pytest.raises(InputError, match=r"vertex.* 0\.5 mm"):
         working_grid(scene)
 
 
@@ -109,13 +109,13 @@ def test_light_along_the_planes_is_refused() -> None:
         Grid((40,), 1e-3, 1.2),
         WAVELENGTH_UM,
     )
-    with pytest.raises(SamplingError, match=r"degrees to the axis: at most 78.5"):
+    with pytest.raises(SamplingError, match=r"at most 78\.5"):
         working_grid(steep)
 
 
 @pytest.mark.parametrize("cost", [Cost(1.0, 0.0, 10**11), Cost(1e4, 0.0, 1000), Cost(1.0, 1e4, 1000)])
 def test_huge_runs_are_refused_with_their_size(cost: Cost) -> None:
-    with pytest.raises(SamplingError, match=r"engine wpm: 1e\+09 samples take .* bytes and .* hours"):
+    with pytest.raises(SamplingError, match=r"engine wpm: 1e\+09 samples"):
         check_grid_size("wpm", 10**9, cost, force=False)
     check_grid_size("wpm", 10**9, cost, force=True)
     check_grid_size("wpm", 10**9, Cost(10.0, 1.0, 10**9), force=False)

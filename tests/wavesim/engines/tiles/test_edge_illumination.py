@@ -87,5 +87,5 @@ def test_light_of_another_scene_is_refused(paper_lens: Lens) -> None:
     scene, other = (scene_of(paper_lens, patch, meridional=True) for patch in (0.02, 0.03))
     with pytest.raises(InputError, match="must be the scene's"):
         EikonalTiles(scene).predicted_error(beam(other, 0.004))
-    with pytest.raises(InputError, match=r"even = 1\.5: must be from 0 to 1"):
+    with pytest.raises(InputError, match=r"even = 1\.5.*0 to 1"):
         Light(beam(scene, 0.004).field, even=1.5)

@@ -78,7 +78,7 @@ def hold_against_one_level(engine: WholeFieldEngine, error: float) -> None:
 
 
 def test_two_levels_give_what_one_level_gives(paper_lens: Lens) -> None:
-    scene = plane_scene(paper_lens, (0.2, 1.2))
+    scene = plane_scene(paper_lens, (0.2, 1.2), samples=140)
     hold_against_one_level(WholeFieldEngine(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3)
 
 
@@ -178,7 +178,7 @@ def test_settings_that_cannot_be_are_refused(paper_lens: Lens) -> None:
         with pytest.raises(InputError, match=next(iter(wrong))):
             WholeFieldEngine(scene, **wrong)  # type: ignore[arg-type]
     line = Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), WAVELENGTH_UM)
-    with pytest.raises(InputError, match="eikonal on a line"):
+    with pytest.raises(InputError, match=r"line.*eikonal"):
         WholeFieldEngine(line)
 
 
@@ -190,7 +190,7 @@ def test_tiles_too_wide_are_refused_by_name(paper_lens: Lens) -> None:
 def test_a_fold_on_the_plane_is_refused(paper_lens: Lens) -> None:
     lens = paper_lens.with_surface(1, radius_mm=-6.0, semi_diameter_mm=7.5)
     grids = Grid((100, 100), 0.5e-3, -13.5), Grid((50, 50), 0.1, 20.0)
-    with pytest.raises(FoldError, match="fold on the plane z = 20 mm"):
+    with pytest.raises(FoldError, match=r"fold.*z = 20 mm"):
         WholeFieldEngine(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
 
 
@@ -243,7 +243,7 @@ def test_maps_that_cannot_be_so_accurate_are_refused(
     scene = plane_scene(paper_lens)
     region = region_of_object(scene)
     assert not region.is_disc
-    with pytest.raises(RayMapError, match="ask for less accuracy"):
+    with pytest.raises(RayMapError, match="less accuracy"):
         maps_over_object(scene, region, 12.7, 0.09, 1e-11)
 
 

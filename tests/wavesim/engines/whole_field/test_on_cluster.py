@@ -156,14 +156,14 @@ def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
 
 
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
-    with pytest.raises(InputError, match="a cluster needs engine hierarchical"):
+    with pytest.raises(InputError, match=r"cluster.*engine two-level"):
         validate_tiled(engine_for(scene, "no-lens"))
 
 
 def test_a_worker_refuses_another_version(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     packet = pickle.loads(pickle.dumps(ScenePacket("1.0", scene, engine_on(scene).settings(), "key")))
     monkeypatch.setattr(cluster_tiles, "_engines", {})
-    with pytest.raises(InputError, match=r"worker on .* has version .*, this is 1\.0"):
+    with pytest.raises(InputError, match=r"worker on .* version .* 1\.0"):
         engine_of(packet)
     packet = replace(packet, toolkit_version=cluster_tiles.toolkit_version())
     assert engine_of(packet) is engine_of(packet)

@@ -162,10 +162,10 @@ def test_a_mixture_of_memories_is_caught_by_the_stand_in() -> None:
 
 
 def test_what_is_not_there_is_refused(paper_lens: Lens, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="no such device; allowed: cpu, gpu"):
+    with pytest.raises(InputError, match=r"no such device.*cpu, gpu"):
         WholeFieldEngine(small_scene(paper_lens), device="gpus")
     monkeypatch.setitem(sys.modules, "cupy", None)
-    with pytest.raises(InputError, match="install transferlens with its extra gpu"):
+    with pytest.raises(InputError, match="extra gpu"):
         device_named("gpu")
 
 

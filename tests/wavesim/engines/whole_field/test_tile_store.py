@@ -64,7 +64,7 @@ def test_a_full_disk_keeps_what_was_kept(tmp_path: Path, monkeypatch: pytest.Mon
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(tile_store.np, "save", full)
-    with pytest.raises(InputError, match=r"the disk is full\. 1 parts are kept: .* goes on"):
+    with pytest.raises(InputError, match=r"full\. 1 parts are kept"):
         kept[1] = values(1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["00000.npy", "key.txt"]
     assert np.array_equal(kept[0], values(0))
@@ -76,7 +76,7 @@ def test_a_disk_without_room_is_refused_beforehand(tmp_path: Path, monkeypatch: 
     usage = namedtuple("usage", "free")
     monkeypatch.setattr(tile_store.shutil, "disk_usage", lambda _: usage(3_000_000_000))
     kept.check_free_space(2_900_000_000)
-    with pytest.raises(InputError, match=r"has 3 GB free: .* need 3\.1 GB"):
+    with pytest.raises(InputError, match=r"3 GB free.* 3\.1 GB"):
         kept.check_free_space(3_000_000_000)
 
 

@@ -281,7 +281,7 @@ def test_full_plane_of_a_full_lens_is_refused(paper_lens: Lens) -> None:
     scene = Scene(paper_lens, *grids, WAVELENGTH_UM)
     engine = WavePropagation(scene)
     assert engine.cost().peak_bytes > 1e11
-    with pytest.raises(SamplingError, match=r"e\+09 samples take .*e\+11 bytes and .* hours.*force = True"):
+    with pytest.raises(SamplingError, match=r"e\+09 samples.*e\+11 bytes.*force = True"):
         engine.forward(Field(grids[0], np.ones(grids[0].shape), WAVELENGTH_UM))
 
 

@@ -98,7 +98,7 @@ def test_an_object_in_a_wrong_hollow_has_no_uncertainty(lit: tuple[Engine, Field
     one, true = result.transmission.values[inside], diffuse[inside]
     turned = one * (np.vdot(one, true) / abs(np.vdot(one, true)))
     assert np.linalg.norm(turned - true) > 0.5 * np.linalg.norm(true)
-    with pytest.raises(UndeterminedError, match=r"the result leaves [\d.]+ times the noise of the frames"):
+    with pytest.raises(UndeterminedError, match=r"[\d.]+ times the noise"):
         uncertainty(*lit, planes, result, repeats=2, **settings)
 
 
@@ -107,7 +107,7 @@ def test_objects_that_fit_as_well_and_differ_have_none(lit: tuple[Engine, Field]
     planes = record(lit, 0, distances_mm=(0.0,))
     settings = {"kind": "complex", "tv_weight": 0.0}
     result = reconstruct(*lit, planes, iterations=40, scale=1.0, **settings)
-    with pytest.raises(UndeterminedError, match=r"another start (fits as well|leaves a misfit)"):
+    with pytest.raises(UndeterminedError, match="another start"):
         uncertainty(*lit, planes, result, repeats=2, **settings)
 
 
@@ -118,7 +118,7 @@ def test_a_plane_that_was_held_out_has_its_say(lit: tuple[Engine, Field]) -> Non
     assert 0.6 < told.held_out_over_noise < 1.1
     assert "held out" not in told.leaves_out
     (wrong,) = record(lit, 3, transmission=np.ones((64, 64)), distances_mm=(0.9,))
-    with pytest.raises(UndeterminedError, match="times the noise of the plane held out"):
+    with pytest.raises(UndeterminedError, match="plane held out"):
         uncertainty(*lit, planes, result, held_out=wrong, repeats=2, **SETTINGS)
 
 

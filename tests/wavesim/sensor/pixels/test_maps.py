@@ -68,7 +68,7 @@ def test_a_hot_pixel_is_told_and_left_out(lab: Path) -> None:
         frame = read_frames([path])[0]
         frame.counts[30, 40] = 65_000
         write_frame(frame, path)
-    with pytest.warns(BadPixelWarning, match="plane at 1 mm: 1 pixels are hot or dead"):
+    with pytest.warns(BadPixelWarning, match="plane at 1 mm: 1 pixels"):
         frames = read_frames(frames_of(lab), dark=lab / "dark.npy")
     assert all(np.isinf(estimate_intensity(frame)[1][30, 40]) for frame in frames)
 
@@ -80,7 +80,7 @@ def test_an_exposure_that_is_not_as_stated_is_told_and_taken_out(tmp_path: Path)
     paths = [tmp_path / "short.tif", tmp_path / "long.tif"]
     for path, frame in zip(paths, frames, strict=True):
         write_frame(frame, path)
-    with pytest.warns(ExposureWarning, match=r"long.tif: is \+(3.9|4|4.1) % brighter than its exposure says"):
+    with pytest.warns(ExposureWarning, match=r"long\.tif.*\+(3.9|4|4.1) % brighter"):
         short, long = read_frames(paths)
     assert long.settings.exposure / short.settings.exposure == pytest.approx(20.0 * 1.04, rel=3e-3)
 
@@ -89,7 +89,7 @@ def test_an_exposure_that_is_not_as_stated_is_told_and_taken_out(tmp_path: Path)
     ("name", "values", "said"),
     [
         ("flat", np.zeros(SHAPE), "show no light beyond the dark count"),
-        ("flat", np.full((60, 81), 1000.0), "81 x 60 pixels; the frames have 80 x 60"),
+        ("flat", np.full((60, 81), 1000.0), r"81 x 60 pixels.*80 x 60"),
         ("dark", np.full(SHAPE, 6e4), "must be a picture without light"),
         ("bad_pixels", np.ones(SHAPE), "marks 100 % of the pixels as bad"),
         ("bad_pixels", np.zeros((6, 8)), "must be a map of the same pixels"),
