@@ -224,7 +224,7 @@ def hostile_merits(folder: Path, rng: np.random.Generator, count: int) -> Tally:
         (folder / "mine.py").write_text(source)
         store = folder / f"{k}.db"
 
-        workers = 2 if "os.kill" in way or "os._exit" in way else 1  # neither must end this process
+        workers = 2 if "os." in way else 1  # a merit that ends its process must not end this one
 
         def work(store: Path = store, workers: int = workers) -> Path:
             with redirect_stdout(sys.stderr):

@@ -155,7 +155,7 @@ def _reconstruct(folder: Path, out: Path) -> subprocess.Popen[str]:
     words += ["--error", "0.3", "--engine", "eikonal", "--iterations", "7", "-o", str(out)]
     code = (
         "import math, sys; from wavesim.reconstruction import resumable as r\n"
-        "r.KEEP_SECONDS, r.KEEP_SHARE = 0.0, math.inf  # all is over before it would keep anything\n"
+        "r.SAVE_INTERVAL_S, r.SAVE_TIME_FRACTION = 0.0, math.inf  # too late to save anything\n"
         "from wavesim.cli.commands import main; sys.argv[0] = 'wavesim'; main()"
     )
     return subprocess.Popen(

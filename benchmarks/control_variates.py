@@ -64,10 +64,10 @@ def main() -> None:
             cheap, dear = store.trials().scores.T
         seconds = Seconds(*(seconds_of(loaded, name) for name in ("cheap", "dear")))
     means, yields = repeated(cheap, dear, seconds)
-    correlation, ratio = float(np.corrcoef(cheap, dear)[0, 1]), seconds.dear / seconds.cheap
+    correlation, ratio = float(np.corrcoef(cheap, dear)[0, 1]), seconds.high_fidelity / seconds.low_fidelity
     rows = [
-        Row("one trial by the pupil", 1e3 * seconds.cheap, "ms"),
-        Row("one trial by waves", 1e3 * seconds.dear, "ms"),
+        Row("one trial by the pupil", 1e3 * seconds.low_fidelity, "ms"),
+        Row("one trial by waves", 1e3 * seconds.high_fidelity, "ms"),
         Row("correlation of both", correlation),
         Row("narrowing at best for these", best_narrowing(correlation, ratio)),
         *rows_of("mean", means, float(dear.mean()), target=3.0),
@@ -82,7 +82,7 @@ def rows_of(
 ) -> list[Row]:
     """How often the interval holds the truth, and how much narrower it is."""
     held = float(np.mean([one.low <= truth <= one.high for one in found]))
-    dear = float(np.median([one.narrower_than_dear for one in found]))
+    dear = float(np.median([one.narrower_than_high_fidelity for one in found]))
     same = float(np.median([one.narrower_than_same_time for one in found]))
     return [
         Row(f"{what}, truth", truth),

@@ -106,7 +106,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     lens = lens.replaced(object=lens.object.replaced(numerical_aperture=aperture))
     scene = field_scene(lens, field_mm, side)
     rng = np.random.default_rng(1)
-    engine = engine_for(scene, "two-level")
+    engine = engine_for(scene, "hierarchical")
     assert isinstance(engine, WholeFieldEngine)
     started = time.perf_counter()
     groups = len(engine.groups)

@@ -64,7 +64,7 @@ def whole_field(lens: Lens, diameter_mm: float) -> tuple[list[Row], tuple[float,
     """Forward, adjoint and their dot-product test on noise that fills the field."""
     scene, paper = field_scene(lens, diameter_mm), diameter_mm == DIAMETERS_MM[-1]
     count = scene.object_grid.shape[0]
-    engine, (field, other) = engine_for(scene, "two-level"), noisy_fields(scene)
+    engine, (field, other) = engine_for(scene, "hierarchical"), noisy_fields(scene)
     started = time.perf_counter()
     predicted = engine.cost()
     setup = time.perf_counter() - started
@@ -133,7 +133,7 @@ def against_one_level(lens: Lens) -> list[Row]:
     inside = 0.02 * np.hypot(rows - middle[0], columns - middle[1]) < 8.3
     found = []
     for error in (1e-2, 1e-3):
-        engine = engine_for(scene, "two-level", error=error)
+        engine = engine_for(scene, "hierarchical", error=error)
         mine = engine.forward(Field(scene.object_grid, values, wavelength)).values
         off = float(np.linalg.norm(mine[inside] - exact[inside]) / np.linalg.norm(exact[inside]))
         found.append(Row(f"difference from one level, error {error:g} asked", off, at_most=error))

@@ -91,7 +91,7 @@ def _transforms(device: Device) -> AbstractContextManager[Any]:
 def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
     """Forward and adjoint of the processor and of the device, one after the other."""
     scene = field_scene(lens, field_mm, side)
-    engine = engine_for(scene, "two-level", error=1e-2)
+    engine = engine_for(scene, "hierarchical", error=1e-2)
     assert isinstance(engine, WholeFieldEngine)
     starts = noisy_fields(scene)
     engine.groups  # noqa: B018

@@ -21,9 +21,9 @@ from tolerancing import load_study
 from tolerancing.perturbations import DRAWS, probabilities, replicates
 from tolerancing.statistics import fit_response, yield_of
 from tolerancing.statistics.rare_failures import (
-    failure_chances,
+    draw_trials,
+    failure_probabilities,
     modelled_trials,
-    proposed,
     weighted_failures,
 )
 from tolerancing.statistics.yields import wilson
@@ -173,8 +173,8 @@ def rare(loaded: LoadedStudy, model: Callable[[Array], Array]) -> None:
         for seed in range(RARE_REPEATS):
             rng = np.random.default_rng(seed)
             drawn = modelled_trials(study, RARE_MODELLED, rng)
-            chances = failure_chances(judged, fitted, values, scores, drawn)
-            chosen, weights = proposed(chances, TRIALS, rng)
+            chances = failure_probabilities(judged, fitted, values, scores, drawn)
+            chosen, weights = draw_trials(chances, TRIALS, rng)
             failed = model(drawn[chosen])[:, 0] > limit**2
             share, _, trials = weighted_failures(failed, weights, RARE_MODELLED)
             found.append((1.0 - share, *wilson(1.0 - share, trials)))

@@ -39,10 +39,10 @@ def main() -> None:
     """Measure and print."""
     lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), FIELD_MM / PAPER_MM)
     scenes = [field_scene(lens, mm, SIDE) for mm in (COMPILED_MM, *SMALLER_MM)]
-    times = [both_ways(engine_for(one, "two-level"), *noisy_fields(one))[1] for one in scenes][1:]
+    times = [both_ways(engine_for(one, "hierarchical"), *noisy_fields(one))[1] for one in scenes][1:]
     scene = field_scene(lens, FIELD_MM, SIDE)
     field, other = noisy_fields(scene)
-    (there, back), seconds = both_ways(engine_for(scene, "two-level"), field, other)
+    (there, back), seconds = both_ways(engine_for(scene, "hierarchical"), field, other)
     times.append(seconds)
     peak_gb = 1.024e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     mismatch = dot_product_mismatch(field, there, other, back)
@@ -59,7 +59,7 @@ def main() -> None:
         Row("dot-product test, of the sizes", mismatch, at_most=MISMATCH),
     ]
     with workers() as address, tiles_in(address) as take:
-        engine = take(engine_for(scene, "two-level"))
+        engine = take(engine_for(scene, "hierarchical"))
         assert isinstance(engine, WholeFieldEngine)
         engine.cost()
         started = time.perf_counter()

@@ -263,36 +263,36 @@ MUTATIONS = (
     # Reconstruction
     Mutation(
         "A5: weights swapped",
-        "wavesim/reconstruction/from_field.py",
+        "wavesim/reconstruction/phase_retrieval.py",
         "FEEDBACK = (0.7, 0.5)",
         "FEEDBACK = (0.5, 0.7)",
     ),
     Mutation(
         "A4: twice the step",
-        "wavesim/reconstruction/from_field.py",
+        "wavesim/reconstruction/phase_retrieval.py",
         "TV_STEP = 0.05",
         "TV_STEP = 0.1",
     ),
     Mutation(
         "A5: a and b swapped",
         "wavesim/reconstruction/retrieval/kernel.py",
-        "before[i, j] = own * mean[i, j] - a * now[i, j] - b * before[i, j]",
-        "before[i, j] = own * mean[i, j] - b * now[i, j] - a * before[i, j]",
-        "tests/wavesim/reconstruction/test_from_field.py",
+        "previous[i, j] = factor * mean[i, j] - a * now[i, j] - b * previous[i, j]",
+        "previous[i, j] = factor * mean[i, j] - b * now[i, j] - a * previous[i, j]",
+        "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     Mutation(
         "A5: feedback one iteration early",
-        "wavesim/reconstruction/from_field.py",
+        "wavesim/reconstruction/phase_retrieval.py",
         "if k < 2 else",
         "if k < 1 else",
-        "tests/wavesim/reconstruction/test_from_field.py",
+        "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     Mutation(
         "A4: t in place of t / 2",
-        "wavesim/reconstruction/retrieval/steps.py",
+        "wavesim/reconstruction/retrieval/iteration.py",
         "real(0.5 * tv_step)",
         "real(tv_step)",
-        "tests/wavesim/reconstruction/test_from_field.py",
+        "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     Mutation(
         "Eq. 5: a sum of moduli",
@@ -308,10 +308,10 @@ MUTATIONS = (
     ),
     Mutation(
         "A6: a correlation about zero",
-        "wavesim/reconstruction/retrieval/steps.py",
+        "wavesim/reconstruction/retrieval/iteration.py",
         "(sxy - sx * sy / count) / math.sqrt(x * y)",
         "sxy / math.sqrt(x * y)",
-        "tests/wavesim/reconstruction/test_from_field.py",
+        "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     # Judgement
     Mutation(
@@ -349,10 +349,10 @@ MUTATIONS = (
     ),
     Mutation(
         "root sum square of variances",
-        "tolerancing/statistics/quadratic_response.py",
+        "tolerancing/statistics/sensitivities.py",
         "np.sqrt(np.sum(sensitivity.standard_deviation**2, axis=0))",
         "np.sum(sensitivity.standard_deviation, axis=0)",
-        "tests/tolerancing/statistics/test_quadratic_response.py",
+        "tests/tolerancing/statistics/test_sensitivities.py",
     ),
     Mutation(
         "a trial at its limit fails",

@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from wavesim.calibration.planning import Plan, plan_frames
-from wavesim.reconstruction.found import FoundObject
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.found_object import FoundObject
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import Kind
 from wavesim.sensor.imaging import image
 

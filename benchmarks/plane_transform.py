@@ -88,8 +88,8 @@ def columns_by_scipy(plane: NDArray[Any]) -> None:
 def columns_here(panels: Panels) -> None:
     """The same; divided by the number of samples."""
     for panel in panels.values[: AT_ONCE // LANES]:
-        panels.along_columns(panel, panel, back=False)
-        panels.along_columns(panel, panel, back=True)
+        panels.along_columns(panel, panel, inverse=False)
+        panels.along_columns(panel, panel, inverse=True)
         panel *= np.float32(1.0 / panels.shape[0])
 
 

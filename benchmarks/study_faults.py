@@ -84,7 +84,7 @@ def _run(study: Path, store: Path, trials: int) -> None:
     from tolerancing.study.files import load_study
 
     loaded = load_study(study)
-    run_study(loaded, store, workers=2, trials=trials, report=lambda done, _: print(done, flush=True))
+    run_study(loaded, store, workers=2, trials=trials, progress=lambda done, _: print(done, flush=True))
 
 
 def count(store: Path) -> int:

@@ -214,7 +214,7 @@ def measured_run(study: str, store: str, trials: str, options: str) -> dict[str,
         load_study(study),
         store,
         trials=int(trials),
-        report=lambda done, _: told.append((time.perf_counter(), done)),
+        progress=lambda done, _: told.append((time.perf_counter(), done)),
         **json.loads(options),
     )
     told = [entry for entry in told if entry[1] >= SHARE_LEFT_OUT * int(trials)]

@@ -193,8 +193,8 @@ def compensators_beside_trials() -> None:
     found = yield_of(study.merits[0].passed(np.concatenate(scores)))
     assert found is not None  # there are trials
     print(
-        f"decenter adapted: good predicted {told.good:.4f}, by {COMPENSATED_TRIALS} trials {found.share:.4f} "
-        f"({found.low:.4f} to {found.high:.4f})"
+        f"decenter adapted: good predicted {told.good:.4f}, by {COMPENSATED_TRIALS} trials "
+        f"{found.fraction:.4f} ({found.low:.4f} to {found.high:.4f})"
     )
 
 

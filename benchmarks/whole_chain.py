@@ -36,8 +36,8 @@ def twin() -> None:
         batch = PerturbationBatch((parameter,), np.array(values)[:, None])
         in_plane = plane.scores(Context(lens, Sampling()), batch)
         for value, other in zip(values, in_plane, strict=True):
-            seen = chain.recorded(Placement(Pose(**{name: value})), None, 12, None)
-            found = chain.reconstructed(seen, ReconstructionEngine("eikonal"), iterations=ITERATIONS)
+            seen = chain.record(Placement(Pose(**{name: value})), None, 12, None)
+            found = chain.reconstruct(seen, ReconstructionEngine("eikonal"), iterations=ITERATIONS)
             print(f"{name}, {value:g}: {found.contrasts[0]:.3f}, {other:.3f}", flush=True)
 
 
@@ -51,9 +51,9 @@ def main() -> None:
     poses = [Pose(decenter_y_mm=d) for d in DECENTERS_MM] + [Pose(tilt_x_deg=t) for t in TILTS_DEG]
     for pose in poses:
         system = Placement(pose)
-        planes_seen = chain.recorded(system, None, 12, None)
+        planes_seen = chain.record(system, None, 12, None)
         nominal, true = (
-            chain.reconstructed(planes_seen, engine, model=model, iterations=ITERATIONS)
+            chain.reconstruct(planes_seen, engine, model=model, iterations=ITERATIONS)
             for model in (NOMINAL, system)
         )
         print(

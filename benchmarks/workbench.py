@@ -67,10 +67,10 @@ def main() -> None:
 
 def computing() -> None:
     """Seconds of each stage of the figures, wall and processor."""
-    from studio.model.built import workmanship
+    from studio.model.built import manufacturing_quality
 
     _, editing = opened(DESIGNS / "paper_singlet.toml")
-    made = workmanship(GRADE, editing.lens, heights_of(editing.lens))
+    made = manufacturing_quality(GRADE, editing.lens, heights_of(editing.lens))
     stages = {
         "layout, spread, footprint, spots": rays_of,
         "pupils of three fields, yield": waves_of,

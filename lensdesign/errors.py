@@ -1,4 +1,4 @@
-"""What the toolkit raises, and the one way in which it writes files."""
+"""Exceptions of the toolkit, checks of values, and atomic writing of files."""
 
 from __future__ import annotations
 
@@ -13,37 +13,67 @@ from pathlib import Path
 
 
 class TransferLensError(Exception):
-    """Base of everything that the toolkit raises on purpose."""
+    """Base class of the exceptions that the toolkit raises on purpose.
+
+    Examples
+    --------
+    >>> issubclass(InputError, TransferLensError)
+    True
+    """
 
 
 class InputError(TransferLensError, ValueError):
-    """Bad input: the message names what, where, which value, and what is allowed.
+    """Invalid input; the message names the location, the value and what is allowed.
 
     Commands print the message and exit with status 2.
+
+    Examples
+    --------
+    >>> try:
+    ...     validate_positive("radius_mm", -1.0)
+    ... except InputError as error:
+    ...     print(error)
+    radius_mm = -1.0: must be finite and above 0
     """
 
 
 class DesignError(InputError):
-    """A design or specification that cannot be a lens."""
+    """Invalid design or specification.
+
+    Examples
+    --------
+    >>> issubclass(DesignError, InputError)
+    True
+    """
 
 
 class MaterialError(InputError):
-    """An unknown material, or a wavelength outside the range for which it is known."""
+    """Unknown material, or a wavelength outside the range for which its index is known.
+
+    Examples
+    --------
+    >>> from lensdesign import get_material
+    >>> try:
+    ...     get_material("N-BK7").index(20.0)
+    ... except MaterialError as error:
+    ...     print(error)
+    N-BK7 (Schott): the index at 20 um is not known; the wavelength must be from 0.3 to 2.5 um
+    """
 
 
 class SamplingError(InputError):
-    """A grid that cannot hold what was asked of it."""
+    """Grid that cannot represent the requested field."""
 
 
 UNFINISHED: set[Path] = set()
-"""Temporary files and folders that are being written; a process that ends at once removes them."""
+"""Temporary files and folders that are being written; a process that ends immediately removes them."""
 
 
 MARK = r"(?P<process>[0-9]{1,10})-[0-9a-f]{8}"
-"""What :func:`new_mark` gives, as a regular expression."""
+"""Regular expression of the marks of :func:`new_mark`."""
 
 ABANDONED_SECONDS = 6 * 3600.0
-"""Age at which a temporary file is taken to be abandoned, though a process has the number in its name."""
+"""Age from which a temporary file is abandoned, even if a process with the number in its name exists."""
 
 
 def validate_positive(name: str, value: float) -> None:
@@ -53,28 +83,28 @@ def validate_positive(name: str, value: float) -> None:
 
 
 def validate_whole_number(name: str, value: int, least: int) -> None:
-    """Raise InputError unless a value is a whole number that is large enough."""
+    """Raise InputError unless a value is a whole number of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise InputError(f"{name} = {value!r}: must be a whole number from {least}")
 
 
 def validate_choice(name: str, value: str, allowed: Sequence[str]) -> None:
-    """Raise InputError unless a value is one of those that are allowed."""
+    """Raise InputError unless a value is one of the allowed ones."""
     if value not in allowed:
         raise InputError(f"{name} = {value!r}: allowed: {', '.join(allowed)}")
 
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path beside `path` to write to, and rename it into place at the end.
+    """Provide a temporary path in the folder of `path`, and rename it to `path` at the end.
 
-    A failure while writing leaves whatever stood at `path` as it was. A symbolic link stays one: what it
-    points to is replaced.
+    If writing fails, an existing file at `path` stays unchanged. A symbolic link is kept, and its target is
+    replaced.
 
     Parameters
     ----------
     path
-        Where the finished file is to stand. Its folder is made if needed.
+        Path of the finished file. Its folder is created if needed.
 
     Yields
     ------
@@ -86,95 +116,97 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     InputError
         If the folder or the file cannot be written.
     """
-    temporary, place = _temporary_for(Path(path))
+    temporary, target = _temporary_for(Path(path))
     try:
         yield temporary
         os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, place)
+        os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        with suppress(OSError):  # of a disk that has become read-only; what went wrong first is reported
+        with suppress(OSError):  # the disk may have become read-only; the first error is reported
             temporary.unlink(missing_ok=True)
         UNFINISHED.discard(temporary)
 
 
-def writable_place(target: Path) -> Path:
-    """The place of a file to write, without symbolic links.
+def resolved_output(target: Path) -> Path:
+    """Return the path of a file to write with all symbolic links resolved.
 
     Raises
     ------
     InputError
-        If a folder or another thing that is no regular file stands there, or links lead back to themselves.
+        If the path is a folder or something else that is not a regular file, or a link that refers to itself.
     OSError, ValueError
-        What the system says of the name.
+        If the system does not accept the name.
     """
     if target.is_dir():
         raise InputError(f"cannot write {target}: it is a folder; give a file name")
     if target.exists() and not target.is_file():
-        raise InputError(f"cannot write {target}: it is no regular file, and would be lost")
-    place = Path(os.path.realpath(target))
-    if place.is_symlink():
-        raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
-    return place
+        raise InputError(
+            f"cannot write {target}: it is not a regular file and would be lost; give another name"
+        )
+    resolved = Path(os.path.realpath(target))
+    if resolved.is_symlink():
+        raise InputError(f"cannot write {target}: a symbolic link that refers to itself")
+    return resolved
 
 
 def _temporary_for(target: Path) -> tuple[Path, Path]:
-    """An empty file beside the one that is to be written, and that one without symbolic links."""
+    """Return an empty temporary file in the folder of the target, and the target without symbolic links."""
     try:
-        place = writable_place(target)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        # The start of the name will do: with all of a long one, the temporary name would be too long.
-        start, end = f".{place.stem[:32]}.", place.suffix
-        _remove_abandoned(place.parent, start, end)
-        temporary = place.parent / f"{start}{new_mark()}{end}"
+        resolved = resolved_output(target)
+        resolved.parent.mkdir(parents=True, exist_ok=True)
+        # Only the start of the name is used, so that the temporary name does not become too long.
+        start, end = f".{resolved.stem[:32]}.", resolved.suffix
+        _remove_abandoned(resolved.parent, start, end)
+        temporary = resolved.parent / f"{start}{new_mark()}{end}"
         UNFINISHED.add(temporary)
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
     except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(f"cannot write {target}: a file stands where a folder is needed") from error
+        raise InputError(f"cannot write {target}: there is a file where a folder is needed") from error
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"cannot write {str(target)!r}: {error}") from error  # a NUL character in the name
-    return temporary, place
+    return temporary, resolved
 
 
 def new_mark() -> str:
-    """A new part of the name of a temporary file or folder: the process that writes it, and random digits."""
+    """Return a mark for the name of a temporary file or folder: process number and random digits."""
     return f"{os.getpid()}-{os.urandom(4).hex()}"
 
 
 def is_abandoned(path: Path, process: str | None) -> bool:
-    """Whether nobody writes a temporary file or folder any more, since its process was killed.
+    """Return whether a temporary file or folder is no longer written because its process was killed.
 
     Parameters
     ----------
     path
         The file or folder.
     process
-        Number of the process, from its name; None where the name has none.
+        Number of the process from its name; None if the name has none.
     """
     if path in UNFINISHED:
         return False
     if process is None:
         return True
     age_seconds = time.time() - path.stat().st_mtime
-    if int(process) == os.getpid():  # in containers that share a folder, processes share numbers
+    if int(process) == os.getpid():  # processes of other containers may have the same number
         return age_seconds > 60.0
     try:
         os.kill(int(process), 0)
     except ProcessLookupError:
         return True
-    except (OSError, OverflowError):  # of another user
+    except (OSError, OverflowError):  # a process of another user
         pass
-    # Numbers of processes are used again.
+    # Process numbers are reused, so the age decides.
     return age_seconds > ABANDONED_SECONDS
 
 
 def _remove_abandoned(folder: Path, start: str, end: str) -> None:
-    """Remove temporary files of one name that killed processes left."""
+    """Remove temporary files of one name that killed processes have left."""
     name = re.compile(rf"{re.escape(start)}{MARK}{re.escape(end)}")
     with suppress(OSError):
         for path in folder.iterdir():

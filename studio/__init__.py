@@ -1,4 +1,4 @@
-"""A workbench in the browser: change a lens and see at once what it does."""
+"""Workbench in the browser: change a lens and see the effect at once."""
 
 import lazy_loader
 

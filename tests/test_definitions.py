@@ -40,7 +40,7 @@ from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.metrics.similarity import psnr_db
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, strehl
 from wavesim.rays.interfaces import transmission
-from wavesim.reconstruction.from_field import FEEDBACK, TV_STEP
+from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.reconstruction.refocusing import svfg
 from wavesim.sensor.exposures import Electronics, SaturationWarning, expose
 from wavesim.targets.usaf import usaf_elements, usaf_line_width_um
@@ -253,7 +253,7 @@ class TestStatistics:
         assert CONFIDENCE == 0.95
         found = yield_of(np.arange(10) < 8)
         assert found is not None
-        assert (found.share, found.low, found.high) == pytest.approx((0.8, 0.4902, 0.9433), abs=5e-5)
+        assert (found.fraction, found.low, found.high) == pytest.approx((0.8, 0.4902, 0.9433), abs=5e-5)
 
     def test_fringes(self) -> None:
         assert pytest.approx(0.273035) == FRINGE_UM

@@ -55,15 +55,15 @@ SHORTER = {
     # Engines weighed for a small error take longer than those few iterations.
     r"^(wavesim (?:image|reconstruct|calibrate) (?!.*--(?:error|engine|free-space)).*)": r"\1 --error 0.3",
     # The whole field of the full-size lens (half an hour): of a tiny twin.
-    r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/tiny_twin.toml\1",
+    r"designs/paper_singlet.toml( .*)?(?= --engine hierarchical)": r"designs/tiny_twin.toml\1",
     # A bench on which all is wrong: its frames, not the engine that makes them.
-    r"--engine two-level (.*) -o region$": r"--engine eikonal --error 0.3 \1 -o region",
+    r"--engine hierarchical (.*) -o region$": r"--engine eikonal --error 0.3 \1 -o region",
     # Of a study with four perturbations most of a sheet is derived, and its yield drops.
     r"^(lensdesign drawing .*--tolerances .*)": r"\1 --accept-yield-loss",
     # Hundreds of tiles: some, which err by more.
     r"--tile-width-mm 0\.0005": "--tile-width-mm 0.01",
     # Nobody runs a cluster here: the whole field of another page in its place.
-    r" --engine two-level --cluster \S+": " --exposures 1,30,1000 --engine two-level",
+    r" --engine hierarchical --cluster \S+": " --exposures 1,30,1000 --engine hierarchical",
     # Its fine lines need samples and exposures that the twin has no room for.
     r" --(chart-at-mm|object-pitch-um) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.

@@ -146,10 +146,10 @@ def test_engines_agree_on_an_astigmatic_and_comatic_figure() -> None:
 
 def test_the_thin_lens_names_the_figures_that_it_leaves_out() -> None:
     scene = small_scene({3: 0.15})
-    assert not any("figure" in part.what for part in ThinLens(small_scene({})).neglected())
-    (found,) = (part for part in ThinLens(scene).neglected() if "figure" in part.what)
+    assert not any("figure" in part.description for part in ThinLens(small_scene({})).error_terms())
+    (found,) = (part for part in ThinLens(scene).error_terms() if "figure" in part.description)
     waves = 0.15 * (scene.system.index[0, 1] - 1.0) / WAVELENGTH_UM
-    assert found.what == f"figure of surface 1: {waves:.3g} waves rms"
+    assert found.description == f"figure of surface 1: {waves:.3g} waves rms"
     assert found.relative_error == pytest.approx(2.0 * math.pi * waves, rel=1e-5)
 
 

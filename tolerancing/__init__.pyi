@@ -15,8 +15,7 @@ from .statistics.yields import Yield
 from .store.export import write_steps, write_trials
 from .store.store import Store, open_store
 from .study.evaluate import sample_perturbations
-from .study.files import LoadedStudy, load_study, save_study
-from .study.starting import start_study
+from .study.files import LoadedStudy, load_study, save_study, start_study
 from .study.study import Study
 
 __all__ = [

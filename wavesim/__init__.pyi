@@ -1,5 +1,5 @@
 from .calibration.calibrated import Calibrated
-from .calibration.from_frames import calibrate_frames
+from .calibration.frame_calibration import calibrate_frames
 from .engines.choosing import choose, engine_for
 from .fields.field import Field, Grid
 from .fields.guards import SamplingWarning
@@ -11,10 +11,10 @@ from .pupil.characteristic import PupilSampler
 from .pupil.line_pairs import line_pair_contrast
 from .pupil.patch_chain import PatchChain
 from .pupil.pupil import ReconstructionPupil, mtf, psf, refocus, rms_waves, strehl
-from .reconstruction.found import FoundObject
-from .reconstruction.from_field import retrieve
-from .reconstruction.from_frames import reconstruct_frames
-from .reconstruction.from_object import reconstruct
+from .reconstruction.found_object import FoundObject
+from .reconstruction.frame_reconstruction import reconstruct_frames
+from .reconstruction.object_solver import reconstruct
+from .reconstruction.phase_retrieval import retrieve
 from .reconstruction.refocusing import refocus_field
 from .scene.engine import Engine
 from .scene.patches import patch_scene

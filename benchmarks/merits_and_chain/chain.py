@@ -19,7 +19,7 @@ import scipy.fft
 
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim import Electronics, Engine, Field, Grid, Measurement, Placement, engine_for, reconstruct
-from wavesim.calibration.estimation import calibrate
+from wavesim.calibration.known_object import calibrate
 from wavesim.scene import Bench
 from wavesim.scene.scene import placed_scene
 from wavesim.sensor import Recording, image_patch, recorded_planes

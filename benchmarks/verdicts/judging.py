@@ -15,8 +15,8 @@ from benchmarks.verdicts.benches import Bench, BenchFrames, write_frames
 from benchmarks.verdicts.cases import Case
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
-from wavesim.reconstruction.found import FoundObject
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.found_object import FoundObject
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings
 from wavesim.sensor.frame_sets import read_frames
 from wavesim.sensor.frames import Frame

@@ -1,4 +1,4 @@
-"""What rays say of a lens: matching (Eq. 1), spread (Eq. 2), arrival, first order, form errors, the check."""
+"""Analysis of a lens: matching (Eq. 1), spread (Eq. 2), arrival angles, first order, form errors, check."""
 
 import lazy_loader
 

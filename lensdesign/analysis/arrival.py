@@ -18,29 +18,31 @@ from lensdesign.raytrace.rays import trace_compiled
 Flags = NDArray[np.bool_]
 
 RINGS, ARMS = 8, 32
-RIM = 1.02
-"""How far the outermost triangles reach past the rim, so that their chords cover all of the stop."""
+"""Rings and points per ring of the ray map over the stop."""
+
 ARRIVAL_TOLERANCE_MM = 1e-9
+"""Largest distance from the target at which a ray counts as arriving."""
 
 
 @dataclass(frozen=True)
 class ArrivalAngles:
     """Rays from the whole object disc that arrive at one point of the sensor.
 
-    An object point has a row for each of its rays that arrives; one without any has a row with `ok` False.
+    An object point has a row for each of its rays that arrives. A point without such a ray has one row with
+    `ok` False.
 
     Attributes
     ----------
     sensor_point_mm, plane_distance_mm
-        The point, and its plane's distance from the exit vertex.
+        The point, and the distance of its plane from the exit vertex.
     object_points_mm : ndarray, shape (n, 2)
-        Object points, evenly spread over the disc.
+        Object points, uniformly distributed over the disc.
     cosines : ndarray, shape (n, 2)
         Direction cosines L, M behind the lens; 0 where no ray arrives.
     ok : ndarray of bool, shape (n,)
-        False where no ray exists, or it is clipped on its way.
-    share
-        Share of the object points from which a ray arrives.
+        False where no ray exists or the ray is clipped.
+    fraction
+        Fraction of the object points from which a ray arrives (0 to 1).
     largest_deg
         Largest angle to the axis; NaN if nothing arrives.
     """
@@ -50,7 +52,7 @@ class ArrivalAngles:
     object_points_mm: Array
     cosines: Array
     ok: NDArray[np.bool_]
-    share: float
+    fraction: float
     largest_deg: float
 
     @property
@@ -67,10 +69,10 @@ def arrival_angles(
     wavelength_um: float | None = None,
     object_rings: int = 16,
 ) -> ArrivalAngles:
-    """Directions in which light from the whole object disc arrives at a point of the sensor (Fig. 2d).
+    """Return the directions in which light from the whole object disc arrives at a sensor point (Fig. 2d).
 
-    The ray map of each object point is laid out as triangles; each triangle whose image holds the sensor
-    point starts Newton's method on the launch direction. Where the map folds, each sheet gives its ray.
+    The ray map of each object point is divided into triangles. Each triangle whose image contains the sensor
+    point starts Newton's method on the launch direction. Where the map folds, each sheet gives its own ray.
 
     Parameters
     ----------
@@ -79,11 +81,16 @@ def arrival_angles(
     sensor_point_mm
         x and y on the plane.
     plane_distance_mm
-        The plane, from the exit vertex.
+        Distance of the plane from the exit vertex.
     wavelength_um
-        Vacuum wavelength; None takes the lens's first.
+        Vacuum wavelength (default: the first of the lens).
     object_rings
-        Rings of object points on the disc: 1 + 3 r (r + 1) points in all.
+        Number r of rings of object points on the disc, with 1 + 3 r (r + 1) points.
+
+    Raises
+    ------
+    InputError
+        If the sensor point is not two finite numbers.
     """
     wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     target = np.asarray(sensor_point_mm, float)
@@ -100,7 +107,7 @@ def arrival_angles(
         object_points_mm=points[owner],
         cosines=np.where(ok[:, None], direction[:, :2], 0.0),
         ok=ok,
-        share=len(np.unique(owner[ok])) / len(points),
+        fraction=len(np.unique(owner[ok])) / len(points),
         largest_deg=math.degrees(np.max(angle[ok])) if np.any(ok) else math.nan,
     )
 
@@ -113,18 +120,18 @@ def arriving_rays(
     Parameters
     ----------
     lens, system
-        The nominal lens and what was compiled from it (one trial).
+        The nominal lens and the system compiled from it (one trial).
     object_points_mm
-        Shape (points, 2).
+        x and y of object points, shape (points, 2).
     target_mm, plane_z_mm
         x and y of the target, and z of its plane.
 
     Returns
     -------
     owner : ndarray of int, shape (n,)
-        Index of the object point of each ray, in rising order; every object point has at least one row.
+        Index of the object point of each ray, in increasing order; every object point has at least one row.
     direction : ndarray, shape (n, 3)
-        Behind the lens.
+        Direction cosines behind the lens.
     ok : ndarray of bool, shape (n,)
         Whether the ray exists and passes the lens.
     """
@@ -133,27 +140,27 @@ def arriving_rays(
     origins = np.column_stack([object_points_mm, np.full(len(object_points_mm), lens.object_z_mm)])
     solution = _newton(system, origins[owner], start, target_mm, plane_z_mm)
     rays = trace_compiled(system, origins[owner], _unit(solution), plane_z_mm)
-    miss = np.linalg.norm(rays.position[:, :2] - target_mm, axis=-1)
-    ok = rays.ok & (miss < ARRIVAL_TOLERANCE_MM)
-    return _one_row_each(owner, solution, rays.direction, ok, len(object_points_mm))
+    distance = np.linalg.norm(rays.position[:, :2] - target_mm, axis=-1)
+    ok = rays.ok & (distance < ARRIVAL_TOLERANCE_MM)
+    return _distinct_rays(owner, solution, rays.direction, ok, len(object_points_mm))
 
 
 def _triangles() -> NDArray[np.int64]:
-    """Corners of the triangles between the centre and the rings, shape (triangles, 3)."""
+    """Return the corners of the triangles between the centre and the rings, shape (triangles, 3)."""
     arm = np.arange(ARMS)
     after = (arm + 1) % ARMS
-    parts = [np.stack([np.zeros(ARMS, int), 1 + arm, 1 + after], axis=-1)]
+    triangles = [np.stack([np.zeros(ARMS, int), 1 + arm, 1 + after], axis=-1)]
     for ring in range(1, RINGS):
         inner, outer = 1 + (ring - 1) * ARMS, 1 + ring * ARMS
-        parts.append(np.stack([inner + arm, outer + arm, outer + after], axis=-1))
-        parts.append(np.stack([inner + arm, outer + after, inner + after], axis=-1))
-    return np.concatenate(parts)
+        triangles.append(np.stack([inner + arm, outer + arm, outer + after], axis=-1))
+        triangles.append(np.stack([inner + arm, outer + after, inner + after], axis=-1))
+    return np.concatenate(triangles)
 
 
 def _ray_map(
     lens: Lens, system: CompiledSystem, object_points_mm: Array, plane_z_mm: float
 ) -> tuple[Array, Array, Flags]:
-    """Launch cosines over the stop for every object point, where those rays land, and which do."""
+    """Return launch cosines over the stop for every object point, their landing points, and which arrive."""
     angle = 2.0 * np.pi * np.arange(ARMS) / ARMS
     radius = np.arange(1, RINGS + 1) / RINGS
     polar = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1)
@@ -162,14 +169,15 @@ def _ray_map(
         system, object_points_mm, pupil, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
     )
     cosines = directions[:, :2].reshape(len(object_points_mm), len(pupil), 2).copy()
-    cosines[:, -ARMS:] = cosines[:, :1] + RIM * (cosines[:, -ARMS:] - cosines[:, :1])
+    # The outermost triangles reach slightly past the rim, so that their chords cover the whole stop.
+    cosines[:, -ARMS:] = cosines[:, :1] + 1.02 * (cosines[:, -ARMS:] - cosines[:, :1])
     rays = trace_compiled(system, origins, _unit(cosines.reshape(-1, 2)), plane_z_mm, clip=False)
     shape = cosines.shape[:2]
     return cosines, rays.position[:, :2].reshape(*shape, 2), rays.ok.reshape(shape)
 
 
 def _starts(cosines: Array, offset: Array, alive: Flags) -> tuple[NDArray[np.int64], Array]:
-    """Triangles whose image holds the target, as object index and interpolated launch cosines."""
+    """Return object index and interpolated launch cosines of triangles whose image contains the target."""
     corners = _triangles()
     a, b, c = (offset[:, corners[:, i]] for i in range(3))
 
@@ -178,33 +186,36 @@ def _starts(cosines: Array, offset: Array, alive: Flags) -> tuple[NDArray[np.int
 
     weights = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=-1)
     total = weights.sum(axis=-1)
-    # Slightly wider than the triangle: curved edges must not let a ray slip between two of them.
+    # Slightly larger than the triangle, so that no ray is lost between the curved edges of two triangles.
     slack = 0.02 * np.abs(total)[..., None]
-    holds = np.all(weights * np.sign(total)[..., None] >= -slack, axis=-1) & (total != 0.0)
-    holds &= alive[:, corners].all(axis=-1)
-    owner, triangle = np.nonzero(holds)
-    share = weights[owner, triangle] / total[owner, triangle, None]
-    return owner, np.einsum("nk,nkx->nx", share, cosines[owner[:, None], corners[triangle]])
+    contains = np.all(weights * np.sign(total)[..., None] >= -slack, axis=-1) & (total != 0.0)
+    contains &= alive[:, corners].all(axis=-1)
+    owner, triangle = np.nonzero(contains)
+    barycentric = weights[owner, triangle] / total[owner, triangle, None]
+    return owner, np.einsum("nk,nkx->nx", barycentric, cosines[owner[:, None], corners[triangle]])
 
 
 def _newton(
     system: CompiledSystem, origins: Array, cosines: Array, target: Array, plane_z_mm: float
 ) -> Array:
-    """Turn rays until they land on the target; steps that do not help are halved."""
+    """Return launch cosines of rays that land on the target; steps that do not reduce the error are "
+    "halved."""
 
-    def miss(cosines: Array) -> Array:
+    def residual(cosines: Array) -> Array:
         rays = trace_compiled(system, origins, _unit(cosines), plane_z_mm, clip=False)
         return np.where(rays.ok[:, None], rays.position[:, :2] - target, np.inf)
 
     delta = 1e-6
-    error = miss(cosines)
+    error = residual(cosines)
     scale = np.ones(len(cosines))
     for _ in range(30):
         distance = np.linalg.norm(error, axis=-1)
         if not np.any((distance > 0.1 * ARRIVAL_TOLERANCE_MM) & np.isfinite(distance)):
             break
-        with np.errstate(invalid="ignore"):  # a ray that is lost on both sides
-            columns = [(miss(cosines + delta * axis) - miss(cosines - delta * axis)) for axis in np.eye(2)]
+        with np.errstate(invalid="ignore"):  # inf - inf where the ray fails on both sides
+            columns = [
+                (residual(cosines + delta * axis) - residual(cosines - delta * axis)) for axis in np.eye(2)
+            ]
         jacobian = np.stack(columns, axis=-1) / (2.0 * delta)
         usable = np.all(np.isfinite(jacobian), axis=(1, 2)) & np.isfinite(distance)
         jacobian[~usable] = np.eye(2)
@@ -212,7 +223,7 @@ def _newton(
         jacobian[~usable] = np.eye(2)
         step = np.linalg.solve(jacobian, np.where(usable[:, None], error, 0.0)[..., None])[..., 0]
         trial = cosines - scale[:, None] * step
-        trial_error = miss(trial)
+        trial_error = residual(trial)
         better = np.linalg.norm(trial_error, axis=-1) < distance
         cosines = np.where(better[:, None], trial, cosines)
         error = np.where(better[:, None], trial_error, error)
@@ -220,10 +231,10 @@ def _newton(
     return cosines
 
 
-def _one_row_each(
+def _distinct_rays(
     owner: NDArray[np.int64], cosines: Array, direction: Array, ok: Flags, points: int
 ) -> tuple[NDArray[np.int64], Array, Flags]:
-    """Each different ray once, and a row that is not ok for every object point without any."""
+    """Return each distinct ray once, and a row that is not ok for every object point without rays."""
     _, first = np.unique(np.column_stack([owner, np.round(cosines, 7)]), axis=0, return_index=True)
     keep = np.zeros(len(owner), bool)
     keep[first] = True

@@ -1,9 +1,9 @@
-"""Stop points of the nominal lens's extreme rays, so that sampled extremes are the true ones.
+"""Stop points of the extreme rays of the nominal lens, which make sampled extremes exact.
 
-Rings over the stop miss the steepest ray by up to a thousandth of its angle when that ray passes between
-them. Merits of largest angles and distances therefore trace the extreme rays of the nominal lens as well: the
-nominal score then equals what :func:`lensdesign.analysis.spread.largest_spread` finds. A perturbation moves
-an extreme ray over the stop, which changes the extreme to second order only.
+Rings over the stop underestimate the largest angle by up to a thousandth if the steepest ray passes between
+them. Merits of largest angles and distances therefore also trace the extreme rays of the nominal lens. The
+nominal value then equals that of :func:`lensdesign.analysis.spread.largest_spread`. A perturbation moves an
+extreme ray over the stop, which changes the extreme to second order only.
 """
 
 from __future__ import annotations
@@ -18,15 +18,6 @@ from lensdesign.raytrace.bundles import PupilSamples, launch_pairs, pupil_rings
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import trace_compiled
 
-START_RINGS, START_ARMS, STARTS, APART = 12, 48, 10, 0.15
-"""Where searches of a stop point start: the largest of so many samples that lie so far from each other."""
-
-FIRST_STEP, SHRINKING, ITERATIONS, GRID = 0.15, 0.4, 14, 7
-"""Search of a stop point: half width of the first grid, its reduction, how often, points along each side."""
-
-SAME_POINT = 1e-6
-"""Stop points that are nearer to each other than this are one."""
-
 
 def with_extreme_rays(
     lens: Lens,
@@ -35,10 +26,10 @@ def with_extreme_rays(
     wavelength_um: float,
     plane_distances_mm: Sequence[float],
 ) -> PupilSamples:
-    """Add the stop points of extreme rays to samples of the stop, with weight 0.
+    """Return samples of the stop with the stop points of extreme rays added, with weight 0.
 
-    Extreme are, at each field point, the ray with the largest angle behind the lens and the rays that land
-    farthest from the axis on each plane.
+    The extreme rays of a field point are the ray with the largest angle behind the lens and, for each plane,
+    the ray that lands farthest from the axis.
 
     Parameters
     ----------
@@ -47,12 +38,13 @@ def with_extreme_rays(
     field_points_mm
         Object points (x, y).
     stop
-        Samples of the stop, as fractions of its semi-diameter.
+        Samples of the stop, relative to its semi-diameter.
     wavelength_um
         Vacuum wavelength.
     plane_distances_mm
-        Planes, from the exit vertex.
+        Distances of planes from the exit vertex.
     """
+    smallest_distance = 1e-6  # a stop point that is nearer to another one is not added
     search = _ExtremeSearch(lens, wavelength_um, plane_distances_mm)
     symmetric = all(surface.shape.ROTATIONAL for surface in lens.surfaces)
     by_height: dict[float, list[Array]] = {}
@@ -63,17 +55,18 @@ def with_extreme_rays(
             key = round(height, 9)
             if key not in by_height:
                 by_height[key] = search.stop_points(np.array([0.0, height]))
-            found = [turned for point in by_height[key] for turned in _turned(point, field, height)]
+            found = [rotated for point in by_height[key] for rotated in _rotated(point, field, height)]
         else:
             found = search.stop_points(field)
         for point in found:
-            if np.min(np.linalg.norm(points - point, axis=1)) > SAME_POINT:
+            if np.min(np.linalg.norm(points - point, axis=1)) > smallest_distance:
                 points = np.concatenate([points, point[None]])
     return PupilSamples(points, np.append(stop.weights, np.zeros(len(points) - len(stop.points))))
 
 
-def _turned(point: Array, field_mm: Array, height_mm: float) -> tuple[Array, Array]:
-    """A stop point found for a field point on the y axis, and its mirror image, turned to a field point."""
+def _rotated(point: Array, field_mm: Array, height_mm: float) -> tuple[Array, Array]:
+    """Return a stop point of a field point on the y axis, and its mirror image, rotated to another "
+    "azimuth."""
     along = field_mm / height_mm if height_mm > 0.0 else np.array([0.0, 1.0])
     across = np.array([along[1], -along[0]])
     return point[1] * along + point[0] * across, point[1] * along - point[0] * across
@@ -87,7 +80,8 @@ class _ExtremeSearch:
         self.planes_mm = tuple(plane_distances_mm)
 
     def values(self, field_mm: Array, points: Array) -> Array:
-        """Sine of the angle, and distance from the axis on each plane; shape (1 + planes, n)."""
+        """Return the sine of the angle, and the distance from the axis on each plane; shape (1 + planes, "
+        "n)."""
         lens = self.lens
         origins, directions = launch_pairs(
             self.system,
@@ -104,37 +98,38 @@ class _ExtremeSearch:
         return np.where(rays.ok, found, -np.inf)
 
     def stop_points(self, field_mm: Array) -> list[Array]:
-        """Stop point of each extreme ray of a field point; none where no ray passes."""
-        samples = pupil_rings(START_RINGS, START_ARMS, edge=True).points
+        """Return the stop point of each extreme ray of a field point; none where no ray passes."""
+        samples = pupil_rings(rings=12, arms=48, edge=True).points
         found = []
-        for which, values in enumerate(self.values(field_mm, samples)):
-            ends = [self._climbed(field_mm, which, start) for start in _starts(samples, values)]
+        for quantity, values in enumerate(self.values(field_mm, samples)):
+            ends = [self._maximize(field_mm, quantity, start) for start in _starts(samples, values)]
             if ends:
                 found.append(max(ends, key=lambda end: end[0])[1])
         return found
 
-    def _climbed(self, field_mm: Array, which: int, point: Array) -> tuple[float, Array]:
-        """The largest value near a stop point and where it is, by grids that shrink around the best."""
-        steps = np.linspace(-1.0, 1.0, GRID)
+    def _maximize(self, field_mm: Array, quantity: int, point: Array) -> tuple[float, Array]:
+        """Return the largest value near a stop point and its position, by grids that shrink around the "
+        "best."""
+        steps = np.linspace(-1.0, 1.0, 7)
         offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        half_width = FIRST_STEP
-        for _ in range(ITERATIONS):
+        half_width = 0.15
+        for _ in range(14):
             points = point + half_width * offsets
             radii = np.linalg.norm(points, axis=1)
             points /= np.maximum(radii, 1.0)[:, None]
-            values = self.values(field_mm, points)[which]
+            values = self.values(field_mm, points)[quantity]
             best = int(np.argmax(values))
             value, point = float(values[best]), points[best]
-            half_width *= SHRINKING
+            half_width *= 0.4
         return value, point
 
 
 def _starts(samples: Array, values: Array) -> list[Array]:
-    """The samples of the largest values, each some distance from the others; none where all are missing."""
+    """Return up to 10 samples of the largest values that are at least 0.15 apart; none without rays."""
     chosen: list[Array] = []
     for index in np.argsort(-values):
-        near = any(np.linalg.norm(samples[index] - other) < APART for other in chosen)
-        if len(chosen) == STARTS or not np.isfinite(values[index]):
+        near = any(np.linalg.norm(samples[index] - other) < 0.15 for other in chosen)
+        if len(chosen) == 10 or not np.isfinite(values[index]):
             break
         if not near:
             chosen.append(samples[index])

@@ -1,7 +1,7 @@
-"""Where the ghost of a lens falls: light that is reflected twice between its first and last surface.
+"""Ghost of a lens: light that is reflected twice between its first and last surface.
 
-It is coherent with the light that goes straight through, so that it shows as fringes: of a relative
-irradiance r they have the contrast 2 sqrt(r) / (1 + r). Only fringes wider than two pixels are recorded.
+The ghost is coherent with the direct light and therefore causes fringes. At a relative irradiance r their
+contrast is 2 sqrt(r) / (1 + r). The sensor records only fringes with periods of more than two pixels.
 """
 
 from __future__ import annotations
@@ -22,12 +22,6 @@ from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.ghosts import ghost_indices, ghost_order, ghost_system
 from lensdesign.raytrace.rays import trace_compiled
 
-FAN = 2001
-"""Rays from rim to rim along y."""
-
-ASIDE = 1e-4
-"""In stop coordinates along x, for the width of a tube of rays."""
-
 
 @dataclass(frozen=True)
 class GhostOnPlane:
@@ -36,14 +30,15 @@ class GhostOnPlane:
     Attributes
     ----------
     field_mm, plane_distance_mm : float
-        Height of the object point; distance from the exit vertex.
+        Height of the object point, and distance of the plane from the exit vertex.
     from_mm, to_mm : float
-        Where it falls.
+        Range of y that the ghost covers.
     fringes_from_mm, fringes_to_mm : float or None
-        The part of it in which its fringes with the straight light are wider than two pixels; None where
-        there is none.
+        Range of y in which the fringes of ghost and direct light have periods of more than two pixels; None
+        if there is no such range.
     relative_irradiance, contrast : float or None
-        In the middle of that part: over the straight light's, and of the fringes.
+        Irradiance of the ghost relative to that of the direct light, and contrast of the fringes, both in the
+        middle of that range.
     """
 
     field_mm: float
@@ -62,36 +57,45 @@ class GhostReport:
 
     Attributes
     ----------
-    share : float
-        Of the light, that both reflections leave.
+    fraction : float
+        Fraction of the light that is left after both reflections (0 to 1).
     efl_mm, bfl_mm : float
-        Its effective and back focal lengths, as of :class:`lensdesign.analysis.paraxial.FirstOrder`.
+        Effective and back focal length of the ghost; see :class:`lensdesign.analysis.paraxial.FirstOrder`.
     on_planes : tuple of GhostOnPlane
-        Object points in the middle and at the edge of the field, one plane after the other.
+        Ghosts of the object points at the centre and at the edge of the field, for each plane.
+
+    Examples
+    --------
+    See :func:`ghost_report`.
     """
 
-    share: float
+    fraction: float
     efl_mm: float
     bfl_mm: float
     on_planes: tuple[GhostOnPlane, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return asdict(self)
+        """Return plain values for JSON, with `fraction` under the key ``share``."""
+        values = asdict(self)
+        return {"share": values.pop("fraction"), **values}
 
 
-def uncoated_ghost_share(lens: Lens, wavelength_um: float | None = None) -> float:
-    """Share of light that bare first and last surfaces reflect both, met head-on (Fresnel)."""
+def uncoated_ghost_fraction(lens: Lens, wavelength_um: float | None = None) -> float:
+    """Return the fraction of light left after reflection at both uncoated outer surfaces.
+
+    The Fresnel reflectances are those of normal incidence, at a vacuum wavelength (default: the first of the
+    lens).
+    """
     n = lens.indices(lens.wavelengths_um[0] if wavelength_um is None else wavelength_um)
     first, last = ((n[i] - n[i + 1]) / (n[i] + n[i + 1]) for i in (0, -2))
     return float((first * last) ** 2)
 
 
 def ghost_first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOrder:
-    """Cardinal points for the light that the last surface reflects, then the first one.
+    """Return the cardinal points for light that is reflected at the last and then at the first surface.
 
-    `front_principal_z_mm` and `ffl_mm` count from the front vertex; the others from the end of the way there
-    and back, so that only `efl_mm` and `bfl_mm` mean places of the lens itself.
+    `front_principal_z_mm` and `ffl_mm` are measured from the front vertex. `rear_principal_z_mm` includes the
+    backward path and is not a position on the lens.
     """
     wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     count = len(lens.surfaces)
@@ -103,76 +107,101 @@ def ghost_first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOr
     )
 
 
-def ghost_report(lens: Lens, share: float | None = None, wavelength_um: float | None = None) -> GhostReport:
-    """Where the ghost between the first and the last surface falls on the design's planes.
+def ghost_report(
+    lens: Lens, fraction: float | None = None, wavelength_um: float | None = None
+) -> GhostReport:
+    """Compute the ghost between the first and the last surface on the planes of the design.
 
     Parameters
     ----------
     lens
         The nominal lens.
-    share
-        Of the light, that both reflections leave; left out, that of uncoated surfaces.
+    fraction
+        Fraction of the light that is left after both reflections (default: that of uncoated surfaces).
     wavelength_um
-        The design's first one if left out.
+        Vacuum wavelength (default: the first of the design).
+
+    Returns
+    -------
+    GhostReport
 
     Raises
     ------
     InputError
-        If the lens has one surface only, or the share is not from 0 to 1.
+        If the lens has only one surface, the fraction is not from 0 to 1, or too few rays arrive.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=4.0),
+    ...         Surface(radius_mm=-20.0, semi_diameter_mm=4.0),
+    ...     ),
+    ... )
+    >>> round(ghost_report(lens).fraction, 5)
+    0.0016
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    if share is None:
-        share = uncoated_ghost_share(lens, wavelength)
-    if not 0.0 <= share <= 1.0:
-        raise InputError(f"ghost share = {share!r}: must be from 0 to 1")
-    straight = compile_system(lens, wavelength)
-    ghost = ghost_system(straight, 0, straight.surfaces - 1)
+    if fraction is None:
+        fraction = uncoated_ghost_fraction(lens, wavelength)
+    if not 0.0 <= fraction <= 1.0:
+        raise InputError(f"ghost share = {fraction!r}: must be from 0 to 1")
+    direct = compile_system(lens, wavelength)
+    ghost = ghost_system(direct, 0, direct.surfaces - 1)
     paraxial = ghost_first_order(lens, wavelength)
-    places = [(h, z) for z in lens.sensor.plane_distances_mm for h in (0.0, lens.half_field_mm)]
-    on_planes = (_on_plane(lens, straight, ghost, share, wavelength, *place) for place in places)
-    return GhostReport(share, paraxial.efl_mm, paraxial.bfl_mm, tuple(on_planes))
+    points = [(h, z) for z in lens.sensor.plane_distances_mm for h in (0.0, lens.half_field_mm)]
+    on_planes = (_on_plane(lens, direct, ghost, fraction, wavelength, *point) for point in points)
+    return GhostReport(fraction, paraxial.efl_mm, paraxial.bfl_mm, tuple(on_planes))
 
 
 def _on_plane(
     lens: Lens,
-    straight: CompiledSystem,
+    direct: CompiledSystem,
     ghost: CompiledSystem,
-    share: float,
+    fraction: float,
     wavelength_um: float,
     field_mm: float,
     distance_mm: float,
 ) -> GhostOnPlane:
-    y, sine, density = _fan(lens, straight, ghost, field_mm, distance_mm)
-    place, direct_sine, direct = _fan(lens, straight, straight, field_mm, distance_mm)
-    met = (y >= place[0]) & (y <= place[-1])
-    apart = np.abs(sine - np.interp(y, place, direct_sine))
-    wide = met & (apart < spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um))
+    y, sine, irradiance = _fan(lens, direct, ghost, field_mm, distance_mm)
+    direct_y, direct_sine, direct_irradiance = _fan(lens, direct, direct, field_mm, distance_mm)
+    overlap = (y >= direct_y[0]) & (y <= direct_y[-1])
+    difference = np.abs(sine - np.interp(y, direct_y, direct_sine))
+    resolved = overlap & (difference < spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um))
     ends = float(y[0]), float(y[-1])
-    if not np.any(wide):
+    if not np.any(resolved):
         return GhostOnPlane(field_mm, distance_mm, *ends, None, None, None, None)
-    among = y[wide]
-    middle = 0.5 * (among[0] + among[-1])
-    ratio = share * float(np.interp(middle, y, density) / np.interp(middle, place, direct))
-    fringes = float(among[0]), float(among[-1])
+    fringes = float(y[resolved][0]), float(y[resolved][-1])
+    middle = 0.5 * (fringes[0] + fringes[1])
+    relative = np.interp(middle, y, irradiance) / np.interp(middle, direct_y, direct_irradiance)
+    ratio = fraction * float(relative)
     return GhostOnPlane(field_mm, distance_mm, *ends, *fringes, ratio, 2.0 * math.sqrt(ratio) / (1.0 + ratio))
 
 
 def _fan(
-    lens: Lens, straight: CompiledSystem, system: CompiledSystem, field_mm: float, distance_mm: float
+    lens: Lens, direct: CompiledSystem, system: CompiledSystem, field_mm: float, distance_mm: float
 ) -> tuple[Array, Array, Array]:
-    """Of rays that arrive, from low to high: place along y, sine of the angle to the axis, and irradiance."""
-    up = np.linspace(-1.0, 1.0, FAN)
-    pupil = np.concatenate([np.column_stack([np.full(FAN, x), (1.0 - ASIDE) * up]) for x in (0.0, ASIDE)])
+    """Return y, sine of the angle to the axis, and irradiance of the rays that arrive, in order of y."""
+    count, width = 2001, 1e-4  # rays of the fan, and width of a tube of rays in stop coordinates
+    up = np.linspace(-1.0, 1.0, count)
+    pupil = np.concatenate([np.column_stack([np.full(count, x), (1.0 - width) * up]) for x in (0.0, width)])
     origins, directions = launch_compiled(
-        straight, [(0.0, field_mm)], pupil, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
+        direct, [(0.0, field_mm)], pupil, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
     )
     rays = trace_compiled(system, origins, directions, lens.exit_vertex_z_mm + distance_mm)
-    ok = rays.ok.reshape(2, FAN).all(axis=0)
+    ok = rays.ok.reshape(2, count).all(axis=0)
     if np.count_nonzero(ok) < 3:
-        raise InputError(f"field {field_mm:g} mm: fewer than three rays of its light arrive")
-    position = rays.position.reshape(2, FAN, 3)[:, ok]
+        raise InputError(
+            f"field {field_mm:g} mm: fewer than three rays arrive on the plane {distance_mm:g} mm behind the "
+            "lens; choose another plane or a smaller field"
+        )
+    position = rays.position.reshape(2, count, 3)[:, ok]
     y = position[0, :, 1]
-    tube = np.abs((position[1, :, 0] - position[0, :, 0]) / ASIDE * np.gradient(y, up[ok]))
-    low_first = np.argsort(y)
-    sine = rays.direction.reshape(2, FAN, 3)[0, ok, 1]
-    return y[low_first], sine[low_first], 1.0 / np.maximum(tube[low_first], 1e-300)
+    tube = np.abs((position[1, :, 0] - position[0, :, 0]) / width * np.gradient(y, up[ok]))
+    order = np.argsort(y)
+    sine = rays.direction.reshape(2, count, 3)[0, ok, 1]
+    return y[order], sine[order], 1.0 / np.maximum(tube[order], 1e-300)

@@ -1,8 +1,8 @@
 """Matching a lens to a sensor: space-bandwidth products, spread-angle limit and etendue (Eqs. 1 and 2).
 
-Source: the paper's Eq. 1, pi (D/2)^2 pi (1/(2 pitch))^2 >= SBP of the object, and Eq. 2,
-sqrt(1 - cos^2 tx - cos^2 ty) / wavelength <= 1 / (2 pitch) with tx, ty the angles to the x and y axes, so
-that the numerator is the sine of the angle to the optical axis.
+The paper's Eq. 1 is pi (D/2)^2 pi (1/(2 pitch))^2 >= SBP of the object. Its Eq. 2 is
+sqrt(cos^2 tx + cos^2 ty) / wavelength <= 1 / (2 pitch), with the angles tx and ty to the x and y axes. The
+numerator is the sine of the angle to the optical axis.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from lensdesign.lens.lens import Lens
 
 @dataclass(frozen=True)
 class Matching:
-    """What the object asks and what the sensor can hold, at one wavelength, before any ray is traced.
+    """Requirements of the object and capacity of the sensor at one wavelength, without any ray traced.
 
     Attributes
     ----------
     wavelength_um
         Vacuum wavelength.
     sbp_object, sbp_sensor
-        Space-bandwidth products of the object seen with the file's NA, and of the sensor.
+        Space-bandwidth products of the object with the NA of the design, and of the sensor.
     sbp_ratio
-        `sbp_sensor` / `sbp_object`; Eq. 1 asks for 1 or more.
+        `sbp_sensor` / `sbp_object`; Eq. 1 requires 1 or more.
     spread_limit_deg
         Largest angle to the axis behind the lens that the pixels resolve (Eq. 2).
     highest_frequency_lp_per_mm
-        The pixels' highest frequency, 1 / (2 pitch).
+        Highest frequency of the pixels, 1 / (2 pitch).
     resolution_um
         wavelength / (2 NA), half of the finest period that the NA passes.
     smallest_exit_beam_diameter_mm
-        By conservation of etendue no beam narrower than this carries field x NA within the spread limit.
+        Diameter of the narrowest beam that carries field x NA within the spread limit, by conservation of
+        etendue.
     """
 
     wavelength_um: float
@@ -47,63 +48,94 @@ class Matching:
 
 
 def sbp_object(field_diameter_mm: float, numerical_aperture: float, wavelength_um: float) -> float:
-    """Space-bandwidth product of a circular field: its area times that of the spectrum within the NA."""
+    """Return the SBP of a circular field: its area times the area of the spectrum within the NA."""
     cutoff_per_mm = numerical_aperture / (wavelength_um * 1e-3)
     return math.pi * (0.5 * field_diameter_mm) ** 2 * math.pi * cutoff_per_mm**2
 
 
 def sbp_sensor(shortest_side_mm: float, pixel_pitch_um: float) -> float:
-    """Space-bandwidth product of a sensor: its inscribed circle times the pixels' circular band (Eq. 1)."""
+    """Return the SBP of a sensor: its inscribed circle times the circular band of the pixels (Eq. 1)."""
     return (
         math.pi * (0.5 * shortest_side_mm) ** 2 * math.pi * highest_frequency_lp_per_mm(pixel_pitch_um) ** 2
     )
 
 
 def highest_frequency_lp_per_mm(pixel_pitch_um: float) -> float:
-    """Highest frequency that a pixel pitch resolves, 1 / (2 pitch)."""
+    """Return the highest frequency that a pixel pitch resolves, 1 / (2 pitch)."""
     return 1.0 / (2.0 * pixel_pitch_um * 1e-3)
 
 
 def spread_limit_sine(wavelength_um: float, pixel_pitch_um: float) -> float:
-    """Sine of the spread-angle limit, wavelength / (2 pitch); 1 where the pixels resolve every angle."""
+    """Return the sine of the spread-angle limit, wavelength / (2 pitch), at most 1 (Eq. 2).
+
+    Examples
+    --------
+    >>> round(spread_limit_sine(0.55, 3.2), 4)
+    0.0859
+    """
     return min(1.0, wavelength_um / (2.0 * pixel_pitch_um))
 
 
 def smallest_exit_beam_diameter_mm(
     field_diameter_mm: float, numerical_aperture: float, spread_sine: float
 ) -> float:
-    """Diameter of the narrowest beam that holds the field within a spread (Lagrange bound).
+    """Return the diameter of the narrowest beam that carries the field within a spread (Lagrange bound).
 
-    In a meridional plane a beam of diameter D and spread t fills at most D x 2 sin t of phase space, and
-    field x 2 NA of it arrives; refraction conserves it.
+    In a meridional plane, a beam of diameter D and spread t occupies at most D x 2 sin t of phase space. The
+    light of the object occupies field x 2 NA, which refraction conserves.
     """
     return field_diameter_mm * numerical_aperture / spread_sine
 
 
 def match(lens: Lens, wavelength_um: float) -> Matching:
-    """Evaluate Eqs. 1 and 2 and the etendue bound for a lens's object and sensor at one wavelength.
+    """Evaluate Eqs. 1 and 2 and the etendue bound for the object and sensor of a lens at one wavelength.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    wavelength_um
+        Vacuum wavelength.
+
+    Returns
+    -------
+    Matching
 
     Raises
     ------
     DesignError
-        If the object's or the sensor's numbers are too small to compute with.
+        If the values of object or sensor are so small that the products underflow.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(semi_diameter_mm=4.0),),
+    ... )
+    >>> matching = match(lens, 0.55)
+    >>> round(matching.spread_limit_deg, 3), round(matching.sbp_ratio, 3)
+    (4.506, 1.891)
     """
     target, sensor = lens.object, lens.sensor
     try:
-        asked = sbp_object(target.field_diameter_mm, target.numerical_aperture, wavelength_um)
-        held = sbp_sensor(min(sensor.size_mm), sensor.pixel_pitch_um)
-        ratio = held / asked
+        required = sbp_object(target.field_diameter_mm, target.numerical_aperture, wavelength_um)
+        available = sbp_sensor(min(sensor.size_mm), sensor.pixel_pitch_um)
+        ratio = available / required
     except ArithmeticError:
         raise DesignError(
             f"field_diameter_mm = {target.field_diameter_mm:g}, numerical_aperture = "
             f"{target.numerical_aperture:g}, pixel_pitch_um = {sensor.pixel_pitch_um:g} and a wavelength of "
-            f"{wavelength_um:g} um give no space-bandwidth product (Eq. 1): one of them is far too small"
+            f"{wavelength_um:g} um give no space-bandwidth product (Eq. 1): one of these values is far too "
+            "small"
         ) from None
     sine = spread_limit_sine(wavelength_um, sensor.pixel_pitch_um)
     return Matching(
         wavelength_um=wavelength_um,
-        sbp_object=asked,
-        sbp_sensor=held,
+        sbp_object=required,
+        sbp_sensor=available,
         sbp_ratio=ratio,
         spread_limit_deg=math.degrees(math.asin(sine)),
         highest_frequency_lp_per_mm=highest_frequency_lp_per_mm(sensor.pixel_pitch_um),

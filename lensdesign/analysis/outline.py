@@ -1,8 +1,8 @@
-"""The outline that a lens has on its drawing: the ground diameter of every glass element.
+"""The outline of a lens on its drawing: the ground diameter of every glass element.
 
-A design may leave the edge of an element open. Drawings, meshes, STEP files, scenes and constraints on edge
-thickness then choose the same ground diameter: the clear diameter, and to each side room for the mount, the
-widest protective chamfer and half of the diameter's tolerance, rounded up to a step.
+A design need not state the edge of an element. Drawings, meshes, STEP files, scenes and constraints on edge
+thickness then use the same ground diameter. It is the clear diameter plus, on each side, a margin for the
+mount, the widest protective chamfer and half of the diameter tolerance, rounded up to a step.
 """
 
 from __future__ import annotations
@@ -27,25 +27,23 @@ from lensdesign.lens.solid import (
 )
 from lensdesign.lens.surface import Surface
 
-SEAT_SHARE, LEAST_SEAT_MM = 0.05, 0.1
-"""Room for the mount to each side: of the clear semi-diameter, and at least."""
+MOUNT_FRACTION, LEAST_MOUNT_MM = 0.05, 0.1
+"""Margin for the mount on each side: as a fraction of the clear semi-diameter, and at least in mm."""
 
 LARGE_MM, LARGE_STEP_MM, SMALL_STEP_MM = 10.0, 0.5, 0.1
-"""Ground diameters from the first on are whole multiples of the second, smaller ones of the third."""
-
-RAMP = 0.05
-"""Share of a size limit over which the upper bound of the ground height rises to the next size's room."""
+"""Ground diameters of `LARGE_MM` and more are multiples of `LARGE_STEP_MM`, smaller ones of "
+"`SMALL_STEP_MM`."""
 
 
 class EdgeAllowance(NamedTuple):
-    """What ISO 10110-11 (1996, table 1) allows at the edge of a part of some size.
+    """General tolerances at the edge of a part by its size (ISO 10110-11:1996, table 1).
 
     Attributes
     ----------
     diameter_mm, thickness_mm
-        Tolerance of the ground diameter and of the centre thickness, to both sides.
+        Tolerances (plus and minus) of the ground diameter and of the centre thickness.
     chamfer_mm
-        Least and greatest width of the protective chamfer.
+        Smallest and largest width of the protective chamfer.
     """
 
     diameter_mm: float
@@ -53,13 +51,23 @@ class EdgeAllowance(NamedTuple):
     chamfer_mm: tuple[float, float]
 
     @property
-    def room(self) -> EdgeRoom:
-        """Room that the edge needs beyond the mount's."""
-        return EdgeRoom(self.chamfer_mm[1], 0.5 * self.diameter_mm, self.thickness_mm)
+    def margin(self) -> EdgeMargin:
+        """Margin that the edge needs in addition to that of the mount."""
+        return EdgeMargin(self.chamfer_mm[1], 0.5 * self.diameter_mm, self.thickness_mm)
 
 
-class EdgeRoom(NamedTuple):
-    """Room that an edge needs in mm: widest chamfer, half the diameter's tolerance, thickness tolerance."""
+class EdgeMargin(NamedTuple):
+    """Margin that an edge needs for its tolerances, in mm.
+
+    Attributes
+    ----------
+    chamfer_mm
+        Largest width of the chamfer.
+    play_mm
+        Half of the diameter tolerance.
+    thickness_mm
+        Tolerance of the thickness.
+    """
 
     chamfer_mm: float
     play_mm: float
@@ -72,9 +80,9 @@ GENERAL_EDGES = {
     100.0: EdgeAllowance(1.0, 0.4, (0.3, 0.8)),
     300.0: EdgeAllowance(1.5, 0.8, (0.5, 1.6)),
 }
-"""By the largest dimension of a part in mm up to which a row holds."""
+"""General tolerances by the largest dimension of a part in mm up to which they apply."""
 
-RoomOf = Callable[[Element], EdgeRoom]
+MarginOf = Callable[[Element], EdgeMargin]
 
 
 @dataclass(frozen=True)
@@ -90,15 +98,16 @@ class DrawnEdge:
     clear_mm
         Larger clear diameter of its two surfaces.
     thickness_mm
-        Length of the edge cylinder, bevels of the design taken off.
+        Length of the edge cylinder, without the bevels of the design.
     needed_mm
-        What bevels and thickness tolerance of a sheet with general tolerances take of it.
+        Thickness that bevels and thickness tolerance of a drawing with general tolerances need.
     origin
-        ``design``: of an ``[[edge]]`` table. ``chosen``: as drawings choose it. ``clear aperture``: the
-        element does not close at the diameter that a drawing would choose, which is `drawn_diameter_mm`.
+        Origin of the diameter. ``design``: an ``[[edge]]`` table. ``chosen``: the choice for a drawing.
+        ``clear aperture``: the element does not close at the diameter that a drawing would have, which is
+        `drawn_diameter_mm`.
     drawn_diameter_mm, drawn_thickness_mm
         Ground diameter that a drawing has, or would need, and length of the edge cylinder there; 0 or less
-        where the element does not close.
+        if the element does not close.
     """
 
     element: str
@@ -112,42 +121,42 @@ class DrawnEdge:
 
     @property
     def fits(self) -> bool:
-        """Whether the edge has room for what a sheet with general tolerances takes of it.
+        """Whether the edge is thick enough for a drawing with general tolerances.
 
-        An edge of the design is held to what its own tolerances are.
+        An edge that the design states has its own tolerances and always fits here.
         """
         return self.origin == "design" or self.drawn_thickness_mm > self.needed_mm
 
     @property
     def statement(self) -> str:
-        """The outline in one sentence, for files and terminals."""
+        """Outline of the element in one sentence, for files and terminals."""
         if self.origin == "clear aperture":
             return (
                 f"{self.element}: diameter {self.diameter_mm:g} mm, that of the clear aperture; at the "
                 f"ground diameter of a drawing, {self.drawn_diameter_mm:g} mm, the element does not close"
             )
-        how = "of the design's [[edge]]" if self.origin == "design" else "chosen as for a drawing"
-        room = (
+        origin = "from the design's [[edge]]" if self.origin == "design" else "chosen as for a drawing"
+        warning = (
             ""
             if self.fits
             else f"; a drawing with general tolerances needs more than {self.needed_mm:.4g} mm"
         )
         return (
-            f"{self.element}: ground diameter {self.diameter_mm:g} mm, {how} (clear {self.clear_mm:.6g} mm), "
-            f"edge {self.thickness_mm:.4g} mm thick{room}"
+            f"{self.element}: ground diameter {self.diameter_mm:g} mm, {origin} (clear {self.clear_mm:.6g} "
+            f"mm), edge {self.thickness_mm:.4g} mm thick{warning}"
         )
 
 
 @dataclass(frozen=True)
 class DrawnOutline:
-    """A lens with the edges that its drawing has.
+    """A lens with the edges of its drawing.
 
     Attributes
     ----------
     lens
-        The lens; each glass element has an edge.
+        The lens, in which each glass element has an edge.
     edges
-        One for each glass element, front to back.
+        Description of the edge of each glass element, front to back.
     """
 
     lens: Lens
@@ -155,17 +164,17 @@ class DrawnOutline:
 
     @property
     def statements(self) -> tuple[str, ...]:
-        """The outline of each element in one sentence."""
+        """Outline of each element in one sentence."""
         return tuple(edge.statement for edge in self.edges)
 
     @property
     def thinnest(self) -> DrawnEdge | None:
-        """The element with the thinnest edge; None without glass."""
+        """Edge of the element whose edge is thinnest; None without glass."""
         return min(self.edges, key=lambda edge: edge.drawn_thickness_mm, default=None)
 
 
 def drawn_outline(lens: Lens) -> DrawnOutline:
-    """Choose the edges that a design leaves open, as drawings with general tolerances choose them.
+    """Return a lens with all edges; those that the design does not state are as in its drawing.
 
     Parameters
     ----------
@@ -175,19 +184,19 @@ def drawn_outline(lens: Lens) -> DrawnOutline:
     Returns
     -------
     DrawnOutline
-        An element that does not close at the chosen diameter keeps that of the clear aperture, and its
-        `origin` says so.
+        An element that does not close at the chosen diameter has that of the clear aperture, with the
+        `origin` ``clear aperture``.
 
     Raises
     ------
     InputError
-        As of :func:`lensdesign.lens.solid.glass_elements`.
+        If the lens has no glass or an element has no size.
     """
     edges, found = list[Edge](), list[DrawnEdge]()
     for element in glass_elements(lens):
         given = element.edge.semi_diameter_mm
-        wanted = given if given is not None else chosen_semi_diameter_mm(lens, element)
-        edged = with_ground_edge(lens, element, wanted)
+        ground_mm = given if given is not None else chosen_semi_diameter_mm(lens, element)
+        edged = with_ground_edge(lens, element, ground_mm)
         closed = given is not None or _closes(edged)
         body = edged if closed else element
         edges.append(body.edge)
@@ -197,9 +206,9 @@ def drawn_outline(lens: Lens) -> DrawnOutline:
                 2.0 * body.edge_mm,
                 2.0 * clear_semi_diameter_mm(element),
                 body.edge_thickness_mm,
-                edge_room_needed_mm(edged, general_room(edged)),
+                needed_edge_thickness_mm(edged, general_margin(edged)),
                 "design" if given is not None else "chosen" if closed else "clear aperture",
-                2.0 * wanted,
+                2.0 * ground_mm,
                 edged.edge_thickness_mm,
             )
         )
@@ -207,9 +216,9 @@ def drawn_outline(lens: Lens) -> DrawnOutline:
 
 
 def thinnest_drawn_edge(lens: Lens) -> DrawnEdge | None:
-    """Edge of the element that is thinnest at the ground diameter of its drawing.
+    """Return the thinnest edge at the ground diameters of the drawing.
 
-    None for a lens without glass, or with an element that has no size.
+    It is None for a lens without glass, or with an element that has no size.
     """
     try:
         return drawn_outline(lens).thinnest
@@ -227,89 +236,84 @@ def _closes(element: Element) -> bool:
 
 
 def clear_semi_diameter_mm(element: Element) -> float:
-    """Larger clear semi-diameter of the two surfaces of an element; where none is given, of the lens."""
+    """Return the larger clear semi-diameter of an element's surfaces, or else that of its edge."""
     own = (m.surface.semi_diameter_mm for m in (element.front, element.back))
     return max((semi for semi in own if semi is not None), default=element.edge_mm)
 
 
 def with_ground_edge(lens: Lens, element: Element, semi_diameter_mm: float) -> Element:
-    """The element with an edge cylinder of a radius; flats, bevels and flange stay."""
+    """Return the element with another radius of the edge cylinder; flats, bevels and flange stay."""
     edges = list(lens.edges or [SHARP for _ in lens.glass_fronts])
-    edges[element.number] = element.edge.replaced(semi_diameter_mm=semi_diameter_mm)
-    # The edge is not yet checked, so that a body that does not close can be reported rather than refused.
-    return glass_element(_Edged(lens.surfaces, tuple(edges)), element.number)
+    edges[element.index] = element.edge.replaced(semi_diameter_mm=semi_diameter_mm)
+    # The edge is not checked here, so that a body that does not close can be reported.
+    return glass_element(_Edged(lens.surfaces, tuple(edges)), element.index)
 
 
 class _Edged(NamedTuple):
-    """What :func:`glass_element` takes of a lens."""
+    """Surfaces and edges of a lens, the input of :func:`glass_element`."""
 
     surfaces: tuple[Surface, ...]
     edges: tuple[Edge, ...]
 
 
-def general_room(element: Element) -> EdgeRoom:
-    """Room that the general tolerances of an element's size take at its edge.
-
-    The last row of the table stands for larger parts.
-    """
+def general_margin(element: Element) -> EdgeMargin:
+    """Return the margin that the general tolerances of an element's size need at its edge."""
     thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
-    room = general_edge(max(2.0 * element.edge_mm, thickness)).room
-    own = max(bevel for _, bevel in element.edge.sides())
-    if element.edge.flange is not None:
-        return room._replace(chamfer_mm=own)
-    return room._replace(chamfer_mm=own) if own else room
+    margin = general_edge(max(2.0 * element.edge_mm, thickness)).margin
+    bevel_mm = max(bevel for _, bevel in element.edge.sides())
+    if bevel_mm or element.edge.flange is not None:
+        return margin._replace(chamfer_mm=bevel_mm)
+    return margin
 
 
 def general_edge(largest_dimension_mm: float) -> EdgeAllowance:
-    """Row of the table for a part of some size; the last one for larger parts."""
-    return next((row for most, row in GENERAL_EDGES.items() if largest_dimension_mm <= most), _LAST)
+    """Return the general tolerances of a part by its size; larger parts have those of the last size."""
+    last = list(GENERAL_EDGES.values())[-1]
+    return next((row for most, row in GENERAL_EDGES.items() if largest_dimension_mm <= most), last)
 
 
-_LAST = list(GENERAL_EDGES.values())[-1]
+def needed_edge_thickness_mm(element: Element, margin: EdgeMargin) -> float:
+    """Return the edge thickness that bevels and the thickness tolerance of an element need.
 
-
-def edge_room_needed_mm(element: Element, room: EdgeRoom) -> float:
-    """Thickness that bevels and the thickness tolerance take of an element's edge.
-
-    Bevels of the design are already taken off its edge cylinder.
+    Bevels of the design count as 0, since the edge cylinder is already shorter by them.
     """
     bevels = sum(bevel for _, bevel in element.edge.sides())
-    return (0.0 if bevels else 2.0 * room.chamfer_mm) + room.thickness_mm
+    return (0.0 if bevels else 2.0 * margin.chamfer_mm) + margin.thickness_mm
 
 
-def chosen_semi_diameter_mm(lens: Lens, element: Element, room_of: RoomOf = general_room) -> float:
-    """Ground semi-diameter that a drawing chooses for an element.
+def chosen_semi_diameter_mm(lens: Lens, element: Element, margin_of: MarginOf = general_margin) -> float:
+    """Return the ground semi-diameter that a drawing uses for an element.
 
     Parameters
     ----------
     lens, element
-        The element, and its lens.
-    room_of
-        Room that the tolerances of an element take at its edge; by default the general ones of its size.
+        The lens, and one of its elements.
+    margin_of
+        Function of an element that returns the margin for its tolerances (default: general tolerances).
     """
     semi = clear = clear_semi_diameter_mm(element)
-    for _ in range(2):  # general tolerances depend on the size that is chosen
-        semi = ground_semi_diameter_mm(clear, room_of(with_ground_edge(lens, element, semi)))
+    for _ in range(2):  # general tolerances depend on the chosen size
+        semi = ground_semi_diameter_mm(clear, margin_of(with_ground_edge(lens, element, semi)))
     return semi
 
 
-def ground_semi_diameter_mm(clear_mm: float, room: EdgeRoom) -> float:
-    """Semi-diameter of the ground edge round a clear semi-diameter, rounded up to a step."""
-    needed = 2.0 * (clear_mm + seat_mm(clear_mm) + room.chamfer_mm + room.play_mm)
+def ground_semi_diameter_mm(clear_mm: float, margin: EdgeMargin) -> float:
+    """Return the semi-diameter of the ground edge around a clear semi-diameter, rounded up to a step."""
+    needed = 2.0 * (clear_mm + mount_margin_mm(clear_mm) + margin.chamfer_mm + margin.play_mm)
     step = LARGE_STEP_MM if needed >= LARGE_MM else SMALL_STEP_MM
     return 0.5 * round(step * math.ceil(needed / step - 1e-9), 6)
 
 
-def seat_mm(clear_mm: float) -> float:
-    """Room for the mount to each side."""
-    return max(SEAT_SHARE * clear_mm, LEAST_SEAT_MM)
+def mount_margin_mm(clear_mm: float) -> float:
+    """Return the margin for the mount on each side."""
+    return max(MOUNT_FRACTION * clear_mm, LEAST_MOUNT_MM)
 
 
 def highest_ground_mm(clear_mm: float, thickness_mm: float) -> tuple[float, float, float]:
-    """Continuous upper bound of the ground semi-diameter that a drawing chooses, for searches.
+    """Return a continuous upper bound of the ground semi-diameter of a drawing, for optimization.
 
-    Rounding up is taken to add a whole step, and the room rises to that of the next size of the general
-    table over the last 5 % before its limit.
+    The bound assumes that rounding up adds a whole step. The margin rises to that of the next size of the
+    general tolerances over the last 5 % before the size limit.
 
     Parameters
     ----------
@@ -323,30 +327,30 @@ def highest_ground_mm(clear_mm: float, thickness_mm: float) -> tuple[float, floa
     height_mm, by_clear, by_thickness : float
         The bound, and its derivatives.
     """
-    seat_by = SEAT_SHARE if SEAT_SHARE * clear_mm > LEAST_SEAT_MM else 0.0
-    # Below the limit of a size the clear semi-diameter has room for that size's edge.
+    mount_by = MOUNT_FRACTION if MOUNT_FRACTION * clear_mm > LEAST_MOUNT_MM else 0.0
+    # Below the limit of a size, its margin fits around the clear semi-diameter.
     by_size, slope = _ramp(clear_mm, [_clear_at(limit, row) for limit, row in GENERAL_EDGES.items()])
     by_thickness, slope_t = _ramp(thickness_mm, list(GENERAL_EDGES))
-    room, by_clear, by_thick = (
+    margin, by_clear, by_thick = (
         (by_size, slope, 0.0) if by_size >= by_thickness else (by_thickness, 0.0, slope_t)
     )
-    return clear_mm + seat_mm(clear_mm) + room, 1.0 + seat_by + by_clear, by_thick
+    return clear_mm + mount_margin_mm(clear_mm) + margin, 1.0 + mount_by + by_clear, by_thick
 
 
 def _clear_at(limit_mm: float, row: EdgeAllowance) -> float:
-    """Clear semi-diameter from which a part no longer fits a size's ground diameter."""
-    beyond = 0.5 * limit_mm - row.room.chamfer_mm - row.room.play_mm
-    share = beyond / (1.0 + SEAT_SHARE)
-    return share if SEAT_SHARE * share > LEAST_SEAT_MM else beyond - LEAST_SEAT_MM
+    """Return the clear semi-diameter from which a part exceeds the ground diameter of a size."""
+    available = 0.5 * limit_mm - row.margin.chamfer_mm - row.margin.play_mm
+    clear = available / (1.0 + MOUNT_FRACTION)
+    return clear if MOUNT_FRACTION * clear > LEAST_MOUNT_MM else available - LEAST_MOUNT_MM
 
 
 def _ramp(value: float, limits: list[float]) -> tuple[float, float]:
-    """Room of the size that a value falls in, with its derivative."""
+    """Return the margin of the size to which a value belongs, and its derivative."""
     rows = list(GENERAL_EDGES.values())
-    heights = [_room_mm(row, limit) for row, limit in zip(rows, GENERAL_EDGES, strict=True)]
+    heights = [_margin_mm(row, limit) for row, limit in zip(rows, GENERAL_EDGES, strict=True)]
     for k, (limit, height) in enumerate(zip(limits, heights, strict=True)):
         if value <= limit:
-            start = (1.0 - RAMP) * limit
+            start = 0.95 * limit
             if value <= start or k + 1 == len(heights):
                 return height, 0.0
             slope = (heights[k + 1] - height) / (limit - start)
@@ -354,23 +358,23 @@ def _ramp(value: float, limits: list[float]) -> tuple[float, float]:
     return heights[-1], 0.0
 
 
-def _room_mm(row: EdgeAllowance, limit_mm: float) -> float:
+def _margin_mm(row: EdgeAllowance, limit_mm: float) -> float:
     step = SMALL_STEP_MM if limit_mm <= LARGE_MM else LARGE_STEP_MM
-    return row.room.chamfer_mm + row.room.play_mm + 0.5 * step
+    return row.margin.chamfer_mm + row.margin.play_mm + 0.5 * step
 
 
 def drawn_edge_thicknesses_mm(lens: Lens) -> list[float]:
-    """Thickness of every glass element at the ground diameter that its drawing has or would need.
+    """Return the thickness of every glass element at the ground diameter that its drawing has or would need.
 
-    A surface whose conic ends before goes on as a flat ring. Negative where surfaces have crossed. Flats
-    and bevels of the design are not taken off.
+    A surface whose conic ends inside that diameter continues as a flat ring. The thickness is negative where
+    surfaces have crossed. Flats and bevels of the design are ignored.
     """
     found = []
-    for number in range(len(lens.glass_fronts)):
-        element = glass_element(lens, number)
-        wanted = element.edge.semi_diameter_mm or chosen_semi_diameter_mm(lens, element)
+    for index in range(len(lens.glass_fronts)):
+        element = glass_element(lens, index)
+        ground_mm = element.edge.semi_diameter_mm or chosen_semi_diameter_mm(lens, element)
         bare = glass_element(
-            _Edged(lens.surfaces, tuple(Edge(semi_diameter_mm=wanted) for _ in lens.glass_fronts)), number
+            _Edged(lens.surfaces, tuple(Edge(semi_diameter_mm=ground_mm) for _ in lens.glass_fronts)), index
         )
         gaps = [s.back.points(1.0)[1] - s.front.points(1.0)[1] for s in bare.sections]
         found.append(float(np.min(gaps)))

@@ -1,8 +1,8 @@
 """First-order (paraxial) data: focal lengths and cardinal points of the thick lens.
 
-From the ray-transfer matrices of Hecht, Optics, section 6.2: refraction bends (height, index x angle) by the
-power (n2 - n1) c, transfer shifts it by thickness / index. Conic constants and asphere terms from r^4 on do
-not count.
+The ray-transfer matrices are those of Hecht, Optics, section 6.2, for the vector (height, index x angle).
+Refraction uses the power (n2 - n1) c of a surface, and transfer the reduced thickness (thickness / index).
+Conic constants and asphere terms from r^4 on have no effect.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from lensdesign.lens.lens import Lens
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """Cardinal points of a lens at one wavelength; lengths in mm, inf for an afocal lens.
+    """Cardinal points of a lens at one wavelength; lengths are inf for an afocal lens.
 
     Attributes
     ----------
     efl_mm
         Effective focal length, 1 / power; positive for a converging lens.
     bfl_mm
-        From the last vertex to the rear focal point.
+        Back focal length, from the last vertex to the rear focal point.
     ffl_mm
-        From the front vertex to the front focal point; negative where that lies before the lens.
+        Front focal length, from the front vertex to the front focal point; negative if the point is in front
+        of the lens.
     front_principal_z_mm, rear_principal_z_mm
-        Principal planes, z from the front vertex.
+        z of the principal planes, from the front vertex.
     """
 
     efl_mm: float
@@ -40,14 +41,52 @@ class FirstOrder:
 
 
 def first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOrder:
-    """Cardinal points of the whole lens; `wavelength_um` None takes the lens's first wavelength."""
+    """Return the cardinal points of the whole lens.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    wavelength_um
+        Vacuum wavelength (default: the first of the lens).
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=4.0),
+    ...         Surface(radius_mm=-20.0, semi_diameter_mm=4.0),
+    ...     ),
+    ... )
+    >>> round(first_order(lens).efl_mm, 3)
+    20.513
+    """
     wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     curvatures = [surface.curvature for surface in lens.surfaces]
     return cardinal_points(curvatures, np.diff(lens.vertex_z_mm), lens.indices(wavelength_um))
 
 
 def cardinal_points(curvatures: ArrayLike, thicknesses_mm: ArrayLike, indices: ArrayLike) -> FirstOrder:
-    """The same from arrays: of n surfaces, of the n - 1 media between them, and of all n + 1 media."""
+    """Return the cardinal points of a sequence of surfaces.
+
+    Parameters
+    ----------
+    curvatures
+        Curvatures of the n surfaces in 1/mm.
+    thicknesses_mm
+        Thicknesses of the n - 1 media between them.
+    indices
+        Refractive indices of all n + 1 media.
+
+    Examples
+    --------
+    >>> round(cardinal_points([0.05, -0.05], [3.0], [1.0, 1.5, 1.0]).efl_mm, 3)
+    20.513
+    """
     c, t, n = (np.asarray(values, float) for values in (curvatures, thicknesses_mm, indices))
     matrix = np.array([[1.0, 0.0], [-(n[1] - n[0]) * c[0], 1.0]])
     for i in range(1, len(c)):

@@ -1,4 +1,4 @@
-"""What a check finds: figures of each wavelength, the constraints, and every miss in a sentence."""
+"""Result of a check: values at each wavelength, the constraints, and a sentence for every violation."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from lensdesign.common.text import finite_or_none
 
 @dataclass(frozen=True)
 class Constraint:
-    """One demand on the lens.
+    """One constraint on the lens.
 
     Attributes
     ----------
     name, unit
-        What is limited, and the unit of both numbers (empty for pure numbers).
+        Name of the limited quantity, and unit of both numbers (empty for pure numbers).
     value, relation, limit
-        Such as 4.81, "<=", 4.77.
+        Value, relation and limit, such as 4.81, "<=", 4.77.
     met, miss
-        Whether it holds; where it does not, a sentence with the numbers, else empty.
+        Whether the constraint is met; if not, a sentence with the numbers, else an empty string.
     temperature_c
-        At which it is asked, as its name ends with; None as designed.
+        Temperature for which it is required, also at the end of the name; None as designed.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Constraint:
 
 @dataclass(frozen=True)
 class WavelengthCheck:
-    """Figures of one wavelength; meanings as in :class:`CheckReport`."""
+    """Results at one wavelength; :class:`CheckReport` explains the values."""
 
     wavelength_um: float
     sbp_object: float
@@ -59,7 +59,17 @@ class WavelengthCheck:
 
 @dataclass(frozen=True)
 class WorstRay:
-    """The ray that leaves closest to, or furthest beyond, its wavelength's spread-angle limit."""
+    """The ray with the largest spread angle relative to the limit of its wavelength.
+
+    Attributes
+    ----------
+    field_mm
+        Object point.
+    pupil
+        Stop point, relative to the semi-diameter.
+    wavelength_um
+        Vacuum wavelength.
+    """
 
     field_mm: tuple[float, float]
     pupil: tuple[float, float]
@@ -68,57 +78,61 @@ class WorstRay:
 
 @dataclass(frozen=True, repr=False)
 class CheckReport:
-    """What a lens does, against what it has to do.
+    """Result of the check of a lens against its constraints.
 
-    Each figure is that of the wavelength at which it is worst; `wavelengths` has them all.
+    Each value is that of the wavelength at which it is worst; `wavelengths` has the values of all.
 
     Attributes
     ----------
     title
-        Of the design.
+        Title of the design.
     feasible
         Whether every constraint is met.
     violations
-        A sentence for each constraint that is not: value, limit, and by how much.
+        A sentence for each violated constraint, with value, limit and excess.
     constraints
-        All of them.
+        All constraints.
     sbp_object, sbp_sensor
         Space-bandwidth products (Eq. 1).
     spread_limit_deg, max_spread_deg
         Spread-angle limit, and largest angle over field, stop and wavelengths (Eq. 2); both at the
         wavelength of `worst_ray`.
     spread_heights_mm, spread_per_field_deg
-        Table of the largest angle over the field heights, same wavelength.
+        Field heights, and the largest angle at each of them at the same wavelength.
     worst_ray
-        The ray that leaves at `max_spread_deg`.
+        The ray with the angle `max_spread_deg`.
     highest_frequency_lp_per_mm
-        Of the pixels.
+        Highest frequency that the pixels resolve.
     resolution_um
         wavelength / (2 NA).
     numerical_aperture
         Sine of the angle of the ray from the axis through the rim of the stop.
     plane_distances_mm, footprint_radius_mm
-        Sensor planes and the radius of all light there.
+        Distances of the sensor planes, and the radius of the light of the whole field on each.
     sensor_half_side_mm
         Half of the sensor's shorter side.
     spot_heights_mm, rms_spot_diameter_mm, spot_plane_mm
-        RMS spot diameters, and how far behind the exit vertex.
+        Field heights and RMS diameters of the spots, and distance of their plane from the exit vertex.
     throughput
-        Smallest share of a field point's evenly filled stop that passes.
+        Smallest fraction of the uniformly filled stop that passes from a field point.
     edge_thickness_mm
-        Of the thinnest glass element at its ground edge; None without one.
+        Length of the shortest edge cylinder of a glass element; None without glass.
     drawn_edge
-        Edge of the thinnest glass element at the ground diameter that its drawing has; None without glass.
+        Thinnest edge at the ground diameters of the drawing; None without glass.
     efl_mm, bfl_mm
         Effective and back focal length at the first wavelength; inf for an afocal lens.
     exit_beam_diameter_mm, smallest_exit_beam_diameter_mm
         Beam in the plane of the exit vertex, and the narrowest that the etendue bound allows at the spread
         limit.
     etendue_share
-        FOV NA / (exit beam diameter x sine of the spread), the share of its beam's phase space that the lens
-        fills; the bound is 1. At the wavelength of `worst_ray`.
+        FOV NA / (exit beam diameter x sine of the spread) at the wavelength of `worst_ray`: the fraction of
+        the phase space of its exit beam that the lens uses, at most 1.
     wavelengths, figures
-        A row for each wavelength; form error of each measured surface.
+        Results at each wavelength, and form error of each measured surface.
+
+    Examples
+    --------
+    See :func:`lensdesign.check_design`.
     """
 
     title: str
@@ -172,7 +186,7 @@ class CheckReport:
         return html_table(self.title or "Check", rows)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; figures that are not finite become None."""
+        """Return plain values for JSON; values that are not finite become None."""
         return _plain(asdict(self))
 
 

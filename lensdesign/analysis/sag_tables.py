@@ -1,4 +1,4 @@
-"""Sag of one surface over its radial height, with the sphere that fits it best: what a shop measures by."""
+"""Sag of one surface over its radial height, with the best-fit sphere, for metrology in the workshop."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ from lensdesign.lens.shapes.intersection import Figure
 from lensdesign.lens.surface import Surface
 
 MOST_ROWS = 1_000_000
-ANGLES = 256
-"""Directions over which a measured figure is averaged."""
-
-BLOCK_ROWS = 128
-"""For which it is evaluated at one time."""
+"""Largest number of rows of a table."""
 
 COLUMNS = ("radial_height_mm", "sag_mm", "slope", "departure_mm", "best_fit_radius_mm")
 
@@ -31,23 +27,27 @@ COLUMNS = ("radial_height_mm", "sag_mm", "slope", "departure_mm", "best_fit_radi
 class SagTable:
     """Sag of one surface from its vertex to its clear semi-diameter.
 
-    A measured figure, and a shape that is none of revolution, count with their rotationally symmetric part,
-    the mean over all directions at each radial height.
+    A measured figure, and a shape that is not rotationally symmetric, are represented by their rotationally
+    symmetric part: the mean over all azimuths at each radial height.
 
     Attributes
     ----------
     surface
         Index of the surface in its lens, from 0.
     radial_height_mm, sag_mm, slope, departure_mm : ndarray, shape (n,)
-        Radial height, from 0 to the semi-diameter, both inside; sag, positive along +z; its derivative;
-        sag less that of the best-fit sphere. Where the tangent stands upright, the slope is a huge number.
+        Radial height, from 0 to the semi-diameter inclusive; sag, positive along +z; derivative of the sag;
+        sag minus that of the best-fit sphere. The slope is very large where the tangent is parallel to the
+        axis.
     best_fit_radius_mm
-        Radius of the best-fit sphere, signed as in a design; inf for a plane. It passes through the vertex,
-        and of all such spheres has the least mean square departure along z over the area of the clear
-        aperture.
+        Radius of the best-fit sphere, signed as in a design; inf for a plane. Of all spheres through the
+        vertex, it has the smallest mean square departure along z over the area of the clear aperture.
     asymmetric_rms_mm
-        Root mean square, over that area, of what of a measured figure is not rotationally symmetric and
-        therefore not in the table; 0 without a figure.
+        Root mean square, over that area, of the part that is not rotationally symmetric and therefore not in
+        the table.
+
+    Examples
+    --------
+    See :func:`sag_table`.
     """
 
     surface: int
@@ -60,36 +60,55 @@ class SagTable:
 
     @property
     def best_fit_text(self) -> str:
-        """The best-fit sphere in words; a plane has no radius."""
+        """Description of the best-fit sphere; a plane has no radius."""
         if math.isinf(self.best_fit_radius_mm):
             return "a plane, which fits best"
         return f"the best-fit sphere of {self.best_fit_radius_mm:.6g} mm"
 
 
 def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
-    """Tabulate a surface's sag.
+    """Return the sag of a surface at equally spaced radial heights.
 
     Parameters
     ----------
     lens
         The lens.
     surface
-        Index from 0.
+        Index of the surface, from 0.
     spacing_mm
-        Between radial heights; the last step, to the semi-diameter, is shorter where it does not go in whole.
+        Distance between radial heights. The last step, to the semi-diameter, may be shorter.
+
+    Returns
+    -------
+    SagTable
 
     Raises
     ------
     InputError
-        If there is no such surface, it has no semi_diameter_mm, its figure cannot be read, or the spacing is
-        not above 0 or asks for more than a million rows.
+        If the surface does not exist, has no semi_diameter_mm, or has a figure that cannot be read, or if the
+        spacing is not above 0 or results in more than a million rows.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(radius_mm=20.0, semi_diameter_mm=4.0),),
+    ... )
+    >>> table = sag_table(lens, 0, spacing_mm=2.0)
+    >>> table.radial_height_mm.tolist(), [round(z, 4) for z in table.sag_mm.tolist()]
+    ([0.0, 2.0, 4.0], [0.0, 0.1003, 0.4041])
     """
     if not 0 <= surface < len(lens.surfaces):
-        raise InputError(f"surface {surface + 1}: the lens has surfaces 1 to {len(lens.surfaces)}")
+        raise InputError(f"surface {surface + 1}: must be from 1 to {len(lens.surfaces)}")
     own = lens.surfaces[surface]
     semi = own.semi_diameter_mm
     if semi is None:
-        raise InputError(f"surface {surface + 1} has no semi_diameter_mm; a sag table needs an end")
+        raise InputError(
+            f"surface {surface + 1} has no semi_diameter_mm; give it one, at which the table ends"
+        )
     r = _radial_heights(semi, spacing_mm)
     nodes, weights = np.polynomial.legendre.leggauss(256)
     at = 0.5 * semi * (nodes + 1.0)
@@ -108,21 +127,33 @@ def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
 
 
 def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
-    """Write a table as CSV, with the radius of the best-fit sphere in each row; empty for a plane.
+    """Write a table as CSV.
 
-    Numbers are written in full, so that they read back as they were.
+    Each row has the radius of the best-fit sphere, which is empty for a plane. Numbers are written with full
+    precision.
 
     Parameters
     ----------
     table
         The table.
     path
-        The file; written over.
+        Path of the file, which is overwritten.
 
     Raises
     ------
     InputError
-        If the file cannot be written; whatever stood there stays.
+        If the file cannot be written; an existing file then stays unchanged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> column = np.array([0.0, 1.0])
+    >>> table = SagTable(0, column, 0.0 * column, 0.0 * column, 0.0 * column, math.inf, 0.0)
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "plane.csv"
+    >>> write_sag_table(table, path)
+    >>> path.read_text(encoding="utf-8").splitlines()[1]
+    '0.0,0.0,0.0,0.0,'
     """
     columns = [getattr(table, name) for name in COLUMNS[:-1]]
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
@@ -137,35 +168,38 @@ def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
     validate_positive("spacing_mm", spacing_mm)
     if semi_mm / spacing_mm > MOST_ROWS:
         raise InputError(
-            f"spacing_mm = {spacing_mm:g}: that makes more than {MOST_ROWS} rows up to the semi-diameter of "
+            f"spacing_mm = {spacing_mm:g}: results in more than {MOST_ROWS} rows up to the semi-diameter of "
             f"{semi_mm:g} mm; must be at least {semi_mm / MOST_ROWS:.3g}"
         )
-    # A last step shorter than rounding is none.
+    # The factor avoids a last step that is due to rounding only.
     steps = math.ceil(semi_mm / spacing_mm * (1.0 - 1e-12))
     return np.append(spacing_mm * np.arange(steps), semi_mm)
 
 
 def _symmetric(surface: Surface, r: Array) -> tuple[Array, Array, Array]:
-    """Sag, slope, and mean square over all directions of what is not rotationally symmetric, in mm^2."""
-    # Rounding must not carry the rim of a whole hemisphere beyond its edge.
+    """Return sag, slope, and the mean square in mm^2 of the part that is not rotationally symmetric."""
+    angles, block_rows = 256, 128  # azimuths of the mean, and rows evaluated at a time, which bounds memory
+    # Rounding must not place the rim of a whole hemisphere outside its edge.
     within = np.minimum(r, (1.0 - 1e-15) * surface.shape.edge_radius_mm)
     shape, figure = surface.shape, surface_figure(surface)
-    uneven: list[Figure] = [] if figure is None else [figure.sag_and_slopes]
+    asymmetric: list[Figure] = [] if figure is None else [figure.sag_and_slopes]
     if shape.ROTATIONAL:
         sag, slope = surface.sag_mm(within), surface.slope(within)
     else:
         sag, slope = np.zeros((2, len(r)))
-        uneven.append(shape.sag_and_slopes)
-    if not uneven:
+        asymmetric.append(shape.sag_and_slopes)
+    if not asymmetric:
         return sag, slope, np.zeros_like(r)
-    angle = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    angle = 2.0 * np.pi * np.arange(angles) / angles
     x, y = np.cos(angle), np.sin(angle)
     z, dr, square = (np.empty_like(r) for _ in range(3))
-    # A table may be longer than what its directions leave room for.
-    for start in range(0, len(r), BLOCK_ROWS):
-        block = slice(start, start + BLOCK_ROWS)
+
+    for start in range(0, len(r), block_rows):
+        block = slice(start, start + block_rows)
         points = within[block, None] * x, within[block, None] * y
-        error, by_x, by_y = (sum(part) for part in zip(*(one(*points) for one in uneven), strict=True))
+        error, by_x, by_y = (
+            sum(values) for values in zip(*(one(*points) for one in asymmetric), strict=True)
+        )
         z[block], square[block] = np.mean(error, axis=1), np.var(error, axis=1)
         dr[block] = np.mean(by_x * x + by_y * y, axis=1)
     return sag + z, slope + dr, square
@@ -177,10 +211,10 @@ def _sphere(r: Array, curvature: float) -> Array:
 
 
 def _best_fit_curvature(r: Array, sag: Array, weights: Any, semi_mm: float) -> float:
-    """Curvature of the sphere through the vertex with the least weighted square departure.
+    """Return the curvature of the sphere through the vertex with the least weighted square departure.
 
     The derivative of the sphere's sag with respect to its curvature is r^2 / (w (1 + w)), with
-    w = sqrt(1 - c^2 r^2). No sphere is smaller than the hemisphere over the aperture.
+    w = sqrt(1 - c^2 r^2). The smallest sphere is the hemisphere over the aperture.
     """
     from scipy.optimize import brentq
 

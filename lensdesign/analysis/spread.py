@@ -1,6 +1,6 @@
-"""What a lens does to its rays: spread behind the lens, footprint, spot, throughput.
+"""Spread of rays behind a lens, footprint, spot and throughput.
 
-Failed rays are left out of every figure, and every figure states the throughput that it stands on.
+Failed rays are excluded from every value, and every result states the throughput on which it is based.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.bundles import launch_pairs, pupil_rings
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
-from lensdesign.raytrace.extremes import Extremes, Metric, extremes
+from lensdesign.raytrace.extremes import Extremes, Metric, find_extremes
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
 
-PAPER_DISTANCE_MM = 3.0
 Perturbations = Mapping[int, SurfacePerturbation] | None
 
 TABLE_HEIGHTS = 13
-"""Field heights, evenly spaced from the axis to the edge of the field, of the tables over the field."""
+"""Number of field heights of tables over the field, equally spaced from the axis to the edge."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +34,13 @@ class Spread:
     Attributes
     ----------
     spread_deg
-        Over the whole field and pupil.
+        Largest angle over the whole field and pupil.
     field_mm, pupil
-        Object point, and point on the stop as shares of its semi-diameter, of the ray that has it.
+        Object point, and stop point relative to the semi-diameter, of the ray with the largest angle.
     field_heights_mm, per_field_deg
-        Table over the field: the largest angle over the pupil at each height; NaN where no ray passes.
+        Field heights, and the largest angle over the pupil at each; NaN where no ray passes.
     throughput
-        Smallest throughput over the heights of the table.
+        Smallest throughput over the field heights.
     """
 
     spread_deg: float
@@ -54,24 +53,24 @@ class Spread:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Where the light of the whole field lands on a plane behind the lens.
+    """Extent of the light of the whole field on a plane behind the lens.
 
     Attributes
     ----------
     plane_distance_mm
-        From the exit vertex.
+        Distance of the plane from the exit vertex.
     radius_mm
         Largest distance of a ray from the axis.
     field_mm, pupil
         Object point and stop point of that ray.
     sensor_half_side_mm
-        Half of the sensor's shorter side; the field is round, so this is what the radius has to fit. Where a
-        surface is none of revolution, light has to fit the sensor side by side.
+        Half of the sensor's shorter side, which limits the radius, since the field is round. If a surface is
+        not rotationally symmetric, each side of the sensor limits the light in its own direction.
     inside
         Whether all light lands on the sensor.
     margin_mm
-        `sensor_half_side_mm` - `radius_mm`; where a surface is none of revolution, the smaller margin of both
-        sides.
+        `sensor_half_side_mm` - `radius_mm`; if a surface is not rotationally symmetric, the smaller margin of
+        both sides.
     throughput
         Smallest throughput over the field.
     """
@@ -88,7 +87,17 @@ class Footprint:
 
 @dataclass(frozen=True)
 class Spot:
-    """Spot of one object point: twice the RMS distance of its rays from their centroid."""
+    """Spot of one object point.
+
+    Attributes
+    ----------
+    rms_diameter_mm
+        Twice the RMS distance of the rays from their centroid.
+    centroid_mm
+        x and y of the centroid.
+    throughput
+        Fraction of the uniformly filled stop that passes (0 to 1).
+    """
 
     rms_diameter_mm: float
     centroid_mm: tuple[float, float]
@@ -97,7 +106,15 @@ class Spot:
 
 @dataclass(frozen=True)
 class Throughput:
-    """Share of an evenly filled stop that passes the lens: smallest over the field, and per field height."""
+    """Fraction of a uniformly filled stop that passes the lens.
+
+    Attributes
+    ----------
+    throughput
+        Smallest fraction over the field (0 to 1).
+    field_heights_mm, per_field
+        Field heights, and the fraction at each.
+    """
 
     throughput: float
     field_heights_mm: tuple[float, ...]
@@ -111,27 +128,47 @@ def largest_spread(
     pose: Pose = Pose(),
     surface_perturbations: Perturbations = None,
 ) -> Spread:
-    """Largest angle to the axis behind the lens over field and pupil (the left side of Eq. 2).
+    """Return the largest angle to the axis behind the lens over field and pupil (the left side of Eq. 2).
 
-    Sampled densely, then refined in field height, azimuth and pupil until it stands to 1e-6 deg.
+    A dense sampling is refined in field height, azimuth and pupil to a precision of 1e-6 deg.
 
     Parameters
     ----------
     lens
         The nominal lens.
     wavelength_um
-        Vacuum wavelength; None takes the lens's first.
+        Vacuum wavelength (default: the first of the lens).
     field_heights_mm
-        Only these object heights; None takes the whole field.
+        Object heights (default: the whole field).
     pose, surface_perturbations
-        As in :func:`lensdesign.raytrace.rays.trace`, single values. Fields then cover every azimuth.
+        Pose of the lens and perturbations of surfaces, as single values (default: nominal). With them, all
+        azimuths of the field are searched.
+
+    Returns
+    -------
+    Spread
 
     Raises
     ------
     DesignError
         If no ray passes the lens.
     InputError
-        If a field height lies outside the field, or a perturbation holds arrays of trials.
+        If a field height lies outside the field, or a perturbation has arrays of trials.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=2.0),
+    ...         Surface(radius_mm=-20.0, semi_diameter_mm=4.0),
+    ...     ),
+    ... )
+    >>> round(largest_spread(lens).spread_deg, 2)
+    2.93
     """
     (found,), passes = _largest(lens, [None], wavelength_um, field_heights_mm, pose, surface_perturbations)
     return _spread(found, passes)
@@ -144,14 +181,41 @@ def footprint(
     pose: Pose = Pose(),
     surface_perturbations: Perturbations = None,
 ) -> Footprint:
-    """Radius of all light on a plane behind the lens, and whether it fits on the sensor.
+    """Return the radius of the light of the whole field on a plane, and whether it fits on the sensor.
 
-    Parameters are those of :func:`largest_spread`; `plane_distance_mm` is from the nominal exit vertex.
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    wavelength_um
+        Vacuum wavelength (default: the first of the lens).
+    plane_distance_mm
+        Distance of the plane from the nominal exit vertex.
+    pose, surface_perturbations
+        Pose of the lens and perturbations of surfaces, as single values (default: nominal).
+
+    Returns
+    -------
+    Footprint
 
     Raises
     ------
     DesignError
         If no ray passes the lens.
+    InputError
+        If a perturbation has arrays of trials.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(semi_diameter_mm=2.0),),
+    ... )
+    >>> round(footprint(lens, plane_distance_mm=20.0).radius_mm, 6)
+    5.0
     """
     found = _largest(lens, [plane_distance_mm], wavelength_um, None, pose, surface_perturbations)
     return _footprint(lens, plane_distance_mm, *found)
@@ -160,14 +224,14 @@ def footprint(
 def spread_and_footprints(
     lens: Lens, wavelength_um: float, plane_distances_mm: Sequence[float], refined: bool = True
 ) -> tuple[Spread, tuple[Footprint, ...], Throughput]:
-    """As :func:`largest_spread`, :func:`footprint` on each plane and :func:`throughput`; faster at once.
+    """Return spread, footprint on each plane and throughput together, which is faster than one by one.
 
-    Not `refined`, values are the largest of a dense sampling, which takes a tenth of the time.
+    Without `refined`, the values are the largest of a dense sampling, which takes a tenth of the time.
     """
-    (angle, *rest), passes = _largest(lens, [None, *plane_distances_mm], wavelength_um, refined=refined)
-    each = len(rest) // len(plane_distances_mm)
+    (angle, *reaches), passes = _largest(lens, [None, *plane_distances_mm], wavelength_um, refined=refined)
+    each = len(reaches) // len(plane_distances_mm)
     footprints = tuple(
-        _footprint(lens, distance, rest[i * each : (i + 1) * each], passes)
+        _footprint(lens, distance, reaches[i * each : (i + 1) * each], passes)
         for i, distance in enumerate(plane_distances_mm)
     )
     return _spread(angle, passes), footprints, passes
@@ -179,21 +243,39 @@ def rms_spot_diameter(
     field_mm: float = 0.0,
     plane_distance_mm: float = 3.0,
 ) -> Spot:
-    """Twice the RMS distance of the rays of one object point from their centroid, stop filled evenly.
+    """Return the spot of one object point with a uniformly filled stop.
 
     Parameters
     ----------
-    lens, wavelength_um
-        Lens; vacuum wavelength, None takes the lens's first.
+    lens
+        The lens.
+    wavelength_um
+        Vacuum wavelength (default: the first of the lens).
     field_mm
         Height of the object point, along y.
     plane_distance_mm
-        Plane of the spot, from the exit vertex.
+        Distance of the spot's plane from the exit vertex.
+
+    Returns
+    -------
+    Spot
 
     Raises
     ------
     DesignError
         If no ray passes the lens.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(semi_diameter_mm=2.0),),
+    ... )
+    >>> round(rms_spot_diameter(lens, plane_distance_mm=20.0).rms_diameter_mm, 4)
+    5.6569
     """
     wavelength_um = _wavelength(lens, wavelength_um)
     samples = pupil_rings(rings=16, arms=48)
@@ -203,7 +285,7 @@ def rms_spot_diameter(
     weights = samples.weights * rays.ok
     passed = float(weights.sum())
     if passed == 0.0:
-        raise DesignError(_dark(f"from the field height {field_mm:g} mm", wavelength_um))
+        raise DesignError(_no_light(f"from the field height {field_mm:g} mm", wavelength_um))
     points = rays.position[:, :2]
     centroid = weights @ points / passed
     square = weights @ np.sum((points - centroid) ** 2, axis=-1) / passed
@@ -219,10 +301,28 @@ def throughput(
     rings: int = 32,
     arms: int = 96,
 ) -> Throughput:
-    """Share of an evenly filled stop that passes the lens, per field height and the smallest.
+    """Return the fraction of a uniformly filled stop that passes the lens, for each field height.
 
-    Rings up to the very rim are weighted by the trapezoidal rule in r^2, so that a rim that is only just
-    clipped shows. Parameters are those of :func:`largest_spread`, and how many rings of how many points.
+    Rings up to the rim are weighted by the trapezoidal rule in r^2, so that clipping at the very rim has an
+    effect.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    wavelength_um
+        Vacuum wavelength (default: the first of the lens).
+    field_heights_mm
+        Object heights (default: the whole field).
+    pose, surface_perturbations
+        Pose of the lens and perturbations of surfaces, as single values (default: nominal).
+    rings, arms
+        Number of rings, and number of points on each ring.
+
+    Raises
+    ------
+    InputError
+        If a field height lies outside the field, or a perturbation has arrays of trials.
     """
     wavelength_um = _wavelength(lens, wavelength_um)
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
@@ -237,18 +337,31 @@ def throughput(
     pupil = pupil.reshape(-1, 2)
     rays = _trace(lens, system, np.repeat(fields, len(pupil), axis=0), np.tile(pupil, (len(fields), 1)))
     ok = rays.ok.reshape(len(heights), len(azimuths), rings + 1, arms)
-    shares = np.where(ok.all(axis=(2, 3)), 1.0, ok.mean(axis=3) @ weights)
-    per_field = shares.min(axis=1)
+    fractions = np.where(ok.all(axis=(2, 3)), 1.0, ok.mean(axis=3) @ weights)
+    per_field = fractions.min(axis=1)
     return Throughput(float(per_field.min()), tuple(heights.tolist()), tuple(per_field.tolist()))
 
 
 def observation_distance_mm(lens: Lens) -> float:
-    """Distance from the exit vertex at which spots and arrival angles are looked at.
+    """Return the distance from the exit vertex at which spots and arrival angles are evaluated.
 
-    The paper's 3 mm (Figs. 2c and 2d), where that lies between the sensor planes; else the first of these.
+    It is the paper's 3 mm (Figs. 2c and 2d) if that lies between the sensor planes, else the first plane.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(semi_diameter_mm=2.0),),
+    ... )
+    >>> observation_distance_mm(lens)
+    20.0
     """
+    paper_mm = 3.0
     first, *_, last = (*lens.sensor.plane_distances_mm, lens.sensor.plane_distances_mm[-1])
-    return PAPER_DISTANCE_MM if first <= PAPER_DISTANCE_MM <= last else first
+    return paper_mm if first <= paper_mm <= last else first
 
 
 def _largest(
@@ -260,23 +373,24 @@ def _largest(
     surface_perturbations: Perturbations = None,
     refined: bool = True,
 ) -> tuple[tuple[Extremes, ...], Throughput]:
-    """Extremes over field and pupil of the reach on planes, and for None of the angle, and the throughput.
+    """Return extremes over field and pupil and the throughput.
 
-    Those of a lens as it was designed are kept: a command asks for them again and again.
+    The metrics are the distances from the axis on planes, and the angle for a plane of None. Results of
+    nominal lenses are cached, because commands request them repeatedly.
     """
     wavelength_um = _wavelength(lens, wavelength_um)
     system, _ = _one_system(lens, wavelength_um, pose, surface_perturbations)
     if field_heights_mm is not None:
         field_heights_mm = tuple(_heights(lens, field_heights_mm).tolist())
     if pose == Pose() and not surface_perturbations and not any(system.figures):
-        # A catalogue's file may have changed since: the indices say so, the lens does not.
+        # The indices are part of the key, because a catalogue file may have changed.
         indices = tuple(system.index.flat)
-        return _of_nominal(lens, tuple(planes_mm), wavelength_um, field_heights_mm, refined, indices)
-    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, pose, surface_perturbations, refined)
+        return _cached_search(lens, tuple(planes_mm), wavelength_um, field_heights_mm, refined, indices)
+    return _search(lens, planes_mm, wavelength_um, field_heights_mm, pose, surface_perturbations, refined)
 
 
 @lru_cache(maxsize=64)
-def _of_nominal(
+def _cached_search(
     lens: Lens,
     planes_mm: tuple[float | None, ...],
     wavelength_um: float,
@@ -284,10 +398,10 @@ def _of_nominal(
     refined: bool,
     _index: tuple[float, ...],
 ) -> tuple[tuple[Extremes, ...], Throughput]:
-    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, Pose(), None, refined)
+    return _search(lens, planes_mm, wavelength_um, field_heights_mm, Pose(), None, refined)
 
 
-def _searched(
+def _search(
     lens: Lens,
     planes_mm: Sequence[float | None],
     wavelength_um: float,
@@ -299,11 +413,11 @@ def _searched(
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
     metrics = [metric for z in planes_mm for metric in ([_angle] if z is None else _reaches(lens, z))]
     heights, whole = _heights(lens, field_heights_mm), field_heights_mm is None
-    found = extremes(
+    found = find_extremes(
         lens, system, metrics, heights, symmetric=symmetric, between_heights=whole, refined=refined
     )
     if any(math.isnan(f.value) for f in found):
-        raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
+        raise DesignError(f"{lens.title or 'the lens'}: {_no_light('of the field', wavelength_um)}")
     points = (32, 96) if refined else (8, 24)
     return found, throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations, *points)
 
@@ -322,7 +436,7 @@ def _spread(found: Extremes, passes: Throughput) -> Spread:
 def _footprint(
     lens: Lens, plane_distance_mm: float, found: Sequence[Extremes], passes: Throughput
 ) -> Footprint:
-    """From the extremes of the metrics of :func:`_reaches`."""
+    """Return the footprint from the extremes of the metrics of :func:`_reaches`."""
     widest, *sides = found
     half_side = 0.5 * min(lens.sensor.size_mm)
     margin = half_side - widest.value
@@ -345,15 +459,18 @@ def _angle(_position: Array, direction: Array) -> Array:
 
 
 def _reaches(lens: Lens, plane_distance_mm: float) -> list[Metric]:
-    """Distance from the axis on a plane; of a lens that is none of revolution, those along x and y, too."""
+    """Return metrics of the distance from the axis on a plane.
+
+    If the lens is not rotationally symmetric, the distances along x and along y follow.
+    """
     plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
-    round_one = all(surface.shape.ROTATIONAL for surface in lens.surfaces)
-    weights = [(1.0, 1.0)] if round_one else [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]
+    rotational = all(surface.shape.ROTATIONAL for surface in lens.surfaces)
+    weights = [(1.0, 1.0)] if rotational else [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]
 
     def reach(along: tuple[float, float], position: Array, direction: Array) -> Array:
         forward = direction[..., 2] > 0.0
-        way = (plane_z_mm - position[..., 2]) / np.where(forward, direction[..., 2], 1.0)
-        x, y = (along[i] * (position[..., i] + way * direction[..., i]) for i in (0, 1))
+        length = (plane_z_mm - position[..., 2]) / np.where(forward, direction[..., 2], 1.0)
+        x, y = (along[i] * (position[..., i] + length * direction[..., i]) for i in (0, 1))
         return np.where(forward, np.hypot(x, y), -np.inf)
 
     return [partial(reach, along) for along in weights]
@@ -378,7 +495,7 @@ def _heights(lens: Lens, field_heights_mm: Sequence[float] | None) -> Array:
 def _one_system(
     lens: Lens, wavelength_um: float, pose: Pose, surface_perturbations: Perturbations
 ) -> tuple[CompiledSystem, bool]:
-    """The compiled lens, and whether it is still rotationally symmetric."""
+    """Return the compiled lens, and whether it is rotationally symmetric."""
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     if system.trials is not None:
         raise InputError("poses and perturbations must be single values here, not arrays of trials")
@@ -394,6 +511,6 @@ def _trace(
     return trace_compiled(system, origins, directions, plane_z_mm)
 
 
-def _dark(which: str, wavelength_um: float) -> str:
-    hint = "look for a semi_diameter_mm that is too small, and for total reflection (material, radius_mm)"
+def _no_light(which: str, wavelength_um: float) -> str:
+    hint = "check for a semi_diameter_mm that is too small and for total reflection (material, radius_mm)"
     return f"no ray {which} passes at {wavelength_um:g} um; {hint}"

@@ -4,7 +4,7 @@ from lensdesign.common.interrupts import stoppable
 
 
 def main() -> None:
-    """Entry point of the console script: from its first import on it ends well when it is stopped."""
+    """Run the console script; interrupts are handled from its first import on."""
     with stoppable():
         from lensdesign.cli.commands import main
 

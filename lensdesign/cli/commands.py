@@ -46,14 +46,15 @@ def check(
     design: Design,
     against: Annotated[
         Path | None,
-        typer.Option(metavar="SPEC", help="Check the constraints of this specification in place of these."),
+        typer.Option(metavar="SPEC", help="Check the constraints of this specification instead."),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Check matching, spread, footprint and edges, or a specification's constraints.
 
-    Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge thickness; with
-    --against what a specification asks for, with its field, aperture, wavelengths and sensor.
+    The check covers Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge
+    thickness. With --against it covers the constraints of a specification, with its field, aperture,
+    wavelengths and sensor.
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
     """
@@ -92,13 +93,13 @@ def draw(
 ) -> None:
     """Draw the layout, spots, arrival angles, spread, measured figures and the lens in 3D.
 
-    The 3D view is left out, with a note, where nothing can be rendered off-screen.
+    The 3D view is omitted, with a note, if off-screen rendering is not available.
     """
     from lensdesign.files.design import load_design
     from lensdesign.plots.plots import draw_all
 
     lens, chosen = load_design(design), tuple(f.value for f in formats)
-    _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
+    _report_files(draw_all(lens, output, chosen, warn=lambda note: typer.echo(note, err=True)), as_json)
 
 
 app.command()(cli_searching.optimize)
@@ -119,7 +120,7 @@ app.command("testplates")(cli_plates.fit)
 @app.command()
 def scale(
     design: Design,
-    factor: Annotated[float, typer.Argument(metavar="FACTOR", help="What lengths are multiplied by.")],
+    factor: Annotated[float, typer.Argument(metavar="FACTOR", help="Factor of all lengths.")],
     output: Annotated[
         Path,
         typer.Option("--output", "-o", callback=output_file, metavar="TWIN", help="Design file to write."),
@@ -128,8 +129,8 @@ def scale(
 ) -> None:
     """Write the same lens at another size.
 
-    Numerical aperture, spread angle, glass and pixel pitch stay. On a small twin wave optics of the whole
-    field takes seconds.
+    Numerical aperture, spread angle, glass and pixel pitch do not change. For a small twin, wave optics of
+    the whole field takes seconds.
     """
     from lensdesign.files.design import load_design, save_design
     from lensdesign.lens.scaling import scaled
@@ -142,10 +143,10 @@ def scale(
     if as_json:
         print_json({"design": str(output), "factor": factor, "title": twin.title})
     else:
-        across, down = twin.sensor.pixels
+        columns, rows = twin.sensor.pixels
         typer.echo(
             f"wrote {output}: field {twin.object.field_diameter_mm:g} mm, stop "
-            f"{2.0 * twin.stop_semi_diameter_mm:g} mm, sensor {across} x {down} pixels"
+            f"{2.0 * twin.stop_semi_diameter_mm:g} mm, sensor {columns} x {rows} pixels"
         )
 
 

@@ -1,4 +1,4 @@
-"""The command that says where a lens's ghost falls."""
+"""Command that locates the ghost of a lens."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ def ghost(
     design: Design,
     share: Annotated[
         float | None,
-        typer.Option(help="Of the light, that both reflections leave; left out: of uncoated surfaces."),
+        typer.Option(help="Fraction of light after both reflections; default: uncoated surfaces."),
     ] = None,
-    wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
+    wavelength_um: Annotated[
+        float | None, typer.Option(help="Default: the design's first wavelength.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say where light falls that is reflected twice inside the lens, and what of its fringes pixels resolve.
+    """Locate light that is reflected twice inside the lens, and the fringes that the pixels resolve.
 
-    The ghost is coherent with the light that goes straight through: what is recorded of it are fringes wider
-    than two pixels.
+    The ghost is coherent with the directly transmitted light. The sensor records interference fringes that
+    are wider than two pixels.
     """
     from rich.table import Table
 
@@ -38,7 +40,7 @@ def ghost(
     if as_json:
         print_json(report.as_dict())
         return
-    typer.echo(f"share of the light {report.share:.3g}")
+    typer.echo(f"share of the light {report.fraction:.3g}")
     typer.echo(f"effective, back focal length of the ghost {report.efl_mm:.4g}, {report.bfl_mm:.4g} mm\n")
     table = Table(box=None, pad_edge=False)
     for name in ("plane", "field", "falls on", "fringes on"):

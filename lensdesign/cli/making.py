@@ -1,4 +1,4 @@
-"""Commands that make files of a lens, for shops, viewers and other programs, and the one that reads those."""
+"""Commands that export a lens for manufacture, viewers and other programs, and the import command."""
 
 from __future__ import annotations
 
@@ -41,30 +41,29 @@ def export(
         typer.Argument(callback=output_file, metavar="FILE", help=f"{export_kinds()}.".capitalize()),
     ],
     chord_error_um: Annotated[
-        float, typer.Option(help="Largest distance between mesh and true surface, on the optical surfaces.")
+        float, typer.Option(help="Largest distance between mesh and exact optical surfaces.")
     ] = 0.1,
     measured: Annotated[
         bool, typer.Option("--measured", help="With the measured figures of the surfaces.")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the lens's glass as a mesh or as exact solids, or the lens as another program's file.
+    """Write the glass as a mesh or as exact solids, or the lens as another program's file.
 
-    Where the design has no edge, glass has the ground diameter that the drawing of the lens has; the file and
-    a note state it.
+    If the design has no edge, the glass has the ground diameter of the drawing; the file and a note state it.
 
-    Surfaces have their nominal shape unless --measured is given, which only meshes take; a note names those
-    whose figure is left out.
+    Surfaces have their nominal shape. Meshes support --measured; otherwise a note names surfaces whose
+    measured figure is omitted.
     """
     from lensdesign.files.design import load_design
 
-    options = ExportOptions(chord_error_um, measured, report=lambda note: typer.echo(note, err=True))
-    made = export_lens(load_design(design), file, options)
+    options = ExportOptions(chord_error_um, measured, warn=lambda note: typer.echo(note, err=True))
+    exported = export_lens(load_design(design), file, options)
     if as_json:
-        print_json(made.figures)
+        print_json(exported.figures)
     else:
-        print_outline(made.outline)
-        typer.echo(f"wrote {file}: {made.sentence}")
+        print_outline(exported.outline)
+        typer.echo(f"wrote {file}: {exported.sentence}")
 
 
 def scene(
@@ -75,7 +74,7 @@ def scene(
     ],
     as_json: Json = False,
 ) -> None:
-    """Write glass, stop, object, sensor planes and rays as one scene that viewers turn."""
+    """Write glass, stop, object, sensor planes and rays as a 3D scene for viewers."""
     from lensdesign.files.design import load_design
     from lensdesign.plots.glb import write_scene
 
@@ -90,7 +89,7 @@ def scene(
 
 
 def outline_of(lens: Lens) -> tuple[str, ...]:
-    """The outline of each element in a scene, in one sentence."""
+    """Return one sentence on the outline of each element in a scene."""
     from lensdesign.analysis.outline import drawn_outline
     from lensdesign.raytrace.paths import sized_lens
 
@@ -111,7 +110,9 @@ def drawing(
     ],
     sheet: Annotated[
         Path | None,
-        typer.Option(metavar="SHEET", help="Title block and tolerances (TOML); else those of ISO 10110-11."),
+        typer.Option(
+            metavar="SHEET", help="Title block and tolerances (TOML); default: those of ISO 10110-11."
+        ),
     ] = None,
     tolerances: Annotated[
         Path | None,
@@ -130,7 +131,7 @@ def drawing(
         typer.Option(
             callback=output_file,
             metavar="STUDY",
-            help="Tolerance study to write, of everything that the sheet allows.",
+            help="Tolerance study to write, with all tolerances of the sheet.",
         ),
     ] = None,
     accept_yield_loss: Annotated[
@@ -142,28 +143,28 @@ def drawing(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Draw the lens for the shop, after ISO 10110: a sheet for each glass element.
+    """Draw the lens for manufacture after ISO 10110: one sheet for each glass element.
 
-    Where the design has no edge, one is chosen that leaves room for mount, bevel and tolerance; radii and
-    thicknesses are rounded to a tenth of their tolerance. Notes say what was chosen and rounded. A lens that
-    cannot be made so is refused.
+    If the design has no edge, one is chosen with margins for mount, bevel and tolerance. Radii and
+    thicknesses are rounded to a tenth of their tolerance. Notes state all chosen and rounded values. A lens
+    that cannot be manufactured is rejected.
 
-    With --tolerances the sheet states the tolerances of the study. What the study leaves open is derived from
-    it, or general where that costs no yield; the sheet marks both. The yield that is predicted with all
-    tolerances of the sheet is printed beside that of the study, and a sheet that loses more than 2 percentage
-    points is refused.
+    With --tolerances the sheet states the tolerances of the study. Tolerances that the study does not specify
+    are derived from it, or are general tolerances if these cost no yield; the sheet marks both. The predicted
+    yield with all tolerances of the sheet is printed together with that of the study. A sheet that loses more
+    than 2 percentage points is rejected.
     """
     from lensdesign.common.toml_files import read_toml, validate
     from lensdesign.files.design import load_design
     from lensdesign.manufacture.drawing.assumed import load_tolerances
     from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_stated
 
-    taken = {"the design itself": design, "the drawing": output, "the study": tolerances, "the sheet": sheet}
+    in_use = {"the design itself": design, "the drawing": output, "the study": tolerances, "the sheet": sheet}
     for written in (as_drawn, study_as_drawn):
-        for what, path in taken.items():
+        for role, path in in_use.items():
             if written is not None and path is not None and written.resolve() == path.resolve():
-                raise InputError(f"cannot write {written}: it is {what}; give another file name")
-        taken["the design as drawn"] = written
+                raise InputError(f"cannot write {written}: it is {role}; give another file name")
+        in_use["the design as drawn"] = written
     if study_as_drawn is not None and tolerances is None:
         raise InputError("--study-as-drawn needs --tolerances: the study that the sheet is scored by")
     options = DrawingOptions() if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
@@ -218,7 +219,7 @@ def _write_as_drawn(
     paths: tuple[Path, Path | None, Path | None],
     design: Path,
 ) -> None:
-    """Write the drawing, and the design and the study as drawn where they are asked for: all or none."""
+    """Write the drawing and, if requested, the design and the study as drawn: all files or none."""
     from lensdesign.files.design import design_text
     from lensdesign.manufacture.drawing.sheets import write_drawing
 
@@ -240,7 +241,7 @@ def _score_notes(score: SheetScore, accepted: bool) -> list[str]:
         f"by the study: {100.0 * score.study_yield:.1f} %"
     ]
     if score.losses and accepted:
-        notes.append(f"accepted loss of yield, most of it by {score.worst}")
+        notes.append(f"accepted loss of yield; the largest losses are {score.worst}")
     if score.not_predicted:
         notes.append(f"not part of the predicted yields: {', '.join(score.not_predicted)}")
     if not score.is_trustworthy:
@@ -257,7 +258,7 @@ def sag(
         typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Table to write, .csv."),
     ],
     surface: Annotated[int, typer.Option(help="Number of the surface, from 1.")],
-    spacing_mm: Annotated[float, typer.Option(help="Between radial heights.")] = 0.1,
+    spacing_mm: Annotated[float, typer.Option(help="Distance between radial heights.")] = 0.1,
     as_json: Json = False,
 ) -> None:
     """Tabulate sag, slope and departure from the best-fit sphere of one surface."""
@@ -293,21 +294,24 @@ def import_file(
         Path,
         typer.Option("--output", "-o", callback=output_file, metavar="DESIGN", help="Design file to write."),
     ],
-    lossy: Annotated[bool, typer.Option("--lossy", help="Leave out what a design cannot hold.")] = False,
-    working_distance_mm: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
-    field_diameter_mm: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
-    numerical_aperture: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
-    pixel_pitch_um: Annotated[float | None, typer.Option(help="Of the sensor.")] = None,
-    pixels: Annotated[tuple[int, int] | None, typer.Option(help="Of the sensor, across x and y.")] = None,
-    plane_distance_mm: Annotated[
-        list[float] | None, typer.Option(help="Of a sensor plane from the exit vertex; several times.")
+    lossy: Annotated[bool, typer.Option("--lossy", help="Omit what a design cannot represent.")] = False,
+    working_distance_mm: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
+    field_diameter_mm: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
+    numerical_aperture: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
+    pixel_pitch_um: Annotated[float | None, typer.Option(help="Pixel pitch of the sensor.")] = None,
+    pixels: Annotated[
+        tuple[int, int] | None, typer.Option(help="Pixels of the sensor along x and y.")
     ] = None,
-    glass_catalog: Annotated[list[Path] | None, typer.Option(help="AGF file; several times.")] = None,
+    plane_distance_mm: Annotated[
+        list[float] | None,
+        typer.Option(help="Distance of a sensor plane from the exit vertex; may be repeated."),
+    ] = None,
+    glass_catalog: Annotated[list[Path] | None, typer.Option(help="AGF file; may be repeated.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Read another program's lens file into a design.
+    """Convert another program's lens file to a design.
 
-    What the file holds and a design cannot is listed and refused, or left out with --lossy.
+    Contents that a design cannot represent are listed, and the import fails unless --lossy is given.
     """
     from lensdesign.files.design import save_design, validate_lengths
     from lensdesign.files.draft import LossyImportError, Supplement
@@ -322,23 +326,23 @@ def import_file(
         glass_catalogs=tuple(glass_catalog or ()),
     )
     found = read_lens_file(file, supplement, lossy)
-    moved = _moved(found.pose)
-    if moved and not lossy:
-        raise LossyImportError(str(file), [f"the lens stands at {moved}: a design stands on its axis"])
+    deviation = _pose_deviation(found.pose)
+    if deviation and not lossy:
+        raise LossyImportError(str(file), [f"pose of the lens {deviation}: a design has a nominal pose"])
     validate_lengths(found.lens, file)
     save_design(found.lens, output)
-    _tell(found, output, moved, as_json)
+    _print_import(found, output, deviation, as_json)
 
 
-def _moved(pose: Pose) -> str:
-    """What of a pose is not nominal, in words."""
+def _pose_deviation(pose: Pose) -> str:
+    """Return the components of a pose that are not nominal, in words."""
     names = [f.name for f in fields(pose) if f.name != "pivot_z_mm"]
     values = {name: float(getattr(pose, name)) for name in names}
     return ", ".join(f"{name} = {value:g}" for name, value in values.items() if value)
 
 
-def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
-    dropped = [*found.dropped, *([f"pose: {moved}"] if moved else [])]
+def _print_import(found: Imported, output: Path, deviation: str, as_json: bool) -> None:
+    dropped = [*found.dropped, *([f"pose: {deviation}"] if deviation else [])]
     first = found.first_order
     lens = found.lens
     if as_json:

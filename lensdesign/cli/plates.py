@@ -1,4 +1,4 @@
-"""Fitting a lens to the test plates of a shop."""
+"""Command that fits a lens to test plates."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def fit(
     ],
     as_json: Json = False,
 ) -> None:
-    """Search for the lens of a specification whose spheres have radii of test plates.
+    """Optimize a lens whose spheres have the radii of test plates.
 
-    Spheres are fitted one by one, the one that changes least first, and the rest is searched again each
-    time. Conics and aspheres have no plates.
+    Spheres are fitted one by one, starting with the one that changes least; the other variables are optimized
+    again each time. Conics and aspheres have no test plates.
 
-    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit cut a search (the lens is
-    written all the same), 2 for bad input.
+    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit ended a search (the lens is
+    written nevertheless), 2 for bad input.
     """
     from lensdesign.files.design import design_text
     from lensdesign.optimization.plates import fit_plates, load_plates
@@ -40,7 +40,7 @@ def fit(
 
     asked, radii = load_specification(specification), load_plates(plates)
     if os.path.exists(output) and any(output.samefile(given) for given in (specification, plates)):
-        raise InputError(f"cannot write {output}: it is read; give another file name")
+        raise InputError(f"cannot write {output}: it is an input of this command; give another file name")
     with atomic_path(output) as temporary:
         with message_console().status("searching") as status:
             found = fit_plates(asked, radii, report=status.update)

@@ -54,15 +54,15 @@ def optimize(
         ),
     ] = None,
 ) -> None:
-    """Search for the lens that a specification asks for.
+    """Optimize a lens for a specification.
 
-    Starts are made until several agree. What was found is checked against the specification in the end;
-    where it asks for lenses as built, by Monte Carlo trials that the search did not know.
+    The search is started repeatedly until several starts agree. The result is checked against the
+    specification; requirements on lenses as built are checked by independent Monte Carlo trials.
 
     An interrupt (Ctrl-C, SIGTERM) or a time limit ends the search: the best lens so far is written.
 
-    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit cut the search (the lens is
-    written all the same), 2 for bad input, 130 or 143 after an interrupt.
+    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit ended the search (the lens is
+    written nevertheless), 2 for bad input, 130 or 143 after an interrupt.
     """
     from lensdesign.files.design import design_text
     from lensdesign.optimization.search import SearchInterrupted
@@ -78,7 +78,7 @@ def optimize(
     )
     if os.path.exists(output) and output.samefile(specification):
         raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
-    # Opened before the search: a place that cannot be written shows at once, not after it.
+    # The file is opened before the search, so that an unwritable path is reported at once.
     interrupted = False
     with atomic_path(output) as temporary:
         try:
@@ -113,15 +113,13 @@ def explore(
             metavar="NAMES",
             help=(
                 "Two to four of thickness, track, semi_diameter, spread, as_built_rms, yield, field, na, "
-                "cost; with bounds where wanted: field=2:4,thickness. The last is each search's goal."
+                "cost; optionally with bounds: field=2:4,thickness. The last is the goal of each search."
             ),
         ),
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "--output", "-o", callback=output_folder, metavar="DIR", help="Folder for what is found."
-        ),
+        typer.Option("--output", "-o", callback=output_folder, metavar="DIR", help="Folder for the results."),
     ],
     lenses: Annotated[int, typer.Option(min=2, max=10000, help="Lenses for each choice of glasses.")] = 50,
     glasses: Annotated[
@@ -136,15 +134,15 @@ def explore(
     ] = False,
     max_seconds: Annotated[
         float | None,
-        typer.Option(min=0.001, help="Time limit; the same command goes on after it.", show_default=False),
+        typer.Option(min=0.001, help="Time limit; the same command continues later.", show_default=False),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find lenses of which none is better in everything: a table, charts, and a file for each lens.
+    """Compute a Pareto front of lenses: a table, charts, and a design file for each lens.
 
-    An interrupt or a time limit leaves the table of the lenses found so far; the same command goes on.
+    An interrupt or a time limit leaves the table of the lenses found so far; the same command continues.
 
-    Exit status: 0, 1 if no lens meets the specification or the time limit cut the exploration, 2 for bad
+    Exit status: 0, 1 if no lens meets the specification or the time limit ended the exploration, 2 for bad
     input, 130 or 143 after an interrupt.
     """
     from lensdesign.common.console import messages_only
@@ -170,10 +168,10 @@ def explore(
     except (KeyboardInterrupt, OutOfTime) as stop:
         found = list(folder.begin().values())
         folder.write_front(found, axes)
-        rest = f"{len(found)} searches are kept in {output}, and the same command goes on from there"
+        hint = f"{len(found)} searches are kept in {output}, and the same command continues from there"
         if isinstance(stop, KeyboardInterrupt):
-            raise KeyboardInterrupt(f"interrupted; {rest}") from None
-        typer.echo(f"max_seconds = {max_seconds:g} cut the exploration; {rest}", err=True)
+            raise KeyboardInterrupt(f"interrupted; {hint}") from None
+        typer.echo(f"max_seconds = {max_seconds:g} ended the exploration; {hint}", err=True)
         raise typer.Exit(1) from None
     files = [folder.write_front(explored, axes), *write_charts(output, explored, axes)]
     front = front_of(explored, axes)
@@ -198,13 +196,13 @@ def limits(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find the largest field and aperture, the coarsest pixel and the loosest tolerances that still work.
+    """Find the largest field, aperture, pixel and tolerances for which a lens meets the specification.
 
-    One of them is made as large as a search finds a lens for, everything else as the specification asks.
-    A limit is confirmed by independent starts just above it, which is no proof. What was found before an
-    interrupt or a time limit is printed.
+    Each quantity is enlarged alone while the others stay as specified. A limit is confirmed by independent
+    starts just above it, which is no proof. After an interrupt or a time limit, the limits found so far are
+    printed.
 
-    Exit status: 0, 1 if the specification itself cannot be met or the time limit cut the search, 2 for bad
+    Exit status: 0, 1 if the specification itself cannot be met or the time limit ended the search, 2 for bad
     input, 130 or 143 after an interrupt.
     """
     from lensdesign.common.deadlines import deadline, now
@@ -223,7 +221,7 @@ def limits(
     else:
         _print_limits(found)
     if interrupted:
-        raise KeyboardInterrupt(f"interrupted; {len(found)} limits were begun, the last is not confirmed")
+        raise KeyboardInterrupt(f"interrupted; {len(found)} limits were started, the last is not confirmed")
     met = all(one.reached is not None and one.reached >= one.asked and not one.cut for one in found)
     raise typer.Exit(0 if met else 1)
 
@@ -239,21 +237,21 @@ def _print_limits(found: Sequence[Limit]) -> None:
     print_tables(shown)
     for one in found:
         typer.echo(f"{one.name}: {one.confidence}")
-    typer.echo("each alone, everything else as asked")
+    typer.echo("each limit alone, with all other values as specified")
 
 
 def _print_front(front: Sequence[ExploredPoint], columns: Sequence[str], searches: int) -> None:
-    shown = table(f"{len(front)} lenses of which none is better in everything", "glasses", *columns)
+    shown = table(f"{len(front)} lenses on the Pareto front", "glasses", *columns)
     for one in front:
         shown.add_row(visible(one.glasses), *(f"{one.values[column]:.5g}" for column in columns))
     print_tables(shown)
     if len(front) == 1:
-        typer.echo("one lens is best in everything: there is nothing to trade")
+        typer.echo("one lens is best in every objective: there is no trade-off")
     typer.echo(f"{searches} searches")
 
 
 def _with_settings(specification: Specification, **changes: object) -> Specification:
-    """The specification with what the command line changes."""
+    """Return the specification with the settings of the command line."""
     from lensdesign.common.toml_files import validate
     from lensdesign.optimization.specification.sections import Settings
 
@@ -304,13 +302,11 @@ def _print_optimization(result: OptimizationResult) -> None:
         f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts came to this"
     )
     if not result.agreed:
-        typer.echo(
-            "hint: no other start came to this, which says little; allow more starts, or narrow the bounds"
-        )
+        typer.echo("hint: no other start reached this lens; allow more starts, or narrow the bounds")
 
 
 def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
-    """What each constraint comes to at each temperature; lengths are those of the design."""
+    """Return a table of each constraint at each temperature; lengths are those of the design."""
     from lensdesign.lens.catalogues.thermal import REFERENCE_C
     from lensdesign.lens.temperature import named_at
 
@@ -326,7 +322,7 @@ def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
 
 
 def _as_built(report: AsBuiltReport) -> list[Any]:
-    """Yields and wavefronts of start and result beside each other, by trials and as predicted."""
+    """Return tables that compare yields and wavefronts of start and result, by trials and as predicted."""
     first = report.rows[0]
     heads = [head for row in report.rows for head in (row.name, "predicted")]
     title = f"Yield of {first.trials} trials each (seed {report.seed}), and as predicted"
@@ -335,8 +331,8 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
         cells = [_yield_cells(row.good, row.low, row.high, row.predicted_good) for row in report.rows]
         found.add_row("all limits", *(cell for pair in cells for cell in pair))
     for k, merit in enumerate(first.merits):
-        parts = [row.merits[k] for row in report.rows]
-        cells = [_yield_cells(one.good, one.low, one.high, one.predicted) for one in parts]
+        merits = [row.merits[k] for row in report.rows]
+        cells = [_yield_cells(one.good, one.low, one.high, one.predicted) for one in merits]
         found.add_row(visible(merit.merit), *(cell for pair in cells for cell in pair))
     tables = [found, *_losses(report)]
     if not report.points_mm:
@@ -351,7 +347,7 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
 
 
 def _losses(report: AsBuiltReport) -> list[Any]:
-    """Mean reconstruction losses of the same trials; none where the study has no such merit."""
+    """Return a table of mean reconstruction losses; empty if the study has no such merit."""
     merits = report.rows[0].losses
     if not merits:
         return []
@@ -366,19 +362,19 @@ def _losses(report: AsBuiltReport) -> list[Any]:
 
 
 def _yield_cells(good: float, low: float, high: float, predicted: float | None) -> tuple[str, str]:
-    """A yield with its interval by trials, and as predicted."""
+    """Return a yield with its confidence interval by trials, and the predicted yield."""
     own = f"{100.0 * good:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
     return own, "-" if predicted is None else f"{100.0 * predicted:.1f} %"
 
 
 def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
-    """Which limits a good lens keeps, and which of them trials alone can judge; a line each."""
+    """Return lines on the limits of a good lens, and on merits that only trials can evaluate."""
     from lensdesign.optimization.specification.sections import LOSS_GOAL
 
     merits = report.rows[-1].merits
     lines = ["a good lens keeps all limits of the study:" if len(merits) > 1 else "a good lens keeps:"]
     lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
     searched = {one.merit for one in report.rows[-1].losses} if goal == LOSS_GOAL else set()
-    if left := [name for name in report.trials_only if name not in searched]:
-        lines.append(f"scored by trials only, not by search and predictions: {', '.join(left)}")
+    if remaining := [name for name in report.trials_only if name not in searched]:
+        lines.append(f"scored by trials only, not by search and predictions: {', '.join(remaining)}")
     return lines

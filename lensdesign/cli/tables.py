@@ -1,4 +1,4 @@
-"""Tables as the commands print them."""
+"""Tables in the output of commands."""
 
 from __future__ import annotations
 
@@ -7,20 +7,17 @@ from typing import Any
 from lensdesign.common.console import print_whole
 from lensdesign.common.text import visible
 
-WIDEST_TITLE = 100
-"""Up to which a table is made as wide as its title."""
-
 
 def table(title: str, *columns: str) -> Any:
-    """A table whose title may be longer than its columns."""
+    """Return a table; it is at least as wide as its title, up to 100 characters."""
     from rich.markup import escape
     from rich.table import Table
 
     shown = visible(title)
-    width = min(len(shown), WIDEST_TITLE)
+    width = min(len(shown), 100)
     table = Table(title=escape(shown) or None, title_justify="left", title_style="bold", min_width=width)
     for column in columns:
-        # A name that were cut could look like another one: it goes on below.
+        # A truncated name could be mistaken for another one, so it is wrapped instead.
         side: Any = "right" if column in ("value", "limit") else "left"
         table.add_column(column, justify=side, overflow="fold")
     return table

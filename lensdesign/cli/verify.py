@@ -1,4 +1,4 @@
-"""The command that holds a mesh file against a design."""
+"""Command that verifies a mesh file against a design."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def verify(
     design: Design,
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh in mm: .stl, .ply, .obj or .3mf.")],
     chord_error_um: Annotated[
-        float, typer.Option(help="Greatest distance allowed of the mesh from the optical surfaces.")
+        float, typer.Option(help="Largest allowed distance of the mesh from the optical surfaces.")
     ] = 0.1,
     as_json: Json = False,
 ) -> None:
-    """Hold a mesh, whoever made it, against the nominal shape of a lens.
+    """Verify a mesh of any origin against the nominal shape of a lens.
 
-    Says whether it is closed, and how far its vertices, edge midpoints and facet centres lie from each
-    optical surface. It must lie as the lens does: front vertex at z = 0, axis along z. The body of the design
-    has the outline of its drawing, as exports have it.
+    The report states whether the mesh is closed, and how far its vertices, edge midpoints and facet centres
+    are from each optical surface. The mesh must have its front vertex at z = 0 and its axis along z. The
+    bodies of the design have the outline of its drawing, like exports.
 
-    Exit status: 0 if it agrees, 1 if it is open, inside out, too far off or not of as many bodies as the
-    design, 2 for bad input.
+    Exit status: 0 if the mesh agrees, 1 if it is open, inside out, too inaccurate or has another number of
+    bodies than the design, 2 for bad input.
     """
     from lensdesign.analysis.outline import drawn_outline
     from lensdesign.files.design import load_design
@@ -51,9 +51,10 @@ def _print_report(report: MeshReport) -> None:
     closed = "closed" if report.closed else f"open at {report.open_edges} edges"
     bodies = f"{report.bodies} {'body' if report.bodies == 1 else 'bodies'}"
     typer.echo(f"{report.triangles} triangles, {closed}, {bodies} (design: {report.elements})")
-    share = report.volume_mm3 / report.exact_volume_mm3 - 1.0
+    relative = report.volume_mm3 / report.exact_volume_mm3 - 1.0
     typer.echo(
-        f"volume {report.volume_mm3:.8g} mm^3; of the design {report.exact_volume_mm3:.8g} mm^3; {share:+.2g}"
+        f"volume {report.volume_mm3:.8g} mm^3; of the design {report.exact_volume_mm3:.8g} mm^3; "
+        f"{relative:+.2g}"
     )
     for side in report.distances:
         name = f"surface {side.surface} of element {side.element}"

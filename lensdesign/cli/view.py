@@ -1,4 +1,4 @@
-"""The command that shows a lens in 3D."""
+"""Command that shows a lens in 3D."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def view(
             "-o",
             callback=output_file,
             metavar="FILE",
-            help="Page for a browser to write, .html; else a window opens.",
+            help="Page for a browser to write, .html; default: open a window.",
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Turn the lens in 3D: in a window, or in a browser by one page that loads nothing."""
+    """Show the lens in 3D: in a window, or on a self-contained page for a browser."""
     from lensdesign.errors import InputError
     from lensdesign.files.design import load_design
     from lensdesign.lens.solid import closed_elements
@@ -43,13 +43,13 @@ def view(
         return
     if output.exists() and output.samefile(design):
         raise InputError(f"cannot write {output}: it is the design itself; give another file name")
-    made = write_view(lens, output)
+    page = write_view(lens, output)
     outline = outline_of(lens)
     if as_json:
-        print_json({"file": str(output)} | made.as_dict() | {"outline": list(outline)})
+        print_json({"file": str(output)} | page.as_dict() | {"outline": list(outline)})
     else:
         print_outline(outline)
         typer.echo(
-            f"wrote {output}: {made.bodies} {'body' if made.bodies == 1 else 'bodies'}, {made.rays} rays, "
-            f"{1e-6 * made.bytes:.2g} MB"
+            f"wrote {output}: {page.bodies} {'body' if page.bodies == 1 else 'bodies'}, {page.rays} rays, "
+            f"{1e-6 * page.bytes:.2g} MB"
         )

@@ -1,4 +1,4 @@
-"""The command that opens the workbench, which a package above this one has."""
+"""Command that opens the workbench, which a package above this one provides."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from lensdesign.cli.making import Design
 from lensdesign.errors import InputError
 
 WORKBENCHES = "lensdesign.workbench"
-"""Group of entry points: what serves a design, by the name ``serve``."""
+"""Group of entry points; the entry point ``serve`` serves a design."""
 
 
 def studio(
     design: Design,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port; 0 takes that of the last time, or a free one.")
+        int, typer.Option(min=0, max=65535, help="Port; 0 uses that of the last session, or a free one.")
     ] = 0,
     tolerances: Annotated[
         str,
-        typer.Option(metavar="GRADE", help="Grade or study file: how the lens is made."),
+        typer.Option(metavar="GRADE", help="Grade or study file with manufacturing tolerances."),
     ] = "precision",
     show: Annotated[bool, typer.Option("--open/--no-open", help="Whether to open the browser.")] = True,
 ) -> None:
-    """Open the workbench: change the lens in the browser and see at once what that does.
+    """Open the workbench: change the lens in the browser and see the effect at once.
 
-    It serves on this machine alone, under an address that holds a token, until it is stopped (Ctrl+C).
-    Nothing is written to the design before it is saved; unsaved edits are kept for the next time.
+    The server is reachable from this machine only, at an address with a secret token, until it is stopped
+    (Ctrl+C). The design file changes only when it is saved; unsaved edits are kept for the next session.
     """
     from importlib.metadata import entry_points
     from importlib.util import find_spec

@@ -1,1 +1,1 @@
-"""What all three packages share: console, text as it is shown, input files, notebooks, clusters."""
+"""Utilities of all packages: console, text, input and output files, notebooks, clusters."""

@@ -1,7 +1,7 @@
-"""Readers of NumPy's files (.npy, .npz) that state the size of everything before they unpack it.
+"""Readers of NumPy's files (.npy, .npz) that check the size of every array before they unpack it.
 
-A packed file of a few megabytes can hold arrays of many gigabytes, and a header can promise more values than
-follow it. Both are refused from what the file declares.
+A packed file of a few megabytes can contain arrays of many gigabytes, and a header can declare more values
+than follow it. Both are refused by the declared sizes.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from lensdesign.common.memory import check_memory
 from lensdesign.errors import InputError
 
 FIELD_BYTES = 3_200_000_000
-"""Most bytes of a field's arrays: 400 million complex values in single precision, as grids may have."""
+"""Largest size of a field's arrays: 400 million complex values in single precision, the limit of grids."""
 
 MOST_MEMBERS = 1000
-"""Most arrays of an .npz file."""
+"""Largest number of arrays of an .npz file."""
 
 COPIES = 3
-"""How many times the size of its arrays a reader holds: as packed, as unpacked, and as converted."""
+"""Number of copies of the arrays in memory while reading: packed, unpacked and converted."""
 
 
 def read_arrays(
@@ -39,18 +39,18 @@ def read_arrays(
     only: Collection[str] | None = None,
     copies: float = COPIES,
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an .npz file, or the one of an .npy file, of bounded size.
+    """Read the arrays of an .npz file, or the array of an .npy file, up to a size.
 
     Parameters
     ----------
     path
-        The file. Its content decides what it is, not its name.
+        The file. Its type is determined from its content, not from its name.
     most_bytes
-        Most bytes of all arrays that are read, as they are unpacked.
+        Largest total size of the unpacked arrays in bytes.
     named
-        What messages call the file, before its path: "the field".
+        Description of the file in messages, before its path, such as "the field".
     only
-        Names of the arrays to read; others stay packed. By default all.
+        Names of the arrays to read (default: all).
     copies
         Memory that must be free, in multiples of the size of the arrays.
 
@@ -62,8 +62,8 @@ def read_arrays(
     Raises
     ------
     InputError
-        If the file cannot be read, is damaged, declares arrays larger than `most_bytes` or than memory
-        holds, or holds objects of Python.
+        If the file cannot be read, is damaged, contains Python objects, or declares arrays that are larger
+        than `most_bytes` or than the free memory.
     """
     path = Path(path)
     check_input(path, named=named)
@@ -88,12 +88,12 @@ def read_arrays(
 
 
 def array_names(path: str | os.PathLike[str], named: str = "") -> tuple[str, ...]:
-    """Names of the arrays of an .npz file.
+    """Return the names of the arrays of an .npz file.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or is no .npz file.
+        If the file cannot be read or is not an .npz file.
     """
     path = Path(path)
     check_input(path, named=named)
@@ -112,14 +112,14 @@ def _members(archive: zipfile.ZipFile, only: Collection[str] | None) -> dict[str
 
 
 def _check_array(file: IO[bytes], size: int, most_bytes: float, copies: float) -> None:
-    """Refuse an array whose header declares another number of bytes than there are."""
+    """Refuse an array whose header declares more bytes than the file has."""
     version = np.lib.format.read_magic(file)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
         raise InputError(f"holds an array in version {version[0]}.{version[1]} of NumPy's format: not known")
     shape, _, kind = readers[version](file)
     if kind.hasobject:
-        raise InputError("holds objects of Python, and not numbers")
+        raise InputError("holds objects of Python, and not numbers; save numeric arrays only")
     declared = math.prod(shape) * kind.itemsize
     _check_size(declared, most_bytes, copies)
     if declared > size:
@@ -134,12 +134,12 @@ def _check_size(declared: int, most_bytes: float, copies: float) -> None:
 
 @contextmanager
 def _reported(path: Path, named: str) -> Iterator[None]:
-    """Name the file in whatever is wrong with it."""
-    said = f"cannot read {named} {path}".replace("  ", " ")
+    """Add the name of the file to all errors."""
+    prefix = f"cannot read {named} {path}".replace("  ", " ")
     try:
         yield
     except InputError as error:
-        raise InputError(f"{said}: {error}") from error
+        raise InputError(f"{prefix}: {error}") from error
     except (Exception, MemoryError) as error:  # damaged files raise errors of many kinds
         reason = getattr(error, "strerror", None) or str(error)[:200] or type(error).__name__
-        raise InputError(f"{said}: {reason}") from error
+        raise InputError(f"{prefix}: {reason}") from error

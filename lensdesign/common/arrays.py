@@ -1,4 +1,4 @@
-"""The array that nearly everything here takes and gives."""
+"""The array type of most functions."""
 
 from __future__ import annotations
 

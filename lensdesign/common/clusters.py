@@ -1,4 +1,4 @@
-"""Work done by a Dask cluster, and plain words where it cannot be."""
+"""Tasks on a Dask cluster, with clear messages if the cluster fails."""
 
 from __future__ import annotations
 
@@ -20,79 +20,76 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Result = TypeVar("Result")
-Held_co = TypeVar("Held_co", covariant=True)
+Kept_co = TypeVar("Kept_co", covariant=True)
 
 CONNECT_SECONDS = 30.0
-"""How long to wait for the scheduler, and for its first worker: on a busy machine one takes ten seconds."""
-
-LARGE_GRAPH = "distributed.admin.large-graph-warning-threshold"
-"""Dask's setting: how large a task may be before it warns."""
+"""Time limit for the scheduler and for its first worker; on a busy machine a worker starts in ten seconds."""
 
 COUNT_SECONDS = 2.0
-"""How often to ask how many workers there are."""
+"""Interval between counts of the workers."""
 
 TELL_SECONDS, WAIT_SECONDS = 3.0, 15.0
-"""How long a cluster may have no worker before that is reported, and before work in it ends: a worker that
-died may be started anew."""
+"""Times without any worker after which that is reported, and after which the work fails. A worker that died
+may be restarted within this time."""
 
 LOOK_SECONDS = 0.5
-"""How often whoever waits for a result looks whether there are workers."""
+"""Interval between checks for workers while waiting for a result."""
 
 FETCH_SECONDS = 5.0
-"""How long to fetch a finished result before its workers are looked for again; doubled each time."""
+"""Time limit to fetch a finished result before its workers are checked again; doubled each time."""
 
 RETRIES = 2
-"""How often a task is tried again that failed for reasons of the machine."""
+"""Number of retries of a task that failed because of its machine."""
 
 
 def toolkit_version() -> str:
-    """Version of the installed toolkit."""
+    """Return the version of the installed toolkit."""
     return version("transferlens")
 
 
 class ClusterError(TransferLensError):
-    """Workers of a cluster died, or it went away; what was kept before stays."""
+    """Workers of a cluster died, or its scheduler ended; results stored before are kept."""
 
 
-class Held(Protocol[Held_co]):
-    """A result that lies in a cluster."""
+class ClusterResult(Protocol[Kept_co]):
+    """A result that is stored in a cluster."""
 
     @property
     def status(self) -> str: ...
 
-    def result(self, timeout: float | None = None) -> Held_co: ...
+    def result(self, timeout: float | None = None) -> Kept_co: ...
 
 
 class Cluster:
-    """A connection through which a cluster's workers, which may come and go, do tasks."""
+    """A connection to a cluster whose number of workers may change."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
         self._executor = client.get_executor(retries=RETRIES, pure=False)
-        self._threads, self._asked = 0, -COUNT_SECONDS
+        self._threads, self._counted_at = 0, -COUNT_SECONDS
         self._alone_since: float | None = None
-        self._is_told = False
+        self._is_reported = False
 
-    def send(self, parcel: Result) -> Held[Result]:
-        """Keep something in the cluster, from where each worker that needs it fetches it once."""
-        # A task's result, unlike scattered data, is made again when the workers that hold it die.
+    def send(self, parcel: Result) -> ClusterResult[Result]:
+        """Store a value in the cluster; each worker that needs it fetches it once."""
+        # Unlike scattered data, the result of a task is computed again when its workers die.
         return self.hold(_unchanged, parcel)
 
-    def hold(self, work: Callable[..., Result], *arguments: Any) -> Held[Result]:
-        """Hand out a task whose result stays in the cluster, as long as something refers to it."""
-        held: Held[Result] = self._client.submit(work, *arguments, retries=RETRIES, pure=False)
-        return held
+    def hold(self, work: Callable[..., Result], *arguments: Any) -> ClusterResult[Result]:
+        """Submit a task whose result stays in the cluster as long as it is referenced."""
+        stored: ClusterResult[Result] = self._client.submit(work, *arguments, retries=RETRIES, pure=False)
+        return stored
 
-    def finish(self, held: Iterable[Held[Any]]) -> None:
-        """Wait until results are there, in the cluster.
+    def finish(self, results: Iterable[ClusterResult[Any]]) -> None:
+        """Wait until results are available in the cluster.
 
         Raises
         ------
         ClusterError
-            As :func:`result_of`.
+            If the scheduler has ended, a task ended several workers, or no worker is left.
         """
-        waiting = list(held)
-        with _in_plain_words(), self._client.as_current():
+        waiting = list(results)
+        with _clear_errors(), self._client.as_current():
             while any(one.status in ("pending", "lost") for one in waiting):
                 self.check_workers()
                 self._wait(waiting)
@@ -100,20 +97,20 @@ class Cluster:
                 if one.status != "finished":
                     one.result()
 
-    def _wait(self, waiting: list[Held[Any]]) -> None:
-        """Wait until all results are there, but no longer than until workers are to be looked for again."""
+    def _wait(self, waiting: list[ClusterResult[Any]]) -> None:
+        """Wait until all results are available, but at most until the next check for workers."""
         from distributed import wait
 
         with suppress(TimeoutError):
             wait(waiting, timeout=LOOK_SECONDS)
 
-    def result(self, future: Future[Result] | Held[Result]) -> Result:
-        """What a task came to; as :func:`result_of`, as long as there are workers.
+    def result(self, future: Future[Result] | ClusterResult[Result]) -> Result:
+        """Return the result of a task.
 
         Raises
         ------
         ClusterError
-            As :func:`result_of`, and if the cluster has had no worker for a while.
+            If the scheduler has ended, the task ended several workers, or no worker is left.
         """
         from concurrent.futures import Future, wait
 
@@ -124,21 +121,21 @@ class Cluster:
         patience = FETCH_SECONDS
         while True:
             self.finish((future,))
-            # The worker that holds a finished result may die before it has been fetched.
-            with _in_plain_words(), suppress(TimeoutError):
+            # The worker that stores a finished result may die before the result is fetched.
+            with _clear_errors(), suppress(TimeoutError):
                 return future.result(timeout=patience)
             patience *= 2.0  # a large result may take longer
 
     def check_workers(self) -> None:
-        """Say so where the cluster has had no worker for some seconds, and give up after some more.
+        """Report that the cluster has no worker, and raise an error after some more seconds.
 
         Raises
         ------
         ClusterError
-            If it has had none for `WAIT_SECONDS`.
+            If there has been no worker for `WAIT_SECONDS`.
         """
         if self.threads() > 0:
-            self._alone_since, self._is_told = None, False
+            self._alone_since, self._is_reported = None, False
             return
         now = time.monotonic()
         self._alone_since = now if self._alone_since is None else self._alone_since
@@ -146,8 +143,8 @@ class Cluster:
             raise ClusterError(
                 f"the cluster's last worker is gone, and none has joined within {WAIT_SECONDS:g} s"
             )
-        if now - self._alone_since > TELL_SECONDS and not self._is_told:
-            self._is_told = True
+        if now - self._alone_since > TELL_SECONDS and not self._is_reported:
+            self._is_reported = True
             print(
                 f"the cluster's last worker is gone; waiting {WAIT_SECONDS:g} s for another one",
                 file=sys.stderr,
@@ -155,37 +152,37 @@ class Cluster:
             )
 
     def submit(self, work: Callable[..., Result], *arguments: Any) -> Future[Result]:
-        """Hand out a task; what the cluster holds may stand among its arguments."""
+        """Submit a task; results stored in the cluster may be among its arguments."""
         future: Future[Result] = self._executor.submit(work, *arguments)
         return future
 
     def threads(self) -> int:
-        """How many tasks the cluster can do at a time; it is asked now and then."""
-        if time.monotonic() - self._asked > (COUNT_SECONDS if self._threads else LOOK_SECONDS):
-            with suppress(OSError):  # the scheduler is gone, as the results that are waited for will tell
+        """Return the number of tasks that the cluster can run at a time; it is updated every few seconds."""
+        if time.monotonic() - self._counted_at > (COUNT_SECONDS if self._threads else LOOK_SECONDS):
+            with suppress(OSError):  # the scheduler has ended; waiting for results reports it
                 self._threads = sum(self._client.nthreads().values())
-            self._asked = time.monotonic()
+            self._counted_at = time.monotonic()
         return self._threads
 
     def close(self) -> None:
-        """Hand out no more."""
+        """Submit no more tasks."""
         self._executor.shutdown(wait=False)
 
 
-def result_of(future: Future[Result] | Held[Result]) -> Result:
-    """What a task came to.
+def result_of(future: Future[Result] | ClusterResult[Result]) -> Result:
+    """Return the result of a task.
 
     Raises
     ------
     ClusterError
-        If the scheduler is gone, or the task ended several workers.
+        If the scheduler has ended, or the task ended several workers.
     """
-    with _in_plain_words():
+    with _clear_errors():
         return future.result()
 
 
 @contextmanager
-def _in_plain_words() -> Iterator[None]:
+def _clear_errors() -> Iterator[None]:
     from concurrent.futures import CancelledError
 
     try:
@@ -201,38 +198,38 @@ def _in_plain_words() -> Iterator[None]:
 
 
 def worker_name() -> str:
-    """What messages call the worker that this process is."""
+    """Return the name of this worker process in messages."""
     return f"worker on {socket.gethostname()} (process {os.getpid()})"
 
 
-def check_same_version(wanted: str) -> None:
-    """Refuse, in a worker, a toolkit of another version than the one that sent the task."""
-    if toolkit_version() != wanted:
+def check_same_version(required: str) -> None:
+    """Raise InputError, in a worker, if its toolkit has another version than the one that sent the task."""
+    if toolkit_version() != required:
         raise InputError(
-            f"{worker_name()} has version {toolkit_version()} of the toolkit, this is {wanted}: install "
+            f"{worker_name()} has version {toolkit_version()} of the toolkit, this is {required}: install "
             "the same version there"
         )
 
 
 def _unchanged(parcel: Any) -> Any:
-    """Runs in a worker."""
+    """Return the argument; runs in a worker."""
     return parcel
 
 
 @contextmanager
 def open_cluster(address: str) -> Iterator[Cluster]:
-    """A connection to a cluster whose workers can do our work.
+    """Open a connection to a cluster whose workers have the same version of the toolkit.
 
     Parameters
     ----------
     address
-        Of the scheduler, as in ``tcp://host:8786``.
+        Address of the scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------
     InputError
-        If `distributed` is not installed, no scheduler answers there, it has no workers, or they have
-        another version of the toolkit.
+        If `distributed` is not installed, no scheduler answers, it has no workers, or they have another
+        version of the toolkit.
     """
     try:
         import dask
@@ -242,8 +239,9 @@ def open_cluster(address: str) -> Iterator[Cluster]:
             "--cluster needs the package distributed: install transferlens with its extra cluster"
         ) from error
     waiting = f"{CONNECT_SECONDS:g}s"
-    # Parts of a field travel with their tasks, on purpose: each is needed once.
-    settings = {"distributed.comm.timeouts.connect": waiting, LARGE_GRAPH: "1 TB"}
+    # Blocks of a field are sent with their tasks, because each is needed once; Dask must not warn of that.
+    large_graph = "distributed.admin.large-graph-warning-threshold"
+    settings = {"distributed.comm.timeouts.connect": waiting, large_graph: "1 TB"}
     with _quiet(), dask.config.set(settings):
         try:
             client = Client(address, timeout=waiting, set_as_default=False)
@@ -264,7 +262,7 @@ def open_cluster(address: str) -> Iterator[Cluster]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What goes wrong is told by our own messages, so Dask need not log it."""
+    """Silence the logs of Dask, since the toolkit reports errors itself."""
     known = logging.root.manager.loggerDict
     logs = [logging.getLogger(name) for name in known if name.split(".")[0] in ("distributed", "tornado")]
     levels = [log.level for log in logs]
@@ -286,17 +284,12 @@ def _check_workers(client: Client, address: str) -> None:
             f"--cluster {address}: no worker has joined the scheduler within {CONNECT_SECONDS:g} s"
         ) from error
     try:
-        versions: dict[str, str] = client.run(_version_there)
+        versions: dict[str, str] = client.run(toolkit_version)
     except Exception as error:
         raise InputError(f"--cluster {address}: its workers cannot use this toolkit: {error}") from error
-    for worker, there in sorted(versions.items()):
-        if there != toolkit_version():
+    for worker, found in sorted(versions.items()):
+        if found != toolkit_version():
             raise InputError(
-                f"--cluster {address}: worker {worker} has version {there} of the toolkit, this is "
+                f"--cluster {address}: worker {worker} has version {found} of the toolkit, this is "
                 f"{toolkit_version()}: install the same version there"
             )
-
-
-def _version_there() -> str:
-    """Runs in a worker."""
-    return version("transferlens")

@@ -1,4 +1,4 @@
-"""What the three commands share: one way to fail, to print JSON, and to show progress."""
+"""Common behaviour of all commands: errors, JSON output and progress."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 
 LONGEST_LINE, MOST_LINES = 4000, 60
-"""Most characters of a line of an error message, and most lines of it."""
+"""Largest length of a line of an error message, and largest number of its lines."""
 
 
 class _Group(TyperGroup):
-    """Commands that say so when they are stopped, and exit with the status that shells expect."""
+    """Commands that report an interrupt and exit with the status that shells expect."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -44,7 +44,7 @@ class _Group(TyperGroup):
 
 
 def make_app(purpose: str) -> typer.Typer:
-    """A Typer application with the looks and the options that all commands have."""
+    """Return a Typer application with the common settings and options of all commands."""
     app = typer.Typer(
         cls=_Group,
         help=purpose,
@@ -75,8 +75,8 @@ def make_app(purpose: str) -> typer.Typer:
     return app
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import version
 
         typer.echo(f"transferlens {version('transferlens')}")
@@ -84,12 +84,15 @@ def _show_version(asked: bool) -> None:
 
 
 def run_app(app: typer.Typer) -> None:
-    """Run a Typer application; errors of ours become one clear message and exit status 2, warnings a line."""
-    # Its last round takes a fifth of a second where much was imported, and frees what ends anyhow.
+    """Run a Typer application.
+
+    Errors of the toolkit become one message and exit status 2, and its warnings one line each.
+    """
+    # The last garbage collection would take up to 0.2 s at exit and is not needed.
     atexit.register(gc.freeze)
     try:
         with stoppable(), warnings.catch_warnings():
-            warnings.showwarning = _told(warnings.showwarning)
+            warnings.showwarning = _short_warnings(warnings.showwarning)
             try:
                 app()
             finally:
@@ -112,29 +115,29 @@ def run_app(app: typer.Typer) -> None:
         fail(f"{named}{error.strerror or error or type(error).__name__}")
 
 
-def _told(shown: Callable[..., None]) -> Callable[..., None]:
-    """Tells warnings of the toolkit without the place in the code; others as they were shown."""
+def _short_warnings(default: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that shows warnings of the toolkit without their location in the code."""
 
-    def show(message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
+    def show(message: Any, category: type[Warning], *location: Any, **more: Any) -> None:
         if category.__module__.partition(".")[0] in ("lensdesign", "wavesim", "tolerancing"):
             print(f"warning: {visible(str(message))}", file=sys.stderr)
         else:
-            shown(message, category, *place, **more)
+            default(message, category, *location, **more)
 
     return show
 
 
 def _drop_output() -> None:
-    """Keep the interpreter from trying once more, at its end, to write what could not be written."""
+    """Discard the remaining output, so that the interpreter does not try to write it again at exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
 
 
 def fail(message: str) -> None:
-    """Print an error message, plainly, and exit with status 2."""
+    """Print an error message and exit with status 2."""
     lines = [visible(line) for line in message.split("\n")]
-    # Names and values of files stand in messages, and files may hold anything.
+    # Messages contain names and values from files, which may be arbitrarily long.
     lines = [line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..." for line in lines]
     if len(lines) > MOST_LINES:
         lines = [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more lines"]
@@ -143,19 +146,19 @@ def fail(message: str) -> None:
 
 
 def print_json(data: dict[str, Any]) -> None:
-    """Print one JSON object, and nothing else, on standard output."""
+    """Print one JSON object on standard output."""
     try:
         text = json.dumps(data, indent=2, allow_nan=False)
     except ValueError:
-        where = ", ".join(_not_finite(data)[:5])
+        names = ", ".join(_not_finite(data)[:5])
         raise InputError(
-            f"no finite result for {where}: numbers of the input are too large or too small to compute with"
+            f"no finite result for {names}: numbers of the input are too large or too small to compute with"
         ) from None
     print(text)
 
 
 def _not_finite(data: Any, name: str = "") -> list[str]:
-    """Names of the numbers that are not finite."""
+    """Return the names of the numbers that are not finite."""
     if isinstance(data, float):
         return [] if math.isfinite(data) else [name]
     inner: Iterable[tuple[Any, Any]] = ()
@@ -168,9 +171,9 @@ def _not_finite(data: Any, name: str = "") -> list[str]:
 
 @contextmanager
 def messages_only() -> Iterator[None]:
-    """Have all that is printed meanwhile go to standard error, so that standard output holds results alone.
+    """Redirect everything printed inside the block to standard error, also by libraries and child processes.
 
-    Whoever prints: a library, a user's code, and processes that are started meanwhile.
+    Standard output then contains results only.
     """
     with redirect_stdout(sys.stderr):
         try:
@@ -179,15 +182,15 @@ def messages_only() -> Iterator[None]:
             yield
             return
         try:
-            _lead_to(2)
+            _redirect_output(2)
             yield
         finally:
-            _lead_to(kept)
+            _redirect_output(kept)
             os.close(kept)
 
 
-def _lead_to(descriptor: int) -> None:
-    """Lead standard output elsewhere, but for what was printed before."""
+def _redirect_output(descriptor: int) -> None:
+    """Redirect standard output to a descriptor after flushing what was printed before."""
     if sys.__stdout__ is not None:
         sys.__stdout__.flush()
     with suppress(OSError):  # standard error is closed
@@ -195,32 +198,24 @@ def _lead_to(descriptor: int) -> None:
 
 
 def message_console() -> Console:
-    """Console for messages and progress, on standard error, so that standard output stays clean."""
+    """Return a console for messages and progress on standard error."""
     from rich.console import Console
 
     return Console(stderr=True)
 
 
-WIDEST = 100_000
-"""Columns of text that no table needs: a limit for measuring how wide a table is."""
-
-NARROWEST = 12
-"""Characters that a column of words keeps where a line is too short for whole words."""
-
-
 def print_whole(*tables: Table, markup: bool = False) -> None:
-    """Print rich tables on standard output so that no cell loses a character, one below the other.
+    """Print rich tables on standard output, one below the other, without cutting any cell.
 
-    Into a pipe or a file each table is as wide as it needs, so that each row is one line. In a terminal, or
-    where `COLUMNS` is set, lines keep to that width: words go on below. A table whose numbers alone need more
-    than that is as wide as they need.
+    In a pipe or a file, each table has its full width, so that each row is one line. In a terminal, or if
+    `COLUMNS` is set, words are wrapped to that width. A table whose numbers need more width exceeds it.
 
     Parameters
     ----------
     *tables
         Rich tables.
     markup
-        Whether cells hold rich's markup; else they are printed as they are.
+        Whether cells contain rich's markup; otherwise they are printed literally.
     """
     from rich.console import Console
 
@@ -230,27 +225,27 @@ def print_whole(*tables: Table, markup: bool = False) -> None:
     for table in tables:
         for column in table.columns:
             column.overflow = "fold"
-        options = console.options.update(max_width=WIDEST)
+        options = console.options.update(max_width=100_000)  # no limit, to measure the full width
         whole = console.measure(table, options=options).maximum
         width = max(console.width, _least_width(table, console, options, whole) if has_width else whole)
         Console(**plain, width=width).print(table, crop=False)
 
 
 def _least_width(table: Table, console: Console, options: ConsoleOptions, whole: int) -> int:
-    """Width of a table whose columns of words are narrow, and whose other columns are whole."""
-    spared = 0
+    """Return the width of a table with wrapped columns of words and all other columns at full width."""
+    saved, narrowest = 0, 12  # a wrapped column keeps at least so many characters
     for column in table.columns:
         if not column.no_wrap:
             cells = [column.header, *column.cells] if table.show_header else list(column.cells)
             widest = max((console.measure(cell, options=options).maximum for cell in cells), default=0)
-            spared += max(widest - NARROWEST, 0)
-    return whole - spared
+            saved += max(widest - narrowest, 0)
+    return whole - saved
 
 
 def progress_bar(*extra_columns: Any) -> Progress:
-    """A progress bar on standard error with elapsed and remaining time; silent where there is no terminal.
+    """Return a progress bar on standard error with elapsed and remaining time; silent without a terminal.
 
-    It goes away in the end, so that a message of what went wrong stands alone.
+    It disappears at the end, so that only messages remain.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

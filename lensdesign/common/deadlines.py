@@ -1,4 +1,4 @@
-"""Time limits that long computations keep by themselves: they ask, between steps, whether time is left."""
+"""Time limits of long computations, which check between steps whether time is left."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ clock = time.monotonic
 
 
 class OutOfTime(Exception):
-    """Raised by :func:`check_time` when the deadline that holds has passed."""
+    """Raised by :func:`check_time` when the current deadline has passed."""
 
 
 def now() -> float:
-    """Return the time in seconds by which deadlines are kept."""
+    """Return the time in seconds on the clock of deadlines."""
     return clock()
 
 
 @contextmanager
 def deadline(end: float) -> Iterator[None]:
-    """Have :func:`check_time` raise from a time on, by :func:`now`; an earlier deadline still holds."""
+    """Make :func:`check_time` raise from a time of :func:`now` on; an earlier deadline stays in force."""
     token = _end.set(min(end, _end.get()))
     try:
         yield
@@ -36,7 +36,7 @@ def deadline(end: float) -> Iterator[None]:
 
 @contextmanager
 def no_deadline() -> Iterator[None]:
-    """Suspend all deadlines, for the short work that saves what was found."""
+    """Suspend all deadlines, for example while results are saved."""
     token = _end.set(math.inf)
     try:
         yield
@@ -45,12 +45,12 @@ def no_deadline() -> Iterator[None]:
 
 
 def seconds_left() -> float:
-    """Return the seconds until the deadline that holds; infinite where there is none."""
+    """Return the seconds until the current deadline; infinite without one."""
     end = _end.get()
     return math.inf if end == math.inf else end - now()
 
 
 def check_time() -> None:
-    """Raise :class:`OutOfTime` if the deadline that holds has passed."""
+    """Raise :class:`OutOfTime` if the current deadline has passed."""
     if seconds_left() <= 0.0:
         raise OutOfTime

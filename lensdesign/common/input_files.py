@@ -1,4 +1,4 @@
-"""The one way in which files of users are read: regular ones, up to a size that is stated, and no others."""
+"""Reading of user files: only regular files, and only up to a stated size."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pathlib import Path
 from lensdesign.errors import InputError
 
 TOML_BYTES = 2**20
-"""Most bytes of a design, specification, study or drawing sheet."""
+"""Largest size of a design, specification, study or drawing sheet."""
 
 LENS_FILE_BYTES = 20 * 2**20
-"""Most bytes of another program's lens file: one of a thousand surfaces takes less than one of these."""
+"""Largest size of another program's lens file; a file of a thousand surfaces has less than 1 MB."""
 
 CATALOG_BYTES = 64 * 2**20
-"""Most bytes of a glass catalogue; those of the makers have less than one of these."""
+"""Largest size of a glass catalogue; those of makers have less than 1 MB."""
 
 TABLE_BYTES = 256 * 2**20
-"""Most bytes of a table of numbers: a measured figure of 4000 x 4000 points has less."""
+"""Largest size of a table of numbers; a measured figure of 4000 x 4000 points is smaller."""
 
 MESH_BYTES = 2**30
-"""Most bytes of a mesh, which are 20 million triangles of a binary STL file."""
+"""Largest size of a mesh: 20 million triangles of a binary STL file."""
 
 
 _files_from: ContextVar[Path | None] = ContextVar("files_from", default=None)
@@ -33,10 +33,10 @@ _files_from: ContextVar[Path | None] = ContextVar("files_from", default=None)
 
 @contextmanager
 def files_from(folder: str | os.PathLike[str]) -> Iterator[None]:
-    """Let designs, specifications and studies name files anywhere in a folder; ``"/"`` is everywhere.
+    """Allow designs, specifications and studies to name files anywhere in a folder; ``"/"`` means everywhere.
 
-    Else they may name those in their own folders: one that somebody else has written could have any file of
-    the reader's read, and kept in a store that goes back to him.
+    Otherwise they may only name files in their own folders. A study from another person could otherwise read
+    private files and store their content.
     """
     token = _files_from.set(Path(folder).resolve())
     try:
@@ -46,26 +46,26 @@ def files_from(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def allowed_folder() -> Path | None:
-    """The folder of :func:`files_from`; None where none was given."""
+    """Return the folder of :func:`files_from`; None if none was given."""
     return _files_from.get()
 
 
 def validate_inside(file: Path, source: Path, key: str, fault: type[InputError] = InputError) -> None:
-    """Refuse a file that lies neither in the folder of the file that names it, nor in that of `files_from`.
+    """Refuse a file that is neither in the folder of the file that names it nor in that of `files_from`.
 
     Parameters
     ----------
     file
-        What is named, from here.
+        The named file, relative to the working folder.
     source, key
-        The file that names it, and where in it.
+        The file that names it, and the key.
     fault
-        What to raise.
+        Class of the exception to raise.
 
     Raises
     ------
     InputError
-        Of the kind `fault`; it names the file.
+        If the file is outside these folders. The exception has the class `fault`.
     """
     folder = source.parent.resolve()
     if not file.resolve().is_relative_to(allowed_folder() or folder):
@@ -82,38 +82,38 @@ def read_input(
     fault: type[InputError] = InputError,
     named: str = "",
 ) -> bytes:
-    """Content of a regular file.
+    """Return the content of a regular file.
 
-    Folders, devices and pipes are refused before they are opened, since reading them might never end; larger
-    files before they are read.
+    Folders, devices and pipes are refused before they are opened, since reading them might never end. Larger
+    files are refused before they are read.
 
     Parameters
     ----------
     path
-        The file; a symbolic link counts as what it points to.
+        The file; symbolic links are followed.
     most_bytes
-        Size up to which it is read.
+        Largest size that is read.
     fault
-        What to raise.
+        Class of the exception to raise.
     named
-        What messages call the file, before its path: "glass catalogue".
+        Description of the file in messages, before its path, such as "glass catalogue".
 
     Raises
     ------
     InputError
-        Of the kind `fault`, if there is no such file, it is too large, or cannot be read.
+        If the file does not exist, is too large, or cannot be read. The exception has the class `fault`.
     """
     size = check_input(path, most_bytes, fault, named)
-    said = _cannot_read(path, named)
+    prefix = _cannot_read(path, named)
     try:
         with Path(path).open("rb") as file:
             data = file.read(size + 1)
-            if len(data) > size:  # it has grown, or is one of the system's, which give no size
+            if len(data) > size:  # the file has grown, or the system states no size for it
                 data += file.read(most_bytes)
     except OSError as error:
-        raise fault(f"{said}: {error.strerror or error}") from error
+        raise fault(f"{prefix}: {error.strerror or error}") from error
     if len(data) > most_bytes:
-        raise fault(f"{said}: more than {most_bytes} bytes")
+        raise fault(f"{prefix}: more than {most_bytes} bytes")
     return data
 
 
@@ -123,23 +123,20 @@ def check_input(
     fault: type[InputError] = InputError,
     named: str = "",
 ) -> int:
-    """Refuse what :func:`read_input` refuses before it opens a file, and return its size.
-
-    For those who read it in another way.
-    """
-    said = _cannot_read(path, named)
+    """Check a file as :func:`read_input` does before it opens it, and return its size in bytes."""
+    prefix = _cannot_read(path, named)
     try:
         status = os.stat(path)
     except OSError as error:
-        raise fault(f"{said}: {error.strerror or error}") from error
+        raise fault(f"{prefix}: {error.strerror or error}") from error
     except ValueError as error:  # a NUL character in the path
         raise fault(f"cannot read {str(path)!r}: {error}") from error
     if stat.S_ISDIR(status.st_mode):
-        raise fault(f"{said}: Is a directory")
+        raise fault(f"{prefix}: Is a directory")
     if not stat.S_ISREG(status.st_mode):
-        raise fault(f"{said}: no regular file, but a device, pipe or socket")
+        raise fault(f"{prefix}: not a regular file, but a device, pipe or socket")
     if status.st_size > most_bytes:
-        raise fault(f"{said}: {status.st_size} bytes; at most {most_bytes} are read")
+        raise fault(f"{prefix}: {status.st_size} bytes; at most {most_bytes} are read")
     return status.st_size
 
 

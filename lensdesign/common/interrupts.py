@@ -1,4 +1,4 @@
-"""Interrupts, terminations and hang-ups end a command alike: it unwinds, and says what is kept."""
+"""Signals that end a command: it stops in an orderly way and reports what has been saved."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ from typing import Any
 
 from lensdesign.errors import UNFINISHED
 
+END_PROCESS = os._exit
+"""Ends the process immediately."""
+
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 NERVOUS_SECONDS = 1.0
-"""After the first signal, in which others are not heeded: keys are pressed twice, groups signalled as one."""
+"""Time after the first signal in which further signals are ignored, since a key may be pressed twice."""
 
 GRACE_SECONDS = 10.0
-"""In which a command must have unwound; what holds it up then is left behind."""
+"""Time limit for an orderly stop; after it, the process ends immediately."""
 
 LOST_SECONDS = 0.05
-"""After which an interrupt is raised again that a callback has swallowed."""
+"""Time after which an interrupt that a callback has swallowed is raised again."""
 
 
 class _Stop:
-    """The first signal, and what becomes of those that follow."""
+    """State of the first signal, and handling of later ones."""
 
     def __init__(self, others: Callable[[Any], object]) -> None:
         self.others = others
@@ -36,7 +39,7 @@ class _Stop:
         self.at = 0.0
         self.lost = False
 
-    def heed(self, number: int, _frame: FrameType | None) -> None:
+    def handle_signal(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         if self.number is None:
             self.number, self.at = number, time.monotonic()
@@ -50,13 +53,13 @@ class _Stop:
         if time.monotonic() - self.at > NERVOUS_SECONDS:
             self.end_at_once()
 
-    def swallowed(self, told: Any) -> None:
-        """Raise an interrupt again that came up where none can be raised, as in callbacks of a compiler.
+    def swallowed(self, unraisable: Any) -> None:
+        """Raise an interrupt again that occurred where it cannot propagate, as in callbacks of a compiler.
 
-        Other faults go to `others`, the hook that was there before.
+        Other exceptions are passed to `others`, the previous hook.
         """
-        if self.number is None or not issubclass(told.exc_type, KeyboardInterrupt):
-            self.others(told)
+        if self.number is None or not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            self.others(unraisable)
             return
         self.lost = True
         threading.Timer(
@@ -64,19 +67,19 @@ class _Stop:
         ).start()
 
     def end_at_once(self) -> None:
-        """End without unwinding; workers end with the process that started them."""
+        """End the process immediately; workers end with the process that started them."""
         _sweep()
         os.write(2, b"interrupted; ended before all had come to its end\n")
-        os._exit(self.status)
+        END_PROCESS(self.status)
 
     @property
     def status(self) -> int:
-        """Exit status, as shells expect it."""
+        """Exit status that shells expect."""
         return 128 + (self.number or signal.SIGINT)
 
 
 def _sweep() -> None:
-    """Remove what is unfinished."""
+    """Remove unfinished files and folders."""
     for path in list(UNFINISHED):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -90,27 +93,27 @@ _stop: _Stop | None = None
 
 
 def stop_status() -> int:
-    """Exit status of a command that was interrupted."""
+    """Return the exit status of an interrupted command."""
     return _stop.status if _stop else 128 + signal.SIGINT
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let signals that end a command raise KeyboardInterrupt, once; if nobody takes it, end with its status.
+    """Make signals that end a command raise KeyboardInterrupt once; exit with its status if not caught.
 
-    Within another of its kind, and in threads beside the main one, it does nothing.
+    A nested use, and a use in another thread than the main one, have no effect.
     """
     global _stop
     if _stop is not None or threading.current_thread() is not threading.main_thread():
         yield
         return
     _stop = _Stop(sys.unraisablehook)
-    before = {number: signal.getsignal(number) for number in SIGNALS}
+    previous = {number: signal.getsignal(number) for number in SIGNALS}
     sys.unraisablehook = _stop.swallowed
-    for number, handler in before.items():
-        # A shell that starts a command in its background, or nohup, has it ignore them.
+    for number, handler in previous.items():
+        # Signals stay ignored if a shell (background command) or nohup has set that.
         if handler != signal.SIG_IGN:
-            signal.signal(number, _stop.heed)
+            signal.signal(number, _stop.handle_signal)
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
@@ -121,7 +124,7 @@ def stoppable() -> Iterator[None]:
         raise SystemExit(_stop.status) from None
     finally:
         _sweep()
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
         if _stop.number is not None:
             _forget_code_given_up()
@@ -129,9 +132,9 @@ def stoppable() -> Iterator[None]:
 
 
 def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
-    """The interrupt that was raised, also where another error was made of it.
+    """Return the interrupt that caused an error, or None.
 
-    Until version 3.12 Python makes a RuntimeError of what comes up while a class names its descriptors.
+    Before version 3.12, Python converts an exception in `__set_name__` to a RuntimeError.
     """
     found: BaseException | None = error
     while found is not None and not isinstance(found, KeyboardInterrupt):
@@ -140,9 +143,9 @@ def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
 
 
 def _forget_code_given_up() -> None:
-    """Have Python end with the status that it is told, also where a string of code was interrupted.
+    """Make Python exit with the given status after an interrupt inside `exec`.
 
-    It remembers code that an interrupt has left, as that which makes a dataclass on import, until it begins
-    other code, and would at last end as if nobody had taken the interrupt.
+    Python remembers that an interrupt has left code in a string (such as that of a dataclass) until it
+    executes other code. It would otherwise exit as if the interrupt had not been caught.
     """
     exec("")

@@ -1,8 +1,7 @@
-"""Lengths that are given in another unit than they should be: the one test of all files and settings.
+"""Test for lengths in a wrong unit, used for all files and settings.
 
-A length is questioned where no real design has it, and where it would be usual after a change of unit. What
-is plausible is an absolute range (wavelengths, pixel pitches), or a range relative to the lens
-(:mod:`lensdesign.lens.lengths`).
+A length is questioned if no real design has it and it would be usual after a change of unit. The plausible
+range is absolute (wavelengths, pixel pitches) or relative to the lens (:mod:`lensdesign.lens.lengths`).
 """
 
 from __future__ import annotations
@@ -14,26 +13,27 @@ from dataclasses import dataclass, replace
 from lensdesign.errors import InputError
 
 UNIT_STEPS = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
-"""Ratios of the units in which lengths are given by mistake: the first two are those of millimetres and
-micrometres, which alone explain a length that is judged by others; the last one is that of angstroms."""
+"""Ratios of units that are confused. The first two, of millimetres and micrometres, are the only ones tried
+for lengths with a relative range; the last one is that of angstroms."""
 
 UNITS = {"mm": "millimetres", "um": "micrometres"}
+"""Names of the units in messages."""
 
 
 @dataclass(frozen=True)
 class PlausibleLength:
-    """What a length may be, and what it usually is, in one unit.
+    """Plausible and usual range of a length in one unit.
 
     Attributes
     ----------
     lowest, highest
-        No real design has a length outside this range.
+        Plausible range; no real design has a length outside it.
     usual
-        Range in which a length lies after a change of unit, if another unit was meant.
+        Usual range, in which the length must lie after a change of unit to suggest that unit.
     reason
-        What is wrong with a length outside the range, as a part of a sentence; made of the range if empty.
+        Objection to a length outside the range, as part of a sentence (default: the range).
     always
-        Whether a length outside the range is refused even where no other unit makes it usual.
+        Whether a length outside the range is refused even if no other unit makes it usual.
     """
 
     lowest: float
@@ -42,13 +42,13 @@ class PlausibleLength:
     reason: str = ""
     always: bool = False
 
-    def doubt(self, value: float, unit: str) -> str | None:
-        """The reason to question a length, with the value that may be meant; None where it is plausible.
+    def objection(self, value: float, unit: str) -> str | None:
+        """Return the objection to a length, with the value that may be meant; None if it is plausible.
 
         Parameters
         ----------
         value
-            The length; of a signed one, either sign is judged alike. 0 is plausible.
+            The length, of either sign. 0 is plausible.
         unit
             ``mm`` or ``um``, the unit of the length and of this range.
         """
@@ -62,20 +62,20 @@ class PlausibleLength:
         return f"{reason}{hint}"
 
     def hint(self, value: float, unit: str) -> str:
-        """The value that may be meant, as the end of a message on a length outside the range; or nothing."""
+        """Return the end of a message with the value that may be meant; empty if no unit fits."""
         size, (low, high) = abs(value), self.usual
         steps = UNIT_STEPS if self.always else UNIT_STEPS[:2]
-        right_way = [step for step in steps if (step < 1.0) == (size > self.highest)]
-        meant = next((step * value for step in right_way if low <= step * size <= high), None)
+        candidates = [step for step in steps if (step < 1.0) == (size > self.highest)]
+        meant = next((step * value for step in candidates if low <= step * size <= high), None)
         return "" if meant is None else f"; {meant:g} {unit} may be meant"
 
     def at_most(self) -> PlausibleLength:
-        """The same without a lower end, for lengths that may be as small as one likes."""
+        """Return the range without a lower end."""
         return replace(self, lowest=0.0)
 
 
 def in_unit(plausible_mm: PlausibleLength, unit: str) -> PlausibleLength:
-    """A range of millimetres in a unit."""
+    """Return a range in millimetres converted to a unit."""
     if unit == "mm":
         return plausible_mm
     low, high = plausible_mm.usual
@@ -88,41 +88,43 @@ def in_unit(plausible_mm: PlausibleLength, unit: str) -> PlausibleLength:
 
 
 PIXEL_PITCH_UM = PlausibleLength(0.1, 1000.0, (0.5, 50.0), always=True)
-"""Pixel pitches beyond these are given in another unit than micrometres."""
+"""Plausible pixel pitches in um; a value outside is in another unit."""
 
 WAVELENGTH_UM = PlausibleLength(0.05, 50.0, (0.19, 20.0), always=True)
-"""Wavelengths beyond these are given in another unit than micrometres, or are those of no lens."""
+"""Plausible wavelengths in um; a value outside is in another unit, or no lens works there."""
 
 
-def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:
-    """A sentence that questions a length; None where it is plausible.
+def implausible_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:
+    """Return a sentence that questions a length; None if it is plausible.
 
     Parameters
     ----------
     what
-        Where the length stands, and its name.
-    value, unit, plausible
-        As of :meth:`PlausibleLength.doubt`.
+        Location and name of the length.
+    value, unit
+        Value of the length and its unit, ``mm`` or ``um``.
+    plausible
+        Plausible range, in the same unit.
     """
-    doubt = plausible.doubt(value, unit)
-    return None if doubt is None else f"{what} = {value:g}: {doubt}"
+    objection = plausible.objection(value, unit)
+    return None if objection is None else f"{what} = {value:g}: {objection}"
 
 
 def validate_length(what: str, value: float | None, unit: str, plausible: PlausibleLength) -> None:
-    """Refuse a length that is not plausible; None passes.
+    """Check that a length is plausible; None is accepted.
 
     Raises
     ------
     InputError
-        As :func:`doubted_length` says.
+        If the length is not plausible, with the message of :func:`implausible_length`.
     """
-    sentence = None if value is None else doubted_length(what, value, unit, plausible)
+    sentence = None if value is None else implausible_length(what, value, unit, plausible)
     if sentence is not None:
         raise InputError(sentence)
 
 
 def numbers_of(value: object) -> Iterator[float]:
-    """The numbers of a setting, however deep its tuples; none of what is no number."""
+    """Yield the numbers of a setting, also from nested tuples and lists."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         yield float(value)
     elif isinstance(value, tuple | list):

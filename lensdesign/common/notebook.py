@@ -1,4 +1,4 @@
-"""How results show themselves in a notebook."""
+"""Representation of results in notebooks."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from lensdesign.common.text import visible
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+
 MOST_PIXELS = 200
-"""Of a picture's longer side."""
+"""Largest number of pixels of the longer side of a picture."""
 
 
 def html_table(title: str, rows: Sequence[tuple[str, str]], picture: str = "") -> str:
-    """A titled table of names and values as HTML, for a ``_repr_html_``.
+    """Return a titled table of names and values as HTML, for a ``_repr_html_``.
 
     Parameters
     ----------
     title
-        Above the table; nothing where it is empty.
+        Title above the table; empty for none.
     rows
-        Name and value of each line, as text.
+        Name and value of each row as text.
     picture
-        Markup set below the table, such as an SVG element; the only part that is not escaped.
+        Markup below the table, such as an SVG element; it is the only part that is not escaped.
     """
     heading = f"<caption>{escape(visible(title))}</caption>" if title else ""
     lines = (
@@ -37,12 +38,13 @@ def html_table(title: str, rows: Sequence[tuple[str, str]], picture: str = "") -
 
 
 def html_picture(values: NDArray[Any]) -> str:
-    """A small grey picture of moduli as an HTML image, for :func:`html_table`.
+    """Return a small grey-scale picture of moduli as an HTML image, for :func:`html_table`.
 
     Parameters
     ----------
     values : ndarray, shape (ny, nx)
-        From 0, black, to the largest modulus, white; the first row is shown at the bottom.
+        Values, real or complex. A modulus of 0 is black and the largest one white; the first row is at the
+        bottom.
     """
     import base64
     import io
@@ -50,8 +52,8 @@ def html_picture(values: NDArray[Any]) -> str:
     import numpy as np
     from PIL import Image
 
-    every = -(-max(values.shape) // MOST_PIXELS)
-    shown = np.abs(values[::every, ::every])[::-1]
+    step = -(-max(values.shape) // MOST_PIXELS)
+    shown = np.abs(values[::step, ::step])[::-1]
     grey = np.clip(255.0 * shown / max(float(shown.max()), 1e-300), 0.0, 255.0).astype(np.uint8)
     file = io.BytesIO()
     Image.fromarray(grey).save(file, "png")

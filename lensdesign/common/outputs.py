@@ -1,4 +1,4 @@
-"""Checks of what a command is to write, before its work starts."""
+"""Checks of output files and folders before a command starts to compute."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from lensdesign.errors import InputError, writable_place
+from lensdesign.errors import InputError, resolved_output
 
 
 def check_output_file(path: str | os.PathLike[str]) -> None:
-    """Refuse a file that could not be written, before anything is computed for it.
+    """Check that a file can be written, before anything is computed for it.
 
-    A file is tried in the nearest folder that exists, and removed again. Folders that do not exist are not
-    made.
+    A temporary file is created in the nearest existing folder and removed again. Missing folders are not
+    created.
 
     Parameters
     ----------
     path
-        Where the file is to stand; a symbolic link counts as what it points to.
+        Path of the output file; symbolic links are followed.
 
     Raises
     ------
     InputError
-        If it is a folder or another thing that is no regular file, or if nothing can be written there. The
-        message names the path and the reason.
+        If the path is a folder or something else that is not a regular file, or is not writable. The message
+        names the path and the reason.
     """
     target = Path(path)
     try:
-        place = writable_place(target)
-        _try_name(place)
-        _try_folder(place.parent)
+        resolved = resolved_output(target)
+        _try_name(resolved)
+        _try_folder(resolved.parent)
     except OSError as error:
         raise InputError(f"cannot write {target}: {_reason(error)}") from error
     except ValueError as error:
@@ -41,10 +41,10 @@ def check_output_file(path: str | os.PathLike[str]) -> None:
 
 
 def check_output_folder(path: str | os.PathLike[str]) -> None:
-    """Refuse a folder into which nothing could be written, before anything is computed for it.
+    """Check that files can be written to a folder, before anything is computed for it.
 
-    A file is tried in it, or in the nearest folder that exists, and removed again. Folders that do not exist
-    are not made.
+    A temporary file is created in it, or in the nearest existing folder, and removed again. Missing folders
+    are not created.
 
     Parameters
     ----------
@@ -54,20 +54,20 @@ def check_output_folder(path: str | os.PathLike[str]) -> None:
     Raises
     ------
     InputError
-        If a file stands in its place or above it, or nothing can be written there. The message names the
-        path and the reason.
+        If the path or a parent of it is a file, or the folder is not writable. The message names the path and
+        the reason.
     """
     target = Path(path)
     try:
-        place = Path(os.path.realpath(target))
-        for above in (place, *place.parents):
-            if above.is_symlink() or above.exists():
-                if not above.is_dir():
-                    named = "it" if above == place else above
+        resolved = Path(os.path.realpath(target))
+        for parent in (resolved, *resolved.parents):
+            if parent.is_symlink() or parent.exists():
+                if not parent.is_dir():
+                    named = "it" if parent == resolved else parent
                     raise InputError(f"cannot write to the folder {target}: {named} is no folder")
                 break
-            _try_name(above)
-        _try_folder(place)
+            _try_name(parent)
+        _try_folder(resolved)
     except OSError as error:
         raise InputError(f"cannot write to the folder {target}: {_reason(error)}") from error
     except ValueError as error:
@@ -76,19 +76,19 @@ def check_output_folder(path: str | os.PathLike[str]) -> None:
         raise InputError(f"cannot write to the folder {str(target)!r}: {error}") from error
 
 
-def _try_name(place: Path) -> None:
-    """Refuse a name that no file system holds."""
+def _try_name(path: Path) -> None:
+    """Raise an error for a name that the file system does not accept."""
     with suppress(FileNotFoundError, NotADirectoryError):
-        os.lstat(place)
+        os.lstat(path)
 
 
 def _try_folder(folder: Path) -> None:
-    """Write an empty file into the nearest folder that exists, and remove it."""
-    for place in (folder, *folder.parents):
-        if place.exists():
-            if not place.is_dir():
-                raise NotADirectoryError(f"{place} is no folder")
-            with tempfile.TemporaryFile(dir=place, prefix=".try."):
+    """Create an empty file in the nearest existing folder, and remove it."""
+    for parent in (folder, *folder.parents):
+        if parent.exists():
+            if not parent.is_dir():
+                raise NotADirectoryError(f"{parent} is no folder")
+            with tempfile.TemporaryFile(dir=parent, prefix=".try."):
                 return
     raise FileNotFoundError(f"{folder}: no folder above it exists")
 
@@ -98,14 +98,14 @@ def _reason(error: OSError) -> str:
 
 
 def output_file(path: Path | None) -> Path | None:
-    """Check an option that names a file to write, as its command line is read."""
+    """Check the output file of a command option while the command line is parsed."""
     if path is not None:
         check_output_file(path)
     return path
 
 
 def output_folder(path: Path | None) -> Path | None:
-    """Check an option that names a folder to write to, as its command line is read."""
+    """Check the output folder of a command option while the command line is parsed."""
     if path is not None:
         check_output_folder(path)
     return path

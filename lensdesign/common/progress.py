@@ -1,4 +1,4 @@
-"""Progress on standard error: a moving line in a terminal, else a line every ten seconds."""
+"""Progress on standard error: a live line in a terminal, otherwise a line every ten seconds."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 LINE_SECONDS = 10.0
-"""Time between lines where standard error is no terminal."""
+"""Time between lines if standard error is not a terminal."""
 
 
 class ProgressLines:
-    """Prints the latest of some texts every ten seconds, with the time that has passed.
+    """Prints the current text every ten seconds, with the elapsed time.
 
     Parameters
     ----------
     text
-        The first text.
+        Text at the beginning.
     """
 
     def __init__(self, text: str) -> None:
@@ -51,7 +51,7 @@ class ProgressLines:
 
 @contextmanager
 def progress_text(text: str) -> Iterator[Any]:
-    """Show a text that `update` replaces, until the block ends."""
+    """Show a text, which `update` replaces, until the block ends."""
     console = message_console()
     if console.is_terminal:
         with console.status(text) as status:
@@ -62,7 +62,7 @@ def progress_text(text: str) -> Iterator[Any]:
 
 
 class ProgressCount:
-    """How many parts of some work are done: a bar in a terminal, else a line every ten seconds."""
+    """Progress in completed steps: a bar in a terminal, otherwise a line every ten seconds."""
 
     def __init__(self, lines: ProgressLines | None, bar: Progress | None, what: str) -> None:
         self._lines, self._bar, self._began = lines, bar, now()
@@ -70,7 +70,7 @@ class ProgressCount:
         self._task = None if bar is None else bar.add_task(what, total=None)
 
     def update(self, done: int, total: int, what: str) -> None:
-        """Tell how many parts are done, of how many, and which is next."""
+        """Show the completed and the total number of steps, and the name of the next one."""
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, total=total, description=visible(what))
         if self._lines is not None:
@@ -82,7 +82,7 @@ class ProgressCount:
 
 @contextmanager
 def progress_count(what: str) -> Iterator[ProgressCount]:
-    """Count the parts of some work until the block ends."""
+    """Show the progress of some steps until the block ends."""
     if message_console().is_terminal:
         with progress_bar() as bar:
             yield ProgressCount(None, bar, what)

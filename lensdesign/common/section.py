@@ -1,4 +1,4 @@
-"""Tables of design and study files: what all of them have in common."""
+"""Base class and number types of the tables of design and study files."""
 
 from __future__ import annotations
 
@@ -15,31 +15,29 @@ from lensdesign.errors import DesignError, InputError
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-def _no_trace(value: float) -> float:
+def _not_tiny(value: float) -> float:
     if value < SMALLEST_IN_FILES:
         raise ValueError(f"must be at least {SMALLEST_IN_FILES:g}")
     return value
 
 
 Positive = Annotated[
-    float, Field(gt=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False), AfterValidator(_no_trace)
+    float, Field(gt=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False), AfterValidator(_not_tiny)
 ]
-"""Sizes of any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
+"""Positive size in any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
 
 Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allow_inf_nan=False)]
-"""Numbers of either sign and any unit; both ends keep what is computed from them finite."""
+"""Number of either sign in any unit; computations with both ends stay finite."""
 
 
 class Section(BaseModel):
-    """One table of a file: frozen, and without keys that nobody asked for."""
+    """One table of a file: immutable and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy, some of its values replaced without validation.
-
-        What the section has derived from its values (cached properties) is derived anew.
-        """
+        """Return a copy with some values replaced without validation; cached properties are computed "
+        "again."""
         copied = super().model_copy(update=update, deep=deep)
         if update:
             for own in type(self).__mro__:
@@ -49,23 +47,23 @@ class Section(BaseModel):
         return copied
 
     def replaced(self, **changes: Any) -> Self:
-        """A section with some of its values replaced, and validated anew.
+        """Return a validated copy with some values replaced.
 
         Raises
         ------
         DesignError
-            If a value is not allowed, or the values do not go together.
+            If a value is not allowed, or the values contradict each other.
         """
         values = {name: getattr(self, name) for name in type(self).model_fields}
         try:
             return type(self)(**(values | changes))
         except ValidationError as error:
-            text = "; ".join(_told(fault) for fault in error.errors())
+            text = "; ".join(_message(fault) for fault in error.errors())
             raise DesignError(text.replace("Value error, ", "").replace("Input should", "must")) from None
 
 
-def _told(fault: Any) -> str:
-    """What is wrong, and where, unless it says so itself."""
+def _message(fault: Any) -> str:
+    """Return the message of a fault with its location, unless the message states the location itself."""
     refused = fault.get("ctx", {}).get("error")
     if isinstance(refused, InputError):
         return str(refused)
@@ -73,17 +71,17 @@ def _told(fault: Any) -> str:
 
 
 def tuples(value: Any) -> Any:
-    """TOML arrays are lists; frozen models hold tuples."""
+    """Return a list as a tuple; TOML arrays are lists, and immutable models have tuples."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def rows(value: Any) -> Any:
-    """A list of lists as a tuple of tuples."""
+    """Return a list of lists as a tuple of tuples."""
     return tuple(tuples(row) for row in value) if isinstance(value, list | tuple) else value
 
 
 def as_path(value: Any) -> Any:
-    """A path in a file is a string."""
+    """Return the path that a string in a file gives."""
     if "\0" in str(value):
-        raise ValueError("a path cannot hold a NUL character")
+        raise ValueError("a path must not contain a NUL character")
     return Path(value) if isinstance(value, str) else value

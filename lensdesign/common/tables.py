@@ -1,9 +1,8 @@
-"""The one reader of text tables that users hand in: lists, columns with a header, grids of numbers.
+"""Reader of text tables of users: lists, columns with a header, grids of numbers.
 
-A table is read exactly or refused with its file and line. A decimal comma, a thousands separator and a cell
-that no column claims are never interpreted: which of several meanings was intended cannot be decided from
-the text. The exports of a spreadsheet differ by country, so the columns of a table with a header may be
-separated by commas, semicolons or tabs.
+A table is read exactly, or refused with its file and line. A decimal comma, a thousands separator and a cell
+without a column are never interpreted, since their meaning is ambiguous. Exports of spreadsheets differ by
+country, so the columns of a table with a header may be separated by commas, semicolons or tabs.
 """
 
 from __future__ import annotations
@@ -29,30 +28,30 @@ _STARTS_WITH_DIGIT = re.compile(r"[+-]?[.]?[0-9]")
 _SIGNS = ("\N{MINUS SIGN}", "\N{EN DASH}", "\N{HYPHEN}", "\N{NON-BREAKING HYPHEN}")
 
 SEPARATORS = (";", "\t", ",")
-"""What may stand between the columns of a table with a header."""
+"""Allowed separators of the columns of a table with a header."""
 
 
 def read_number(text: str, where: str, name: str = "") -> float:
-    """The number that a cell holds: digits with a decimal point, and nothing else.
+    """Return the number in a cell, which must be written as digits with a decimal point.
 
     Parameters
     ----------
     text
-        The cell; spaces around the number do not count.
+        The cell; spaces around the number are ignored.
     where
-        File and line, which messages begin with.
+        File and line, with which messages begin.
     name
-        What the number is.
+        Name of the number in messages.
 
     Returns
     -------
     float
-        The value; `nan` and `inf` as they are written, for the caller to judge.
+        The value; `nan` and `inf` are returned as such.
 
     Raises
     ------
     InputError
-        If the cell holds anything else, such as a decimal comma, a thousands separator or a unit.
+        If the cell contains anything else, such as a decimal comma, a thousands separator or a unit.
     """
     cell = text.strip()
     word = _WORDS.get(cell.casefold())
@@ -60,25 +59,25 @@ def read_number(text: str, where: str, name: str = "") -> float:
         return word
     if _NUMBER.fullmatch(cell) and not _LEADING_ZERO.match(cell):
         return float(cell)
-    said = f"{where}: {name} = {cell[:40]!r}" if name else f"{where}: {cell[:40]!r}"
+    prefix = f"{where}: {name} = {cell[:40]!r}" if name else f"{where}: {cell[:40]!r}"
     if _LEADING_ZERO.match(cell) and _NUMBER.fullmatch(cell):
         raise InputError(
-            f"{said}: begins with a needless zero, as the digits behind a decimal comma do; write numbers "
+            f"{prefix}: begins with an unneeded zero, like digits after a decimal comma; write numbers "
             "with a decimal point and without leading zeros"
         )
     if _THOUSANDS.fullmatch(cell) and not (_DECIMAL_COMMA.fullmatch(cell) or _NUMBER.fullmatch(cell)):
         raise InputError(
-            f"{said} is not a number: thousands separators are not read; write digits and at most one "
+            f"{prefix} is not a number: thousands separators are not read; write digits and at most one "
             "decimal point"
         )
     if _DECIMAL_COMMA.fullmatch(cell):
         raise InputError(
-            f"{said} is not a number: a comma may be a decimal comma or a thousands separator; write a "
+            f"{prefix} is not a number: a comma may be a decimal comma or a thousands separator; write a "
             f"decimal point, {cell.replace(',', '.')} if that is meant"
         )
     if cell[:1] in _SIGNS:
-        raise InputError(f"{said} is not a number: its sign is a dash; write a hyphen, -")
-    raise InputError(f"{said} is not a number")
+        raise InputError(f"{prefix} is not a number: its sign is a dash; write a hyphen, -")
+    raise InputError(f"{prefix} is not a number")
 
 
 @dataclass(frozen=True)
@@ -100,12 +99,12 @@ class Table:
     rows: tuple[tuple[int, tuple[str, ...]], ...]
 
     def column(self, name: str) -> list[tuple[str, str]]:
-        """Cells of a column, each with its file and line.
+        """Return the cells of a column, each with its file and line.
 
         Raises
         ------
         InputError
-            If there is no such column, or several.
+            If there is no such column, or more than one.
         """
         if self.names.count(name) != 1:
             if name in self.names:
@@ -116,20 +115,20 @@ class Table:
             raise InputError(
                 f"{self.path}: there is no column {name!r}; allowed: {listed}{did_you_mean(name, self.names)}"
             )
-        place = self.names.index(name)
-        return [(cells[place], f"{self.path}, line {line}") for line, cells in self.rows]
+        index = self.names.index(name)
+        return [(cells[index], f"{self.path}, line {line}") for line, cells in self.rows]
 
 
 def read_table(path: Path, most_bytes: int = TABLE_BYTES) -> Table:
-    """Read a table whose first line that is not empty names the columns; empty lines do not count.
+    """Read a table whose first non-empty line names the columns; empty lines are ignored.
 
-    Columns are separated by commas, or by the semicolons or tabs that the first line holds outside of quotes.
+    Columns are separated by commas, or by semicolons or tabs if the first line contains them outside quotes.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is empty or no table, or a row has more or fewer cells than there are
-        columns.
+        If the file cannot be read, is empty or not a table, or the number of cells of a row differs from the
+        number of columns.
     """
     lines = read_text(path, most_bytes).splitlines()
     reader = csv.reader(lines, delimiter=_separator(lines), skipinitialspace=True)
@@ -148,29 +147,29 @@ def read_table(path: Path, most_bytes: int = TABLE_BYTES) -> Table:
     except csv.Error as error:
         raise DesignError(f"{path}, line {reader.line_num}: not a CSV file: {error}") from error
     if not names:
-        raise DesignError(f"{path}: holds nothing; its first line must name the columns")
+        raise DesignError(f"{path}: is empty; its first line must name the columns")
     return Table(path, names, tuple(rows))
 
 
 def read_list(path: Path, name: str, most_bytes: int = TABLE_BYTES) -> list[tuple[float, str]]:
-    """Numbers of a list, one a line, each with its file and line.
+    """Return the numbers of a list, one per line, each with its file and line.
 
-    Empty lines and what follows a # do not count. Behind the number, after a comma or semicolon, a remark
-    may stand; one that begins like a number is refused.
+    Empty lines and text after a # are ignored. A remark may follow the number after a comma or semicolon; a
+    remark that begins like a number is refused.
 
     Parameters
     ----------
     path
         The file.
     name
-        What the numbers are, for messages.
+        Name of the numbers in messages.
     most_bytes
-        Most bytes that are read.
+        Largest size of the file in bytes.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or a line does not hold one number.
+        If the file cannot be read, or a line does not contain exactly one number.
     """
     found = []
     for count, line in enumerate(read_text(path, most_bytes).splitlines(), start=1):
@@ -188,7 +187,7 @@ def read_list(path: Path, name: str, most_bytes: int = TABLE_BYTES) -> list[tupl
 
 
 def read_grid_row(text: str, where: str) -> list[float]:
-    """A row of a grid: numbers between commas; nothing between commas is NaN.
+    """Return a row of a grid: numbers separated by commas; an empty cell is NaN.
 
     Raises
     ------
@@ -199,20 +198,20 @@ def read_grid_row(text: str, where: str) -> list[float]:
 
 
 def validate_no_comma_pairs(rows: Sequence[tuple[str, str]]) -> None:
-    """Refuse a grid whose whole numbers come in pairs, as those with decimal commas do.
+    """Refuse a grid of whole numbers that may be pairs separated by decimal commas.
 
-    Such a grid has no decimal point, twice as many columns as it was meant to have, and signs in every other
-    column at most.
+    Such a grid has no decimal point, twice the intended number of columns, and signs in every other column at
+    most.
 
     Parameters
     ----------
     rows
-        Text, and file and line, of each row.
+        Text of each row, with its file and line.
 
     Raises
     ------
     InputError
-        Naming the first line.
+        If the grid has this form; the message names the first line.
     """
     cells = [[cell.strip() for cell in text.split(",")] for text, _ in rows]
     width = len(cells[0]) if cells else 0
@@ -229,15 +228,16 @@ def validate_no_comma_pairs(rows: Sequence[tuple[str, str]]) -> None:
 
 
 def _at_first(text: str, separators: str) -> tuple[str, str, str]:
-    """A text before and behind the first of some characters, and the character."""
-    places = [place for character in separators if (place := text.find(character)) >= 0]
-    if not places:
+    """Return the text before the first of some characters, the character, and the text after it."""
+    positions = [position for character in separators if (position := text.find(character)) >= 0]
+    if not positions:
         return text, "", ""
-    return text[: min(places)], text[min(places)], text[min(places) + 1 :]
+    first = min(positions)
+    return text[:first], text[first], text[first + 1 :]
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """What separates the columns of a table: the first of `SEPARATORS` that its header holds."""
+    """Return the separator of the columns: the first of `SEPARATORS` that the header contains."""
     header = next((line for line in lines if line.strip(" ,;\t")), "")
     bare = re.sub(r'"[^"]*"', "", header)
     return next((separator for separator in SEPARATORS if separator in bare), ",")
@@ -260,7 +260,7 @@ def _check_width(cells: tuple[str, ...], names: tuple[str, ...], where: str) -> 
 
 
 def _pairs(cells: Sequence[str]) -> Iterator[str]:
-    """Neighbouring cells that together read as a number with a decimal comma."""
+    """Yield neighbouring cells that together form a number with a decimal comma."""
     for first, second in pairwise(cells):
         if re.fullmatch(r"[+-]?[0-9]+", first) and re.fullmatch(r"[0-9]+", second):
             yield f"{first},{second}"

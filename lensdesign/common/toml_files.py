@@ -1,4 +1,4 @@
-"""Text and TOML files: read with every fault named, and checked against a model."""
+"""Text and TOML files: reading with every fault named, and validation against a model."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ Model = TypeVar("Model", bound=BaseModel)
 Entry = TypeVar("Entry")
 
 MOST_PARTS = 8
-"""Of a dotted key: the time that tomllib takes grows with more than their square."""
+"""Largest number of parts of a dotted key; the time of tomllib grows faster than their square."""
 
 _LONG_KEY = re.compile(
     r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){8}"""  # as many as MOST_PARTS
 )
 
 LONGEST_FAULT = 1000
-"""Most characters of the line of a fault."""
+"""Largest number of characters of the line of a fault."""
 
 MOST_FAULTS = 50
-"""Told of one file."""
+"""Largest number of faults reported for one file."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file, or a DesignError that names the file and the line."""
+    """Return the tables of a TOML file; raise a DesignError with file and line if it is not valid."""
     text = read_text(path, TOML_BYTES)
     if _LONG_KEY.search(text):
         raise DesignError(f"{path}: not valid TOML: a dotted key of more than {MOST_PARTS} parts")
@@ -43,9 +43,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_text(path: Path, most_bytes: int = TABLE_BYTES) -> str:
-    """The text of a UTF-8 file, without a byte order mark, or a DesignError that names the file.
+    """Return the text of a UTF-8 file without a byte order mark, with newlines as line ends.
 
-    Ends of lines become newlines.
+    Raises
+    ------
+    DesignError
+        If the file cannot be read or is not UTF-8.
     """
     data = read_input(path, most_bytes, DesignError)
     try:
@@ -56,7 +59,7 @@ def read_text(path: Path, most_bytes: int = TABLE_BYTES) -> str:
 
 
 def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Model:
-    """Check data against a model; all faults go into one DesignError, a line each.
+    """Return the model of data; all faults are reported in one DesignError, one line each.
 
     Parameters
     ----------
@@ -65,7 +68,12 @@ def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Mo
     data
         Tables as read from a file.
     source
-        What to call the place where the data came from, usually the file.
+        Name of the source of the data in messages, usually the file.
+
+    Raises
+    ------
+    DesignError
+        If the data do not fit the model.
     """
     try:
         return model.model_validate(data, by_alias=True, by_name=False)
@@ -77,21 +85,21 @@ def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Mo
 
 
 def pick(registry: Mapping[str, Entry], table: Mapping[str, Any], key: str, source: str) -> Entry:
-    """The registry's entry that a table asks for by name.
+    """Return the entry of a registry that a table names.
 
     Parameters
     ----------
     registry
-        What there is, by name.
+        Entries by name.
     table, key
-        The table, and the key under which it gives the name.
+        The table, and the key with the name of the entry.
     source
-        What to call the table in messages.
+        Name of the table in messages.
 
     Raises
     ------
     DesignError
-        If the key is missing, or names nothing that there is; the message lists what there is.
+        If the key is missing, or the name is not in the registry; the message lists the allowed names.
     """
     allowed = ", ".join(registry)
     if key not in table:
@@ -104,10 +112,7 @@ def pick(registry: Mapping[str, Entry], table: Mapping[str, Any], key: str, sour
 
 
 def joined_faults(faults: Sequence[str]) -> str:
-    """Faults of a file, one a line; of very many, the first ones, and how many more there are.
-
-    Each line is cut where it is longer than anybody reads.
-    """
+    """Return the faults of a file, one per line, up to a number and length of lines."""
     lines = [line for fault in faults for line in fault.splitlines()]
     shown = [
         line if len(line) <= LONGEST_FAULT else f"{line[:LONGEST_FAULT]}..." for line in lines[:MOST_FAULTS]
@@ -118,41 +123,41 @@ def joined_faults(faults: Sequence[str]) -> str:
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:
-    """`unknown key; allowed: ...`, with the key that was meant, as far as one can tell."""
+    """Return `unknown key; allowed: ...`, with the most similar allowed key, if any."""
     allowed = list(allowed)
     listed = f"; allowed: {', '.join(allowed)}" if allowed else ""
     return f"unknown key{listed}{did_you_mean(key, allowed)}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """`; did you mean ...?` where a known name is near, else nothing."""
+    """Return `; did you mean ...?` if a known name is similar, else an empty string."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {near[0]}?" if near else ""
 
 
 def _fault_lines(faults: Iterable[Any], model: type[BaseModel]) -> list[str]:
-    """One line for each place: what all types that it may have say of it, and nothing of what holds it."""
-    places: dict[tuple[int | str, ...], list[str]] = {}
+    """Return one line for each location, which joins the messages of all its types; no lines for parents."""
+    messages: dict[tuple[int | str, ...], list[str]] = {}
     for fault in faults:
         loc = tuple(i for i in fault["loc"] if isinstance(i, int) or not _is_union_branch(i))
         head, message = _fault(fault, loc, model)
-        said = places.setdefault(loc, [])
-        said.append(f"or {message.removeprefix('must be ')}" if said else f"{head}: {message}".strip(": "))
-    holders = {loc[:depth] for loc in places for depth in range(1, len(loc))}
-    return [" ".join(said) for loc, said in places.items() if loc not in holders]
+        own = messages.setdefault(loc, [])
+        own.append(f"or {message.removeprefix('must be ')}" if own else f"{head}: {message}".strip(": "))
+    parents = {loc[:depth] for loc in messages for depth in range(1, len(loc))}
+    return [" ".join(own) for loc, own in messages.items() if loc not in parents]
 
 
 def _fault(fault: Any, loc: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, str]:
-    """Where a fault is, with the value if that says something, and what is allowed."""
-    where, kind, context = _where(loc), fault["type"], fault.get("ctx", {})
+    """Return the location of a fault, with the value if useful, and the message."""
+    location, kind, context = _location(loc), fault["type"], fault.get("ctx", {})
     if kind == "extra_forbidden":
-        return where, unknown_key(str(loc[-1]), _allowed_keys(model, loc[:-1]))
+        return location, unknown_key(str(loc[-1]), _allowed_keys(model, loc[:-1]))
     if kind == "missing":
-        return where, "missing value" if isinstance(loc[-1], int) else "missing key"
+        return location, "missing value" if isinstance(loc[-1], int) else "missing key"
     if kind == "value_error":
-        return where, fault["msg"].removeprefix("Value error, ")
+        return location, fault["msg"].removeprefix("Value error, ")
     plain = {
-        "tuple_type": f"must be tables, each headed [[{where}]]"
+        "tuple_type": f"must be tables, each headed [[{location}]]"
         if isinstance(fault["input"], dict)
         else "must be a list",
         "model_type": "must be a table",
@@ -164,15 +169,15 @@ def _fault(fault: Any, loc: tuple[int | str, ...], model: type[BaseModel]) -> tu
     message = plain.get(kind, fault["msg"])
     for start in ("Input should", "Input is not"):
         message = message.replace(start, "must" if start.endswith("should") else "must be", 1)
-    return f"{where} = {_shown(fault['input'])}", message
+    return f"{location} = {_shown(fault['input'])}", message
 
 
 def _items(count: int | None) -> str:
     return f"{count} item" if count == 1 else f"{count} items"
 
 
-def _where(loc: tuple[int | str, ...]) -> str:
-    """`surface 2, radius_mm` for ("surface", 1, "radius_mm"): people count from one."""
+def _location(loc: tuple[int | str, ...]) -> str:
+    """Return `surface 2, radius_mm` for ("surface", 1, "radius_mm"), with numbers from 1."""
     parts: list[str] = []
     for item in loc:
         if isinstance(item, int):
@@ -193,7 +198,7 @@ def _shown(value: Any) -> str:
 
 
 def _allowed_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Keys of the table at `loc`, found by walking the model's annotations."""
+    """Return the keys of the table at `loc` from the annotations of the model."""
     for item in loc:
         if isinstance(item, int):
             continue

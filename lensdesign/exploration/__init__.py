@@ -1,4 +1,4 @@
-"""Trade-offs: fronts of lenses of which none is better in everything, and how far a specification reaches."""
+"""Exploration of trade-offs: Pareto fronts of lenses for several objectives."""
 
 import lazy_loader
 

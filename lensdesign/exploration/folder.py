@@ -1,4 +1,4 @@
-"""The folder of an exploration: what was found so far, the front as a table, a design file for each lens."""
+"""Folder of an exploration: results so far, the front as a table, and a design file for each lens."""
 
 from __future__ import annotations
 
@@ -26,41 +26,52 @@ ENDS, FRONT = "searches.jsonl", "front.csv"
 
 @dataclass(frozen=True)
 class ExplorationFolder:
-    """Where an exploration is kept while it runs, and what it leaves.
+    """Folder that stores the results of an exploration, so that it can be resumed.
 
     Attributes
     ----------
     path : Path
+        The folder.
     fingerprint : str
-        Of what is explored; another exploration's folder is refused.
+        Hash of all inputs of the exploration. A folder with another fingerprint is rejected.
     """
 
     path: Path
     fingerprint: str
 
     def begin(self, fresh: bool = False) -> dict[str, ExploredPoint]:
-        """Make the folder, or read what it holds of this exploration.
+        """Create the folder, or read the results of this exploration from it.
+
+        Parameters
+        ----------
+        fresh
+            Whether to discard existing results (default: False).
+
+        Returns
+        -------
+        dict
+            Results by key.
 
         Raises
         ------
         InputError
-            If it holds another exploration, or other files.
+            If the folder holds another exploration or other files, or cannot be read.
         """
         try:
-            return self._begun(fresh)
+            return self._begin(fresh)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(
                 f"cannot use the folder {self.path}: {getattr(error, 'strerror', None) or error}"
             ) from error
 
-    def _begun(self, fresh: bool) -> dict[str, ExploredPoint]:
+    def _begin(self, fresh: bool) -> dict[str, ExploredPoint]:
         ends = self.path / ENDS
         if fresh and ends.exists():
             ends.unlink()
         if not ends.exists():
             if self.path.exists() and not fresh and any(self.path.iterdir()):
                 raise InputError(
-                    f"{self.path}: holds other files, and no {ENDS}; give an empty or a new folder"
+                    f"{self.path}: holds other files, but no {ENDS}; give an empty or a new folder"
                 )
             self.path.mkdir(parents=True, exist_ok=True)
             with atomic_path(ends) as temporary:
@@ -73,12 +84,12 @@ class ExplorationFolder:
                 f"{self.path}: holds an exploration of another specification, study or objectives, or of "
                 "another version; give another folder, or --fresh to replace it"
             )
-        # A line that was cut when its writer died is the last; its search is made once more.
+        # The last line may be incomplete if the process was killed; its search is repeated.
         found = [_explored(self.path, row) for row in map(_read, lines) if "key" in row]
         return {one.key: one for one in found if one is not None}
 
     def keep(self, one: ExploredPoint) -> None:
-        """Add a search's end, with its lens's file."""
+        """Append the result of a search, and write the design file of its lens."""
         name = _name(one)
         if one.lens is not None:
             with atomic_path(self.path / name) as temporary:
@@ -99,7 +110,7 @@ class ExplorationFolder:
             raise InputError(f"cannot write {self.path / ENDS}: {error.strerror or error}") from error
 
     def write_front(self, explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> Path:
-        """Write the front, and the lenses behind it, as a table."""
+        """Write all lenses as a table (CSV) with a column that marks those on the front."""
         front = {one.key for one in front_of(explored, axes)}
         columns = [axis.objective.column for axis in axes]
         lenses = [one for one in explored if one.lens is not None]
@@ -116,10 +127,10 @@ class ExplorationFolder:
 def folder_for(
     path: Path, specification: Specification, axes: Sequence[Axis], lenses: int
 ) -> ExplorationFolder:
-    """The folder of an exploration, known by all that decides what it finds."""
+    """Return the folder of an exploration, with the fingerprint of all inputs that affect its results."""
     tolerances = specification.tolerances
     files = [] if tolerances is None else [tolerances.study, tolerances.costs]
-    said = {
+    inputs = {
         "version": toolkit_version(),
         "specification": specification.model_dump(mode="json", exclude={"tolerances"}),
         "tolerances": None if tolerances is None else tolerances.model_dump(exclude={"study", "costs"}),
@@ -127,7 +138,7 @@ def folder_for(
         "axes": [(axis.objective.name, axis.bounds) for axis in axes],
         "lenses": lenses,
     }
-    text = json.dumps(said, sort_keys=True, default=str)
+    text = json.dumps(inputs, sort_keys=True, default=str)
     return ExplorationFolder(path, hashlib.sha256(text.encode()).hexdigest())
 
 
@@ -140,7 +151,7 @@ def _read(line: str) -> dict[str, Any]:
 
 
 def _explored(folder: Path, row: dict[str, Any]) -> ExploredPoint | None:
-    """A search's end; None where its lens cannot be read any more, so that it is made once more."""
+    """Return the result in a row; None if its lens cannot be read, so that the search is repeated."""
     try:
         lens = None if row["design"] is None else load_design(folder / row["design"])
         return ExploredPoint(row["key"], row["glasses"], row["values"], tuple(row["point"]), lens)
@@ -149,6 +160,6 @@ def _explored(folder: Path, row: dict[str, Any]) -> ExploredPoint | None:
 
 
 def _name(one: ExploredPoint) -> str:
-    """File name of a lens: what was asked, in letters that all systems take."""
+    """Return the file name of a lens: its key in portable characters, and a hash."""
     words = re.sub(r"[^A-Za-z0-9.]+", "_", one.key).strip("_")
     return f"{words[:80]}_{hashlib.sha256(one.key.encode()).hexdigest()[:6]}.toml"

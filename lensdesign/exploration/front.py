@@ -1,8 +1,8 @@
-"""Fronts: lenses of which none is better than another in everything.
+"""Pareto fronts: lenses that no other lens improves in one objective without being worse in another.
 
-Each is the end of a search that makes one objective as good as can be while the others are held no worse than
-some value (the epsilon-constraint method: Haimes, Lasdon and Wismer, IEEE Trans. SMC 1, 296, 1971), started
-from the nearest lens that is known.
+The fronts are computed by the epsilon-constraint method (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1, 296,
+1971): each search optimizes one objective while constraints bound the others. It starts from the nearest lens
+that is known.
 """
 
 from __future__ import annotations
@@ -25,32 +25,31 @@ from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.specification import Specification
 
 ANCHOR_STARTS = 3
-"""From which the best lens by one objective alone is sought."""
+"""Number of starts of the search for the best lens by a single objective."""
 
-MOST_GLASSES = 6
-"""Choices of glasses that are explored; of more, those are that hold the best lenses by single objectives."""
+MAX_GLASSES = 6
+"""Largest number of glass choices that are explored; a first screening selects them from more choices."""
 
-ALIKE = 2e-3
-"""Share of an objective's range by which a lens must be better to count as better."""
-
-Keep = Callable[["ExploredPoint"], None]
+MIN_IMPROVEMENT = 2e-3
+"""Smallest improvement of an objective, as a fraction of its range, that counts as an improvement."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExploredPoint:
-    """One search's end.
+    """Result of one search of an exploration.
 
     Attributes
     ----------
     key : str
-        What was asked: glasses, and the value that each objective was held to.
+        Description of the search: glasses, and the bound of each objective.
     glasses : str
+        Glasses of the elements.
     values : dict
-        By the objectives' columns; empty where no lens was found.
+        Values of the objectives by column; empty if no lens was found.
     point : tuple of float
-        Of the unit box.
+        Variables of the lens, normalized to the unit box.
     lens : Lens or None
-        The lens; None where none was found that keeps every constraint.
+        The lens; None if no lens was found that meets every constraint.
     """
 
     key: str
@@ -62,156 +61,163 @@ class ExploredPoint:
 
 @dataclass(frozen=True, eq=False)
 class Exploration:
-    """A specification that is explored.
+    """Exploration of the trade-off between the objectives of a specification.
 
     Attributes
     ----------
     specification
+        Requirements and variables of the lens.
     axes : tuple of Axis
-        What is weighed; the last one is each search's goal.
+        Objectives; the last one is the goal of each search, the others are bounded.
     lenses : int
-        How many searches are made, about, for each choice of glasses.
+        Approximate number of searches for each choice of glasses (default: 50).
     known : dict
-        Ends of searches that were made before, by their keys.
-    keep
-        Given each new end.
-    report
-        Told how many searches are done, of how many, and what is sought.
+        Results of earlier searches by key, which are not repeated (default: none).
+    on_result
+        Called with each new result.
+    progress
+        Progress callback: ``progress(completed, total, description)``.
     """
 
     specification: Specification
     axes: tuple[Axis, ...]
     lenses: int = 50
     known: dict[str, ExploredPoint] = field(default_factory=dict)
-    keep: Keep = lambda _: None
-    report: Callable[[int, int, str], None] = lambda *_: None
+    on_result: Callable[[ExploredPoint], None] = lambda _: None
+    progress: Callable[[int, int, str], None] = lambda *_: None
 
     def run(self) -> list[ExploredPoint]:
-        """All ends, choice of glasses by choice of glasses.
+        """Run all searches and return their results, ordered by the choice of glasses.
 
         Raises
         ------
         DesignError
             If no lens meets the specification with any choice of glasses.
         """
-        found: list[ExploredPoint] = []
+        results: list[ExploredPoint] = []
         bases = list(bases_of(self.specification))
-        if len(bases) > MOST_GLASSES:
-            bases = self._screened(bases)
+        if len(bases) > MAX_GLASSES:
+            bases = self._screen_glasses(bases)
         counts = self._counts()
-        each = math.prod(counts) + len(self._sought)
-        for number, (glasses, base) in enumerate(bases):
-            found += self._of_glasses(glasses, base, counts, number * each, len(bases) * each)
-        if not any(one.lens is not None for one in found):
-            raise DesignError("no lens was found that meets the specification: widen its bounds or limits")
-        return found
+        each = math.prod(counts) + len(self._searched_axes)
+        for index, (glasses, base) in enumerate(bases):
+            results += self._explore_glasses(glasses, base, counts, index * each, len(bases) * each)
+        if not any(result.lens is not None for result in results):
+            raise DesignError(
+                "no lens meets the specification: widen the bounds of its variables or its limits"
+            )
+        return results
 
-    def _screened(self, bases: list[tuple[str, Lens]]) -> list[tuple[str, Lens]]:
-        """The choices of glasses with the best lenses by single objectives, each sought from one start."""
+    def _screen_glasses(self, bases: list[tuple[str, Lens]]) -> list[tuple[str, Lens]]:
+        """Return the glass choices with the best lenses by single objectives, after one start each."""
         ends: list[ExploredPoint] = []
-        for number, (glasses, base) in enumerate(bases):
-            for axis in self._sought:
-                self.report(number, len(bases), f"{glasses}: best {axis.objective.name}, from one start")
+        for index, (glasses, base) in enumerate(bases):
+            for axis in self._searched_axes:
+                self.progress(index, len(bases), f"{glasses}: best {axis.objective.name}, from one start")
                 ends.append(self._anchor(glasses, base, axis.objective, 1))
-        names = list(dict.fromkeys(one.glasses for one in front_of(ends, self.axes)))
+        names = list(dict.fromkeys(result.glasses for result in front_of(ends, self.axes)))
         goal = self.axes[-1].objective
-        lenses = [one for one in ends if one.lens is not None]
-        lenses.sort(key=lambda one: one.values[goal.column], reverse=goal.larger_is_better)
-        names += [one.glasses for one in lenses if one.glasses not in names]
-        kept = list(dict.fromkeys(names))[:MOST_GLASSES]
+        lenses = [result for result in ends if result.lens is not None]
+        lenses.sort(key=lambda result: result.values[goal.column], reverse=goal.larger_is_better)
+        names += [result.glasses for result in lenses if result.glasses not in names]
+        kept = list(dict.fromkeys(names))[:MAX_GLASSES]
         return [(glasses, base) for glasses, base in bases if glasses in kept]
 
     @property
-    def _sought(self) -> list[Axis]:
+    def _searched_axes(self) -> list[Axis]:
         return [axis for axis in self.axes if not axis.objective.scanned]
 
     def _counts(self) -> tuple[int, ...]:
-        """Values that each objective but the last is held to."""
-        held = len(self.axes) - 1
-        count = max(2, round(self.lenses ** (1.0 / held)))
-        return (count,) * held
+        """Return the number of bounds for each objective but the last."""
+        bounded = len(self.axes) - 1
+        count = max(2, round(self.lenses ** (1.0 / bounded)))
+        return (count,) * bounded
 
-    def _of_glasses(
+    def _explore_glasses(
         self, glasses: str, base: Lens, counts: tuple[int, ...], done: int, total: int
     ) -> list[ExploredPoint]:
-        found: list[ExploredPoint] = []
+        results: list[ExploredPoint] = []
         goal = self.axes[-1].objective
-        for axis in self._sought:
-            self.report(done + len(found), total, f"{glasses}: best {axis.objective.name}")
-            found.append(self._anchor(glasses, base, axis.objective))
-        if any(one.lens is None for one in found):
-            return found
-        for node in itertools.product(*self._grids(found, counts)):
-            held = list(zip((axis.objective for axis in self.axes[:-1]), node, strict=True))
-            self.report(done + len(found), total, f"{glasses}: {_words(held)}")
-            found.append(self._node(glasses, base, goal, held, found))
-        return found
+        for axis in self._searched_axes:
+            self.progress(done + len(results), total, f"{glasses}: best {axis.objective.name}")
+            results.append(self._anchor(glasses, base, axis.objective))
+        if any(result.lens is None for result in results):
+            return results
+        for node in itertools.product(*self._grids(results, counts)):
+            limits = list(zip((axis.objective for axis in self.axes[:-1]), node, strict=True))
+            self.progress(done + len(results), total, f"{glasses}: {_limit_text(limits)}")
+            results.append(self._node(glasses, base, goal, limits, results))
+        return results
 
     def _grids(self, anchors: list[ExploredPoint], counts: tuple[int, ...]) -> Iterator[Array]:
-        """Values that each objective but the last is held to: from its best to where others are best."""
+        """Yield the bounds of each objective but the last: from its best value to the best of the others."""
         for axis, count in zip(self.axes[:-1], counts, strict=True):
             column = axis.objective.column
             if axis.bounds is not None:
                 low, high = axis.bounds
             else:
-                values = [one.values[column] for one in anchors]
+                values = [result.values[column] for result in anchors]
                 low, high = min(values), max(values)
             yield np.linspace(low, high, count)
 
     def _anchor(
-        self, glasses: str, base: Lens, objective: Objective, most: int = ANCHOR_STARTS
+        self, glasses: str, base: Lens, objective: Objective, max_starts: int = ANCHOR_STARTS
     ) -> ExploredPoint:
-        """The best lens by one objective alone, whatever the others are."""
-        key = f"{glasses}; best {objective.name}" + (" from one start" if most == 1 else "")
-        asked = objective.sought(self.specification)
-        problem = DesignProblem(asked, _of(base, asked))
-        starts = itertools.islice(starts_of(problem, 0), most)
-        return self._found(key, glasses, problem, list(starts))
+        """Search for the best lens by one objective without bounds on the others."""
+        key = f"{glasses}; best {objective.name}" + (" from one start" if max_starts == 1 else "")
+        specification = objective.sought(self.specification)
+        problem = DesignProblem(specification, _with_object(base, specification))
+        starts = itertools.islice(starts_of(problem, 0), max_starts)
+        return self._search(key, glasses, problem, list(starts))
 
     def _node(
         self,
         glasses: str,
         base: Lens,
         goal: Objective,
-        held: Sequence[tuple[Objective, float]],
-        found: list[ExploredPoint],
+        limits: Sequence[tuple[Objective, float]],
+        results: list[ExploredPoint],
     ) -> ExploredPoint:
-        """The best lens by the goal with the others held; from the nearest that is known."""
-        asked = goal.sought(self.specification)
-        for objective, value in held:
-            asked = objective.limited(asked, value)
-        problem = DesignProblem(asked, _of(base, asked))
+        """Search for the best lens by the goal within limits, starting from the nearest known lens."""
+        specification = goal.sought(self.specification)
+        for objective, value in limits:
+            specification = objective.limited(specification, value)
+        problem = DesignProblem(specification, _with_object(base, specification))
 
-        def distance(one: ExploredPoint) -> float:
-            return sum(abs(one.values[o.column] / value - 1.0) for o, value in held)
+        def distance(result: ExploredPoint) -> float:
+            return sum(abs(result.values[o.column] / value - 1.0) for o, value in limits)
 
-        near = sorted((one for one in found if one.lens is not None), key=distance)
-        starts = [np.array(one.point) for one in near[:1]]
-        # Where the nearest leads to nothing, the best by what is held most tightly may.
-        starts += [np.array(one.point) for one in found[: len(self._sought)] if one is not near[0]]
-        return self._found(f"{glasses}; {_words(held)}", glasses, problem, starts, enough=1)
+        nearest = sorted((result for result in results if result.lens is not None), key=distance)
+        starts = [np.array(result.point) for result in nearest[:1]]
+        # If the nearest lens fails, the best lenses by single objectives may lead to a solution.
+        starts += [
+            np.array(result.point)
+            for result in results[: len(self._searched_axes)]
+            if result is not nearest[0]
+        ]
+        return self._search(f"{glasses}; {_limit_text(limits)}", glasses, problem, starts, sufficient=1)
 
-    def _found(
-        self, key: str, glasses: str, problem: DesignProblem, starts: list[Array], enough: int = 0
+    def _search(
+        self, key: str, glasses: str, problem: DesignProblem, starts: list[Array], sufficient: int = 0
     ) -> ExploredPoint:
-        """The best end of some starts, or of the first of them that meets every constraint."""
+        """Search from all starts, or until `sufficient` of them meet every constraint; return the best."""
         if key in self.known:
             return self.known[key]
         best: Found | None = None
-        met = 0
+        feasible = 0
         for start in starts:
             budget = Budget(problem.specification.optimize.max_evaluations)
-            one = search_from(problem, start, budget, 0, lambda *_: None)
-            if best is None or one.rank < best.rank:
-                best = one
-            met += one.outcome.violation <= KEPT
-            if enough and met >= enough:
+            result = search_from(problem, start, budget, 0, lambda *_: None)
+            if best is None or result.rank < best.rank:
+                best = result
+            feasible += result.outcome.violation <= KEPT
+            if sufficient and feasible >= sufficient:
                 break
-        explored = self._explored(key, glasses, best)
-        self.keep(explored)
+        explored = self._point_of(key, glasses, best)
+        self.on_result(explored)
         return explored
 
-    def _explored(self, key: str, glasses: str, best: Found | None) -> ExploredPoint:
+    def _point_of(self, key: str, glasses: str, best: Found | None) -> ExploredPoint:
         if best is None or best.outcome.violation > KEPT:
             return ExploredPoint(key, glasses, {}, (), None)
         point = best.outcome.point
@@ -224,20 +230,27 @@ class Exploration:
 
 
 def front_of(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[ExploredPoint]:
-    """Of all lenses those that no other is better than in one objective, and no worse in any.
+    """Return the non-dominated lenses: no other lens is better in one objective and not worse in any.
+
+    Parameters
+    ----------
+    explored
+        Results of searches.
+    axes
+        Objectives.
 
     Returns
     -------
-    list of Explored
-        By the first objective.
+    list of ExploredPoint
+        Lenses of the front, ordered by the first objective.
     """
-    lenses = [one for one in explored if one.lens is not None]
+    lenses = [result for result in explored if result.lens is not None]
     if not lenses:
         return []
     signs = np.array([-1.0 if axis.objective.larger_is_better else 1.0 for axis in axes])
-    costs = signs * np.array([[one.values[axis.objective.column] for axis in axes] for one in lenses])
+    costs = signs * np.array([[result.values[axis.objective.column] for axis in axes] for result in lenses])
     ranges = np.ptp(costs, axis=0)
-    slack = ALIKE * np.where(ranges > 0.0, ranges, 1.0)
+    slack = MIN_IMPROVEMENT * np.where(ranges > 0.0, ranges, 1.0)
     kept: list[int] = []
     for i in np.lexsort(costs.T[::-1]):
         others = costs[kept] if kept else np.empty((0, len(axes)))
@@ -247,10 +260,10 @@ def front_of(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[Ex
     return [lenses[i] for i in kept]
 
 
-def _of(base: Lens, asked: Specification) -> Lens:
-    """The lens with the object that is asked about; a stop that follows the aperture does so by itself."""
-    return base.model_copy(update={"object": asked.object})
+def _with_object(base: Lens, specification: Specification) -> Lens:
+    """Return the lens with the object space of the specification; a stop may depend on its aperture."""
+    return base.model_copy(update={"object": specification.object})
 
 
-def _words(held: Sequence[tuple[Objective, float]]) -> str:
-    return ", ".join(f"{objective.name} {value:.6g}".strip() for objective, value in held)
+def _limit_text(limits: Sequence[tuple[Objective, float]]) -> str:
+    return ", ".join(f"{objective.name} {value:.6g}".strip() for objective, value in limits)

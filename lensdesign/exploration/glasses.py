@@ -1,4 +1,4 @@
-"""Glasses by name or by catalogue, as choices of a specification."""
+"""Choice of glasses for a specification, by name or by catalogue."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ CATALOGUE = "catalogue:"
 
 
 def with_glasses(specification: Specification, text: str) -> Specification:
-    """The specification with other choices for the glass of its first element.
+    """Return the specification with other choices for the glass of its first element.
 
     Parameters
     ----------
     specification
+        The specification.
     text
-        Names with commas between them, or ``catalogue:`` and the catalogue's name.
+        Names separated by commas, or ``catalogue:`` followed by the name of a catalogue.
 
     Raises
     ------
     InputError
-        If no glass is named, there is no such catalogue, or of none of its glasses
-        enough is known.
+        If the text names no glass, the catalogue does not exist, or none of its glasses has the required
+        data.
     MaterialError
-        If too little is known of a glass that is named.
+        If a named glass lacks data that the specification requires.
     """
     first = specification.glass_fronts[0] + 1
     if text.startswith(CATALOGUE):
-        names = _of_catalogue(specification, first, text.removeprefix(CATALOGUE))
+        names = _catalogue_glasses(specification, first, text.removeprefix(CATALOGUE))
     else:
         names = tuple(name.strip() for name in text.split(",") if name.strip())
         for name in names:
@@ -41,8 +42,8 @@ def with_glasses(specification: Specification, text: str) -> Specification:
     return specification.model_copy(update={"variables": (*kept, chosen)})
 
 
-def _of_catalogue(specification: Specification, surface: int, name: str) -> tuple[str, ...]:
-    """Glasses of a catalogue of which enough is known."""
+def _catalogue_glasses(specification: Specification, surface: int, name: str) -> tuple[str, ...]:
+    """Return the glasses of a catalogue that have all data required by the specification."""
     known = list_glasses(specification.glass_catalogs)
     names = sorted({glass for glass, catalogue in known if catalogue.casefold() == name.casefold()})
     if not names:

@@ -1,4 +1,4 @@
-"""What lenses are weighed by: each a goal of a search, or a limit of one."""
+"""Objectives of an exploration: each can be the goal of a search, or a limit of one."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from lensdesign.optimization.specification.specification import Specification
 
 @dataclass(frozen=True)
 class Objective:
-    """One thing that a trade-off weighs.
+    """One objective of a trade-off.
 
     Attributes
     ----------
     name
-        As the command takes it; its column with the unit.
+        Name on the command line.
     unit
-    larger_is_better
+        Unit; empty for a dimensionless objective.
     goal
-        By which a search makes it as good as can be; empty where it is a value of the object, or the cost.
+        Goal of a search that optimizes the objective; empty for values of the object space and for the cost.
     limit
-        Constraint, or value of the object or of the tolerances, that holds it.
+        Constraint, or key of the object space or of the tolerances, that bounds the objective.
+    larger_is_better
+        Whether larger values are better (default: False).
     """
 
     name: str
@@ -39,22 +41,22 @@ class Objective:
 
     @property
     def column(self) -> str:
-        """Name with the unit."""
+        """Name of the table column: name and unit."""
         return f"{self.name}_{self.unit}" if self.unit else self.name
 
     @property
     def scanned(self) -> bool:
-        """Whether it is given to a search rather than sought by it."""
+        """Whether the objective is an input of a search instead of its goal."""
         return not self.goal
 
     def sought(self, specification: Specification) -> Specification:
-        """The specification with this as its goal."""
+        """Return the specification with this objective as its goal."""
         return specification.model_copy(update={"optimize": specification.optimize.replaced(goal=self.goal)})
 
     def limited(self, specification: Specification, value: float) -> Specification:
-        """The specification that allows it no worse a value."""
+        """Return the specification with a bound on this objective."""
         if self.name == "cost":
-            assert specification.tolerances is not None  # the axis asked for them
+            assert specification.tolerances is not None  # ensured by axes_of
             tolerances = specification.tolerances.replaced(cost=value, factor=1.0)
             return specification.model_copy(update={"tolerances": tolerances})
         if self.scanned:
@@ -66,7 +68,7 @@ class Objective:
         return specification.model_copy(update={"constraints": limits.replaced(**{self.limit: value})})
 
     def better(self, one: float, other: float) -> bool:
-        """Whether one value is better than another."""
+        """Return whether one value is better than another."""
         return one > other if self.larger_is_better else one < other
 
 
@@ -88,13 +90,14 @@ OBJECTIVES = {
 
 @dataclass(frozen=True)
 class Axis:
-    """An objective, and between which values it is varied.
+    """An objective and the range in which it is varied.
 
     Attributes
     ----------
     objective
+        The objective.
     bounds
-        In its unit; None for those that the searches themselves find.
+        Smallest and largest value in its unit; None: determined by searches.
     """
 
     objective: Objective
@@ -102,46 +105,64 @@ class Axis:
 
 
 def axes_of(text: str, specification: Specification) -> tuple[Axis, ...]:
-    """Read ``thickness,as_built_rms`` or ``field=2:4,thickness``.
+    """Return the objectives of a text such as ``thickness,as_built_rms`` or ``field=2:4,thickness``.
+
+    Parameters
+    ----------
+    text
+        Two to four names separated by commas, each optionally with bounds.
+    specification
+        The specification to explore.
+
+    Returns
+    -------
+    tuple of Axis
+        Objectives that are inputs come first; the last one is the goal of each search.
 
     Raises
     ------
     InputError
-        For what is no objective, stands twice, has no bounds although it needs them, or asks for tolerances
-        that the specification does not name.
+        If a name is not an objective or occurs twice, bounds are invalid, all objectives are inputs, or an
+        objective needs tolerances that the specification does not name.
+
+    Examples
+    --------
+    >>> from lensdesign.exploration import OBJECTIVES
+    >>> OBJECTIVES["thickness"].column
+    'thickness_mm'
     """
-    axes = [_axis(part.strip(), specification) for part in text.split(",")]
+    axes = [_axis(item.strip(), specification) for item in text.split(",")]
     names = [axis.objective.name for axis in axes]
     repeated = next((name for name in names if names.count(name) > 1), None)
     if repeated:
-        raise InputError(f"--over {text}: {repeated} stands twice")
+        raise InputError(f"--over {text}: {repeated} is given twice")
     if not 2 <= len(axes) <= 4:
         raise InputError(f"--over {text}: {len(axes)} named; allowed: two to four")
     if all(axis.objective.scanned for axis in axes):
         allowed = ", ".join(name for name, found in OBJECTIVES.items() if not found.scanned)
-        raise InputError(f"--over {text}: at least one must be sought: {allowed}")
+        raise InputError(f"--over {text}: at least one must be a goal of a search: {allowed}")
     built = any(axis.objective.goal in AS_BUILT_GOALS for axis in axes)
     if "cost" in names and not (built or specification.asks_as_built):
         raise InputError(
-            f"--over {text}: cost changes nothing without as_built_rms or yield; weigh one of them, or ask "
-            "for min_yield or max_as_built_rms_waves"
+            f"--over {text}: cost has no effect without as_built_rms or yield; add one of them, or set "
+            "min_yield or max_as_built_rms_waves in the specification"
         )
-    # What is given stands first; what is sought last of all is the goal of each search.
+    # Inputs come first, so that the last objective is a goal.
     return tuple(sorted(axes, key=lambda axis: not axis.objective.scanned))
 
 
 def _axis(text: str, specification: Specification) -> Axis:
     name, _, given = text.partition("=")
     if name not in OBJECTIVES:
-        raise InputError(f"--over: {name!r} is no objective; allowed: {', '.join(OBJECTIVES)}")
+        raise InputError(f"--over: {name!r} is not an objective; allowed: {', '.join(OBJECTIVES)}")
     objective = OBJECTIVES[name]
     if (name == "cost" or objective.goal in AS_BUILT_GOALS) and specification.tolerances is None:
         raise InputError(f"--over: {name} needs tolerances: [tolerances] study in the specification")
     if given:
         try:
-            low, high = (float(part) for part in given.split(":"))
+            low, high = (float(bound) for bound in given.split(":"))
         except ValueError:
-            raise InputError(f"--over {text}: bounds are two numbers, as in {name}=2:4") from None
+            raise InputError(f"--over {text}: bounds must be two numbers, as in {name}=2:4") from None
         if not 0.0 < low < high < np.inf:
             raise InputError(f"--over {text}: bounds must be above 0, the smaller first")
         return Axis(objective, (low, high))
@@ -154,8 +175,8 @@ def _axis(text: str, specification: Specification) -> Axis:
 
 
 def _costs_about(specification: Specification) -> tuple[float, float]:
-    """What the study's tolerances cost on its lens when they are twice as wide, and half as wide."""
-    assert specification.tolerances is not None  # the axis asked for them
+    """Return the costs of the study's lens with tolerances of twice and of half their width."""
+    assert specification.tolerances is not None  # ensured by axes_of
     lens = (study := read_as_built(specification.tolerances)).reference
     elements = len(lens.glass_fronts)
     own = study.cost(lens) - elements
@@ -165,13 +186,13 @@ def _costs_about(specification: Specification) -> tuple[float, float]:
 def values_of(
     axes: Sequence[Axis], lens: Lens, problem: DesignProblem, point: np.ndarray, rays: Rays
 ) -> dict[str, float]:
-    """What the finished lens of a point is worth by each objective, in the units of their columns."""
+    """Return the values of the objectives for the finished lens of a point, by column."""
     state = problem.state(point, rays, derivatives=False)
     found = {}
     for axis in axes:
         name = axis.objective.name
         if name == "cost":
-            assert problem.specification.tolerances is not None  # the axis asked for them
+            assert problem.specification.tolerances is not None  # ensured by axes_of
             value = read_as_built(problem.specification.tolerances).cost(lens)
         elif axis.objective.scanned:
             value = getattr(lens.object, axis.objective.limit)

@@ -1,4 +1,4 @@
-"""Files that hold lenses: design files of our own, measured figures, Zemax and CODE V."""
+"""Lens files: design files (TOML), measured sag-error maps, and files of Zemax OpticStudio and CODE V."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""From the rows of another program's file to a lens and its pose."""
+"""Assembly of a lens and its pose from the surfaces of another program's file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError, MaterialError
 from lensdesign.files.draft import (
-    MOST_SURFACES,
+    MAX_SURFACES,
     TOLERANCE_MM,
-    Break,
+    CoordinateBreak,
     Draft,
     Imported,
     LossyImportError,
-    Row,
     Supplement,
-    shown,
+    SurfaceRow,
+    quoted,
 )
 from lensdesign.files.first_order_check import MARGINAL_TOLERANCE, check_first_order
 from lensdesign.files.marginal_ray import MeridionalSystem
@@ -33,14 +33,25 @@ from lensdesign.lens.surface import Surface
 
 
 def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
-    """Make a lens of what was read.
+    """Convert the contents of a file to a lens.
+
+    Parameters
+    ----------
+    draft
+        Contents of the file.
+    supplement
+        Values that replace or complete those of the file.
+    lossy
+        Whether to continue if a design cannot represent the whole file.
 
     Raises
     ------
     LossyImportError
-        If something would be lost and `lossy` is not set.
+        If a design cannot represent the whole file and `lossy` is False.
     InputError
-        If values are missing, or it is no lens.
+        If values are missing, or if the surfaces do not form a valid lens.
+    MaterialError
+        If a glass is unknown.
     """
     source = draft.source
     if len(draft.rows) < 3:
@@ -49,45 +60,46 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         )
     if not draft.wavelengths_um:
         raise InputError(f"{source}: no wavelength found")
-    own = draft.notes.get("materials")
-    real = sum(row.axes is None for row in draft.rows) - 2
-    rows = draft.rows if isinstance(own, list) and len(own) == real else folded(draft.rows)
+    own_materials = draft.notes.get("materials")
+    count = sum(row.axes is None for row in draft.rows) - 2
+    written_here = isinstance(own_materials, list) and len(own_materials) == count
+    rows = draft.rows if written_here else fold_dummy_planes(draft.rows)
     if len(rows) < 3:
-        raise InputError(f"{source}: nothing but planes in air between the object and the image")
-    rows, pose, working_distance, first_plane = _placed(rows, draft)
-    planes = _first(supplement.plane_distances_mm, _planes(draft, first_plane))
-    noted = draft.notes.get("glass_catalogs")
-    if noted and not supplement.glass_catalogs:
-        draft.lose(
-            f"glass catalogues {shown(str(noted))}: files that a lens file names are not opened; "
-            "give them along"
+        raise InputError(f"{source}: there are only planes in air between the object and the image")
+    rows, pose, working_distance, first_plane = _extract_pose(rows, draft)
+    planes = _first_given(supplement.plane_distances_mm, _planes(draft, first_plane))
+    stored = draft.notes.get("glass_catalogs")
+    if stored and not supplement.glass_catalogs:
+        draft.add_loss(
+            f"glass catalogues {quoted(str(stored))}: files that a lens file names are not opened; "
+            "give them together with the file"
         )
     if draft.dropped and not lossy:
         raise LossyImportError(source, draft.dropped)
     catalogs = supplement.glass_catalogs
-    distance = _first(
+    distance = _first_given(
         supplement.working_distance_mm, working_distance if working_distance < math.inf else None
     )
     values = {
         "working_distance_mm": distance,
-        "field_diameter_mm": _first(
+        "field_diameter_mm": _first_given(
             supplement.field_diameter_mm, 2.0 * draft.half_field_mm if draft.half_field_mm else None
         ),
-        "numerical_aperture": _first(
+        "numerical_aperture": _first_given(
             supplement.numerical_aperture,
             _numerical_aperture(draft, rows, distance, catalogs) if draft.aperture and distance else None,
         ),
-        "pixel_pitch_um": _first(supplement.pixel_pitch_um, draft.notes.get("pixel_pitch_um")),
-        "pixels": _first(supplement.pixels, draft.notes.get("pixels")),
+        "pixel_pitch_um": _first_given(supplement.pixel_pitch_um, draft.notes.get("pixel_pitch_um")),
+        "pixels": _first_given(supplement.pixels, draft.notes.get("pixels")),
         "plane_distances_mm": planes,
     }
-    asked = supplement.numerical_aperture is not None
-    rows, filled = _with_stop(rows, draft, values, catalogs, asked)
+    requested = supplement.numerical_aperture is not None
+    rows, filled = _with_stop(rows, draft, values, catalogs, requested)
     surfaces = _surfaces(rows)
     missing = [name for name, value in values.items() if value is None]
     if missing:
         raise InputError(
-            f"{source}: the file does not tell {', '.join(missing)}; give it along with the file"
+            f"{source}: the file lacks {', '.join(missing)}; give these values together with the file"
         )
     _remark_automatic(rows, draft)
     lens = _lens(draft, values, surfaces, catalogs)
@@ -95,15 +107,15 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
     return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order)
 
 
-def _first(*values: Any) -> Any:
-    """The first value that is one."""
+def _first_given(*values: Any) -> Any:
+    """Return the first value that is not None."""
     return next((value for value in values if value is not None), None)
 
 
 def _lens(
     draft: Draft, values: dict[str, Any], surfaces: list[dict[str, Any]], catalogs: Sequence[Path]
 ) -> Lens:
-    """The lens, validated as a design file would be."""
+    """Return the lens after the same validation as for a design file."""
     data = {
         "title": draft.title,
         "wavelengths_um": draft.wavelengths_um,
@@ -122,8 +134,8 @@ def _lens(
     return lens
 
 
-def folded(rows: Sequence[Row]) -> list[Row]:
-    """Rows without the dummy planes in air: those that clip nothing, or have no space on one side."""
+def fold_dummy_planes(rows: Sequence[SurfaceRow]) -> list[SurfaceRow]:
+    """Remove dummy planes in air that do not clip, or that have no distance to a neighbour."""
     result, medium = [rows[0]], rows[0].material
     for row in rows[1:-1]:
         before = result[-1]
@@ -142,10 +154,11 @@ def folded(rows: Sequence[Row]) -> list[Row]:
     return [*result, rows[-1]]
 
 
-def _placed(rows: list[Row], draft: Draft) -> tuple[list[Row], Pose, float, float]:
-    """Rows without the breaks, the pose for which those stand, the working distance, and the first plane.
+def _extract_pose(rows: list[SurfaceRow], draft: Draft) -> tuple[list[SurfaceRow], Pose, float, float]:
+    """Return the rows without coordinate breaks, the pose, the working distance and the first plane.
 
-    That is a break before the first surface, whose inverse stands at the same point behind the last.
+    The breaks represent a pose if there is one before the first surface and its inverse, at the same point,
+    behind the last one.
     """
     if all(row.axes is None for row in rows):
         return rows, Pose(), rows[0].thickness_mm, rows[-2].thickness_mm
@@ -161,20 +174,20 @@ def _placed(rows: list[Row], draft: Draft) -> tuple[list[Row], Pose, float, floa
         and abs(front.thickness_mm + exit_z + inner[-1].thickness_mm) <= TOLERANCE_MM * (1.0 + abs(exit_z))
     ):
         pivot = -front.thickness_mm
-        pose = _noted_pose(draft, front.axes, pivot)
+        pose = _stored_pose(draft, front.axes, pivot)
         (x, y), (a, b, _) = front.axes.decenter_mm, front.axes.tilt_deg
         if pose is None:
             pose = Pose(x, y, 0.0, a, b, pivot)
         despace = float(np.asarray(pose.despace_mm))
         working_distance = rows[0].thickness_mm - pivot - despace
-        noted: Any = draft.notes.get("working_distance_mm")
-        if _near(noted, working_distance):
-            working_distance = float(noted)
+        stored: Any = draft.notes.get("working_distance_mm")
+        if _agrees(stored, working_distance):
+            working_distance = float(stored)
         first_plane = back.thickness_mm + pivot + despace - exit_z
         return [rows[0], *inner, rows[-1]], pose, working_distance, first_plane
     for row in rows:
-        if row.axes is not None and row.axes not in (Break(), Break().inverse()):
-            draft.dropped.append(f"{row.name}: coordinate break that is no pose of the whole lens")
+        if row.axes is not None and row.axes not in (CoordinateBreak(), CoordinateBreak().inverse()):
+            draft.dropped.append(f"{row.name}: coordinate break that is not a pose of the whole lens")
     kept = [rows[0]]
     for row in rows[1:]:
         if row.axes is None:
@@ -186,58 +199,58 @@ def _placed(rows: list[Row], draft: Draft) -> tuple[list[Row], Pose, float, floa
     return kept, Pose(), kept[0].thickness_mm, kept[-2].thickness_mm
 
 
-def _is_pose(axes: Break) -> bool:
-    """Whether a break is a decenter and then tilts about x and the turned y."""
+def _is_pose(axes: CoordinateBreak) -> bool:
+    """Return whether a coordinate break is a decenter followed by tilts about x and the new y."""
     a, b, c = axes.tilt_deg
     if not axes.reverse or not (a or b):
         return c == 0.0
     return c == 0.0 and not (a and b) and not any(axes.decenter_mm)
 
 
-def _near(noted: Any, value: float) -> bool:
-    """Whether a remark's number still holds of a value that was had from the surfaces."""
-    if isinstance(noted, bool) or not isinstance(noted, int | float) or not abs(noted) < 1e12:
+def _agrees(stored: Any, value: float) -> bool:
+    """Return whether a number of a comment agrees with the value that the surfaces give."""
+    if isinstance(stored, bool) or not isinstance(stored, int | float) or not abs(stored) < 1e12:
         return False
-    return abs(noted - value) <= TOLERANCE_MM * (1.0 + abs(value))
+    return abs(stored - value) <= TOLERANCE_MM * (1.0 + abs(value))
 
 
-def _noted_pose(draft: Draft, axes: Break, pivot_mm: float) -> Pose | None:
-    """The pose of the file's remarks where the coordinate breaks still have it."""
-    noted = draft.notes.get("pose")
+def _stored_pose(draft: Draft, axes: CoordinateBreak, pivot_mm: float) -> Pose | None:
+    """Return the pose in the file's comments if it agrees with the coordinate breaks, else None."""
+    stored = draft.notes.get("pose")
     names = {f.name for f in fields(Pose)}
-    if not isinstance(noted, dict) or set(noted) != names:
+    if not isinstance(stored, dict) or set(stored) != names:
         return None
     (x, y), (a, b, _) = axes.decenter_mm, axes.tilt_deg
     found = {"decenter_x_mm": x, "decenter_y_mm": y, "tilt_x_deg": a, "tilt_y_deg": b, "pivot_z_mm": pivot_mm}
-    if not all(_near(noted[name], value) for name, value in found.items()) or not _near(
-        noted["despace_mm"], noted["despace_mm"] if isinstance(noted["despace_mm"], int | float) else 0.0
+    if not all(_agrees(stored[name], value) for name, value in found.items()) or not _agrees(
+        stored["despace_mm"], stored["despace_mm"] if isinstance(stored["despace_mm"], int | float) else 0.0
     ):
         return None
-    return Pose(**{name: float(noted[name]) for name in names})
+    return Pose(**{name: float(stored[name]) for name in names})
 
 
 def _planes(draft: Draft, first_plane: float) -> tuple[float, ...] | None:
-    """The sensor's planes: the image distance, and those that the file's remarks put behind it."""
-    noted = draft.notes.get("plane_distances_mm")
-    if isinstance(noted, list) and noted:
-        if _near(noted[0], first_plane):
-            return tuple(noted)
-        if len(noted) > 1:
+    """Return the sensor planes: the image distance, and further planes from the file's comments."""
+    stored = draft.notes.get("plane_distances_mm")
+    if isinstance(stored, list) and stored:
+        if _agrees(stored[0], first_plane):
+            return tuple(stored)
+        if len(stored) > 1:
             draft.dropped.append(
-                f"sensor planes {noted}: the image now lies {first_plane:g} mm behind the last surface"
+                f"sensor planes {stored}: the image now lies {first_plane:g} mm behind the last surface"
             )
     return (first_plane,)
 
 
-def _surfaces(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """The surfaces between object and image as tables of a design file."""
+def _surfaces(rows: Sequence[SurfaceRow]) -> list[dict[str, Any]]:
+    """Return the surfaces between object and image as tables of a design file."""
     inner = rows[1:-1]
-    if len(inner) > MOST_SURFACES:
-        raise InputError(f"{inner[-1].where}: {len(inner)} surfaces; at most {MOST_SURFACES} are read")
+    if len(inner) > MAX_SURFACES:
+        raise InputError(f"{inner[-1].location}: {len(inner)} surfaces; at most {MAX_SURFACES} are read")
     for row in inner[:-1]:
         if not 0.0 < row.thickness_mm < math.inf:
             raise InputError(
-                f"{row.where}: the next surface lies {row.thickness_mm:g} mm behind {row.name}; "
+                f"{row.location}: the next surface lies {row.thickness_mm:g} mm behind {row.name}; "
                 "in a design this must be finite and greater than 0"
             )
     return [
@@ -255,14 +268,18 @@ def _surfaces(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _with_stop(
-    rows: Sequence[Row], draft: Draft, values: dict[str, Any], catalogs: Sequence[Path], asked: bool
-) -> tuple[list[Row], bool]:
-    """Rows whose stop is as wide as the file's rays fill it; and whether it is as high as the marginal ray.
+    rows: Sequence[SurfaceRow],
+    draft: Draft,
+    values: dict[str, Any],
+    catalogs: Sequence[Path],
+    requested: bool,
+) -> tuple[list[SurfaceRow], bool]:
+    """Set the semi-diameter of the stop; return the rows and whether it equals the marginal ray's height.
 
-    The system aperture decides: the stop is as high as the exact marginal ray there, unless the file has a
-    smaller aperture at the stop, which clips. Where the user gave a numerical aperture (`asked`), that is
-    what the design has to reach, and a stop with an aperture stays as it is. A stop that floats gives the
-    numerical aperture.
+    The system aperture determines the semi-diameter: it is the height of the exact marginal ray at the stop,
+    unless the file has a smaller aperture there, which clips. If the user gave a numerical aperture
+    (`requested`), a stop with an aperture stays unchanged. For a system aperture "float by stop size", the
+    stop determines the numerical aperture.
     """
     stop = _stop(rows)
     distance, na = values["working_distance_mm"], values["numerical_aperture"]
@@ -273,8 +290,8 @@ def _with_stop(
         semi = row.automatic_mm
     if not _is_number(distance, 0.0, math.inf) or not _is_number(na, 0.0, 1.0):
         return _resized(rows, semi), False
-    noted = draft.notes.get("aperture")
-    if semi is not None and (asked or noted == [na, semi]):
+    stored = draft.notes.get("aperture")
+    if semi is not None and (requested or stored == [na, semi]):
         return _resized(rows, semi), False
     system = _system(draft, rows, catalogs)
     if floating and semi is not None:
@@ -282,28 +299,27 @@ def _with_stop(
         values["numerical_aperture"] = na if through is None else through
         return _resized(rows, semi), through is not None
     paraxial = _paraxial_height(draft, rows, distance, na, catalogs)
-    exact = None if asked or system is None else system.height_at_stop(distance, na, stop)
+    exact = None if requested or system is None else system.height_at_stop(distance, na, stop)
     height = paraxial if exact is None else exact
     if not 0.0 < height < math.inf:
         return list(rows), False
     if semi is None:
-        draft.remark(
-            f"{row.name}: the stop has no aperture in the file; {height:.6g} mm taken, its marginal ray's "
-            "height"
+        draft.add_remark(
+            f"{row.name}: the stop has no aperture in the file; its semi-diameter is {height:.6g} mm, the "
+            "height of the marginal ray"
         )
         return _resized(rows, height), exact is not None
     if any(abs(semi - h) <= MARGINAL_TOLERANCE * h for h in (height, paraxial)):
         return list(rows), abs(semi - height) <= MARGINAL_TOLERANCE * height
     if semi > height:
-        draft.remark(
-            f"{row.name}: a stop of {semi:.6g} mm lets through more than the system aperture "
-            f"({_said(draft)}); "
-            f"{height:.6g} mm taken, its marginal ray's height"
+        draft.add_remark(
+            f"{row.name}: the file's stop of {semi:.6g} mm exceeds the system aperture "
+            f"({_aperture_text(draft)}); its semi-diameter is {height:.6g} mm, the height of the marginal ray"
         )
         return _resized(rows, height), exact is not None
-    draft.remark(
-        f"{row.name}: the system aperture ({_said(draft)}) needs {height:.6g} mm at the stop, whose "
-        f"aperture of {semi:.6g} mm clips it"
+    draft.add_remark(
+        f"{row.name}: the system aperture ({_aperture_text(draft)}) needs {height:.6g} mm at the stop, "
+        f"whose aperture of {semi:.6g} mm clips it"
     )
     return list(rows), False
 
@@ -312,8 +328,8 @@ def _is_number(value: Any, low: float, high: float) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and low < value < high
 
 
-def _said(draft: Draft) -> str:
-    """The file's system aperture in words."""
+def _aperture_text(draft: Draft) -> str:
+    """Return the file's system aperture in words."""
     names = {
         "object_na": "object NA",
         "image_na": "image NA",
@@ -325,40 +341,40 @@ def _said(draft: Draft) -> str:
     return f"{names.get(kind, 'aperture')} {value:g}"
 
 
-def _resized(rows: Sequence[Row], semi_diameter_mm: float | None) -> list[Row]:
-    """Rows with another semi-diameter of the stop."""
-    at = 1 + _stop(rows)
-    return [*rows[:at], replace(rows[at], semi_diameter_mm=semi_diameter_mm), *rows[at + 1 :]]
+def _resized(rows: Sequence[SurfaceRow], semi_diameter_mm: float | None) -> list[SurfaceRow]:
+    """Return the rows with another semi-diameter of the stop."""
+    i = 1 + _stop(rows)
+    return [*rows[:i], replace(rows[i], semi_diameter_mm=semi_diameter_mm), *rows[i + 1 :]]
 
 
-def _system(draft: Draft, rows: Sequence[Row], catalogs: Sequence[Path]) -> MeridionalSystem | None:
-    """The surfaces for exact rays; None where one of them is none."""
+def _system(draft: Draft, rows: Sequence[SurfaceRow], catalogs: Sequence[Path]) -> MeridionalSystem | None:
+    """Return the surfaces for exact rays; None if one of them is not valid."""
     inner = rows[1:-1]
     try:
         shapes = tuple(
             Surface.model_validate({"radius_mm": row.radius_mm, "conic": row.conic, **row.shape}).shape
             for row in inner
         )
-    except ValueError:  # said when the lens is validated
+    except ValueError:  # reported when the lens is validated
         return None
     indices = [1.0, *(_index(draft, row, catalogs) for row in inner)]
     return MeridionalSystem(shapes, tuple(row.thickness_mm for row in inner[:-1]), tuple(indices))
 
 
-def _index(draft: Draft, row: Row, catalogs: Sequence[Path]) -> float:
-    """Index behind a surface at the first wavelength."""
+def _index(draft: Draft, row: SurfaceRow, catalogs: Sequence[Path]) -> float:
+    """Return the index behind a surface at the first wavelength."""
     if row.material is None:
         return 1.0
     try:
         return refractive_index(row.material, draft.wavelengths_um[0], catalogs)
     except MaterialError as error:
-        raise MaterialError(f"{row.where}: {error}") from error
+        raise MaterialError(f"{row.location}: {error}") from error
 
 
 def _paraxial_height(
-    draft: Draft, rows: Sequence[Row], distance: float, na: float, catalogs: Sequence[Path]
+    draft: Draft, rows: Sequence[SurfaceRow], distance: float, na: float, catalogs: Sequence[Path]
 ) -> float:
-    """Height of the paraxial marginal ray at the stop."""
+    """Return the height of the paraxial marginal ray at the stop in mm."""
     kind, value = draft.aperture or ("", 0.0)
     at_stop, _ = _two_rays(draft, rows, distance, catalogs)
     if kind == "pupil_diameter_mm":
@@ -366,29 +382,29 @@ def _paraxial_height(
     return abs(float(na / math.sqrt(1.0 - na * na) * at_stop[0]))
 
 
-def _remark_automatic(rows: Sequence[Row], draft: Draft) -> None:
-    """Say which semi-diameters the other program only computed; they are no apertures of the design."""
+def _remark_automatic(rows: Sequence[SurfaceRow], draft: Draft) -> None:
+    """Add a remark on semi-diameters that the other program computed; they are not apertures."""
     found = [
         f"{row.name} {row.automatic_mm:.6g} mm"
         for row in rows[1:-1]
         if row.automatic_mm is not None and row.semi_diameter_mm is None
     ]
     if found:
-        draft.remark(f"automatic semi-diameters clip nothing and were left out: {', '.join(found)}")
+        draft.add_remark(f"automatic semi-diameters do not clip and were ignored: {', '.join(found)}")
 
 
-def _stop(rows: Sequence[Row]) -> int:
-    """Index of the stop among the surfaces between object and image."""
+def _stop(rows: Sequence[SurfaceRow]) -> int:
+    """Return the index of the stop among the surfaces between object and image."""
     return next((i for i, row in enumerate(rows[1:-1]) if row.stop), 0)
 
 
 def _numerical_aperture(
     draft: Draft,
-    rows: Sequence[Row],
+    rows: Sequence[SurfaceRow],
     working_distance_mm: float,
     catalogs: Sequence[Path],
 ) -> float | None:
-    """Sine of the marginal ray's angle at the object, from whichever aperture the file has; paraxially."""
+    """Return the sine of the marginal ray's angle at the object, converted paraxially from the aperture."""
     kind, value = draft.aperture or ("", 0.0)
     if kind == "object_na":
         return value
@@ -408,11 +424,11 @@ def _numerical_aperture(
 
 
 def _two_rays(
-    draft: Draft, rows: Sequence[Row], working_distance_mm: float, catalogs: Sequence[Path]
+    draft: Draft, rows: Sequence[SurfaceRow], working_distance_mm: float, catalogs: Sequence[Path]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Heights at the stop, and slopes behind the lens, of two paraxial rays.
+    """Return heights at the stop, and slopes behind the lens, of two paraxial rays.
 
-    One has unit slope from the axis of the object, the other goes parallel to the axis at unit height.
+    One starts at the axial object point with unit slope. The other is parallel to the axis at unit height.
     """
     inner, stop, index = rows[1:-1], _stop(rows), 1.0
     height, slope = np.array([working_distance_mm, 1.0]), np.array([1.0, 0.0])

@@ -1,51 +1,56 @@
-"""CODE V's sequence files (.seq) of lens data, read and written.
+"""Read and write sequence files of CODE V (.seq) that hold lens data.
 
-Read are DIM M; RDM with S lines of radius (or, after RDM N, curvature), thickness and glass, and the same as
-RDY, CUY, THI and GLA; the conic K and the asphere terms A to J (r^4 to r^20) of CON and ASP surfaces;
-circular apertures CIR; the stop STO; NAO, NA, EPD and FNO (working F-number); object heights XOB and YOB;
-wavelengths WL in nm, the reference REF first; glasses as NBK7_SCHOTT, and the private ones (PRV) that
-surfaces have, by indices or formulas (:mod:`lensdesign.files.codev_glasses`); the present values of solves
-and pickups; and XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, as the pose of the whole lens.
-Weights, coupling codes and labels say nothing of the lens and are passed over. Commands are those of the CODE
-V Reference Manual (Synopsys); there, ADE and BDE turn left-handed.
+The reader supports
+
+- DIM M; RDM with S lines of radius (after RDM N: curvature), thickness and glass; and RDY, CUY, THI and GLA;
+- the conic constant K and the asphere coefficients A to J (r^4 to r^20) of CON and ASP surfaces;
+- circular apertures CIR and the stop STO;
+- the system apertures NAO, NA, EPD and FNO (working F-number);
+- object heights XOB and YOB, and wavelengths WL in nm (the reference REF comes first);
+- catalogue glasses such as NBK7_SCHOTT, and private glasses (PRV) given by indices or dispersion formulas
+  (:mod:`lensdesign.files.codev_glasses`);
+- the present values of solves and pickups;
+- XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, which become the pose of the whole lens.
+
+It ignores weights, coupling codes and labels, which do not describe the lens. The commands follow the CODE V
+Reference Manual (Synopsys). There, the tilts ADE and BDE are left-handed.
 """
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import replace
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.assembly import assemble
-from lensdesign.files.codev_commands import (
-    PRIVATE,
-    FileReader,
-    FileSurface,
-    check_solves,
-    commands,
-    take_command,
-)
 from lensdesign.files.codev_glasses import PrivateGlass
 from lensdesign.files.draft import (
+    MAX_SURFACES,
     NOTE,
-    Break,
+    CoordinateBreak,
     Draft,
     Imported,
     RecordedSurface,
-    Row,
     Supplement,
+    SurfaceRow,
+    check_writable,
+    field_height_reader,
     find_glass,
+    normalized_name,
     note_lines,
-    number,
+    parse_number,
     pose_break,
     pose_distances,
+    quoted,
     read_lines,
     read_note,
-    same_name,
-    writable,
+    read_vignetting,
 )
 from lensdesign.lens.glass import get_material, refractive_index
 from lensdesign.lens.lens import Lens
@@ -53,29 +58,36 @@ from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS, without_zeros
 
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "CDGM", "HIKARI", "SUMITA", "CORNING")
-"""Glass catalogues that CODE V has, too."""
+"""Glass catalogues that CODE V also supplies."""
 
 
 def read_seq(
     path: str | os.PathLike[str], supplement: Supplement | None = None, lossy: bool = False
 ) -> Imported:
-    """Read a lens from a .seq file.
+    """Read a lens from a CODE V sequence file (.seq).
 
     Parameters
     ----------
     path
-        A file of CODE V commands that enter a lens, in mm: text in UTF-8, UTF-16 or Latin-1.
+        A file of CODE V commands that define a lens, in mm: text in UTF-8, UTF-16 or Latin-1.
     supplement
-        What the file does not tell; files of :func:`write_seq` tell all in their comments.
+        Values that a design needs and the file lacks (default: none). Files of :func:`write_seq` need no
+        supplement, because their comments hold these values.
     lossy
-        Whether to go on where a design cannot hold all of the file.
+        Whether to import a file that a design can represent only in part (default: False).
+
+    Returns
+    -------
+    Imported
+        The lens, its pose, and the lists of losses and remarks.
 
     Raises
     ------
     LossyImportError
-        If it cannot, and `lossy` is not set; the message lists what would be lost.
+        If a design cannot represent the whole file and `lossy` is False. The message lists the losses.
     InputError
-        If the file cannot be read or is no lens; the message names file and line or surface.
+        If the file cannot be read or does not describe a lens. The message names the file and the line or
+        surface.
     MaterialError
         If a glass is unknown.
     """
@@ -87,9 +99,9 @@ def read_seq(
         if line.lstrip().startswith("!") and text.startswith(NOTE):
             read_note(text, reader.draft, f"{path}, line {count}")
     for count, words in commands(lines, str(path)):
-        take_command(reader, words, f"{path}, line {count}")
+        read_command(reader, words, f"{path}, line {count}")
     check_solves(reader)
-    if reader.in_private:
+    if reader.in_private_block:
         raise InputError(f"{path}: private glasses (PRV) without END")
     if reader.surfaces and reader.surfaces[-1].kind != "SI":
         raise InputError(
@@ -99,23 +111,23 @@ def read_seq(
 
 
 def _finished(reader: FileReader, supplement: Supplement) -> Draft:
-    """The draft with what only the whole file tells."""
+    """Return the draft, completed with values that depend on several commands."""
     draft = reader.draft
-    noted = draft.notes.get("title")
-    draft.title = noted if isinstance(noted, str) and _plain(noted) == reader.title else reader.title
-    waves = list(reader.wavelengths_um)
-    if 1 <= reader.reference <= len(waves):
-        waves.insert(0, waves.pop(reader.reference - 1))
-    draft.wavelengths_um = waves
-    draft.take_heights(*(reader.heights.get(axis, []) for axis in ("XOB", "YOB")))
+    stored = draft.notes.get("title")
+    draft.title = stored if isinstance(stored, str) and _plain(stored) == reader.title else reader.title
+    wavelengths_um = list(reader.wavelengths_um)
+    if 1 <= reader.reference <= len(wavelengths_um):
+        wavelengths_um.insert(0, wavelengths_um.pop(reader.reference - 1))
+    draft.wavelengths_um = wavelengths_um
+    draft.set_field_heights(*(reader.heights.get(axis, []) for axis in ("XOB", "YOB")))
     materials = draft.notes.get("materials")
     named = list(materials) if isinstance(materials, list) else []
     glass_before = ""
     for i, surface in enumerate(reader.surfaces):
         edge = i in (0, len(reader.surfaces) - 1)
         dummy = not edge and _is_dummy(surface, glass_before)
-        noted = None if edge or dummy or not named else named.pop(0)
-        material = _material(reader, surface, noted, supplement)
+        stored = None if edge or dummy or not named else named.pop(0)
+        material = _material(reader, surface, stored, supplement)
         draft.rows += _rows(reader, surface, material, dummy)
         draft.recorded.append(
             RecordedSurface(
@@ -127,21 +139,21 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         )
         glass_before = surface.glass
     if reader.surfaces:
-        draft.lose_ends()
+        draft.check_object_and_image()
     return draft
 
 
 def _is_dummy(surface: FileSurface, glass_before: str) -> bool:
-    """Whether a surface is but the place of a decenter: a plane with one medium on both sides."""
+    """Return whether a surface only carries a decenter: a plane with the same medium on both sides."""
     plane = surface.radius_mm is None and not surface.terms and not surface.stop
     return plane and surface.glass == glass_before and surface.semi_diameter_mm is None and surface.is_moved
 
 
-def _rows(reader: FileReader, surface: FileSurface, material: Any, dummy: bool) -> list[Row]:
-    """A surface with the breaks before and behind it."""
-    row = Row(
+def _rows(reader: FileReader, surface: FileSurface, material: Any, dummy: bool) -> list[SurfaceRow]:
+    """Return the row of a surface with the coordinate breaks before and behind it."""
+    row = SurfaceRow(
         surface.name,
-        surface.where,
+        surface.location,
         surface.radius_mm,
         surface.conic,
         {"asphere": without_zeros([surface.terms.get(letter, 0.0) for letter in CODEV_LETTERS])},
@@ -153,101 +165,502 @@ def _rows(reader: FileReader, surface: FileSurface, material: Any, dummy: bool) 
     if not surface.is_moved:
         return [row]
     x, y, z, a, b, c = (surface.moves.get(key, 0.0) for key in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"))
-    if z or surface.moved_how not in ("", "DAR", "REV"):
-        reader.draft.lose(f"{surface.name}: {'ZDE ' if z else ''}{surface.moved_how}".rstrip())
-    axes = Break((x, y), (-a, -b, c))
+    if z or surface.move_kind not in ("", "DAR", "REV"):
+        reader.draft.add_loss(f"{surface.name}: {'ZDE ' if z else ''}{surface.move_kind}".rstrip())
+    axes = CoordinateBreak((x, y), (-a, -b, c))
 
-    def change(which: Break, thickness_mm: float) -> Row:
-        return Row(surface.name, surface.where, thickness_mm=thickness_mm, axes=which)
+    def change(which: CoordinateBreak, thickness_mm: float) -> SurfaceRow:
+        return SurfaceRow(surface.name, surface.location, thickness_mm=thickness_mm, axes=which)
 
-    if surface.moved_how == "REV":
+    if surface.move_kind == "REV":
         step = change(axes.inverse(), surface.thickness_mm)
-        return [step] if dummy else [_still(row), step]
-    if surface.moved_how == "DAR":
-        return [change(axes, 0.0), _still(row), change(axes.inverse(), surface.thickness_mm)]
+        return [step] if dummy else [_without_space(row), step]
+    if surface.move_kind == "DAR":
+        return [change(axes, 0.0), _without_space(row), change(axes.inverse(), surface.thickness_mm)]
     return [change(axes, surface.thickness_mm)] if dummy else [change(axes, 0.0), row]
 
 
-def _still(row: Row) -> Row:
-    """The same surface with no space behind it."""
+def _without_space(row: SurfaceRow) -> SurfaceRow:
+    """Return the same surface with a thickness of 0."""
     return replace(row, thickness_mm=0.0)
 
 
 def _material(
-    reader: FileReader, surface: FileSurface, noted: Any, supplement: Supplement
+    reader: FileReader, surface: FileSurface, stored: Any, supplement: Supplement
 ) -> str | float | None:
-    """The medium behind a surface: air, a glass by name, or one of a constant index."""
+    """Return the medium behind a surface: None for air, a glass name, or a constant index."""
     token = surface.glass
     if not token or token.upper() == "AIR":
         return None
     if token.upper() == "REFL":
-        reader.draft.lose(f"{surface.name}: mirror, read as a surface in air")
+        reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
         return None
     name, _, maker = token.rpartition("_") if "_" in token else (token, "", "")
-    if token.upper() in reader.private:
-        if isinstance(noted, str) and token.startswith(PRIVATE):
-            return noted
-        return _private_index(reader, surface, reader.private[token.upper()])
-    model = _model_glass(token, surface.glass_where)
+    if token.upper() in reader.private_glasses:
+        if isinstance(stored, str) and token.startswith(PRIVATE):
+            return stored
+        return _private_index(reader, surface, reader.private_glasses[token.upper()])
+    model = _model_glass(token, surface.glass_location)
     if model is not None:
-        reader.draft.lose(f"{surface.name}: dispersion of the fictitious glass {token}")
+        reader.draft.add_loss(f"{surface.name}: dispersion of the fictitious glass {token}")
         return model
-    if isinstance(noted, str) and same_name(noted.rpartition(":")[2]) == same_name(name):
-        return noted
+    if isinstance(stored, str) and normalized_name(stored.rpartition(":")[2]) == normalized_name(name):
+        return stored
     makers = [maker] if maker else []
 
-    def remark(what: str) -> None:
-        reader.draft.remark(f"{surface.name}: {what}")
+    def remark(message: str) -> None:
+        reader.draft.add_remark(f"{surface.name}: {message}")
 
-    return find_glass(name, makers or list(MAKERS), supplement.glass_catalogs, surface.glass_where, remark)
+    return find_glass(name, makers or list(MAKERS), supplement.glass_catalogs, surface.glass_location, remark)
 
 
 def _private_index(reader: FileReader, surface: FileSurface, glass: PrivateGlass) -> float:
-    """Index of a private glass at the first wavelength; its dispersion is lost."""
-    waves = reader.draft.wavelengths_um
-    if not waves:
+    """Return the index of a private glass at the first wavelength; its dispersion is recorded as a loss."""
+    wavelengths_um = reader.draft.wavelengths_um
+    if not wavelengths_um:
         raise InputError(f"{reader.draft.source}: no wavelength found")
-    index, remark, loss = glass.index(waves[0])
+    index, remark, loss = glass.index(wavelengths_um[0])
     if remark:
-        reader.draft.remark(f"{surface.name}: {remark}")
+        reader.draft.add_remark(f"{surface.name}: {remark}")
     if loss:
-        reader.draft.lose(f"{surface.name}: {loss}")
-    if glass.disperses(waves):
-        reader.draft.lose(f"{surface.name}: dispersion of the private glass {glass.name}")
+        reader.draft.add_loss(f"{surface.name}: {loss}")
+    if glass.disperses(wavelengths_um):
+        reader.draft.add_loss(f"{surface.name}: dispersion of the private glass {glass.name}")
     return index
 
 
-def _model_glass(token: str, where: str) -> float | None:
-    """Index at the d line of a glass given as 517642, 516800.641700 or 1.5168:64.17; None for a name."""
+def _model_glass(token: str, location: str) -> float | None:
+    """Return the d-line index of a glass code (517642, 516800.641700 or 1.5168:64.17); None for a name."""
     index, _, abbe = token.partition(":")
     if abbe:
-        number(abbe, where)
-        return number(index, where)
+        parse_number(abbe, location)
+        return parse_number(index, location)
     if not token.replace(".", "").isdecimal() or not token.isascii():
         return None
     whole, _, _ = token.partition(".")
     digits = whole if "." in token else whole[: len(whole) // 2]
-    return 1.0 + number(f"0.{digits}", where)
+    return 1.0 + parse_number(f"0.{digits}", location)
 
 
-def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
-    """Write a lens to a .seq file, from which :func:`read_seq` has the same lens and pose again.
+PRIVATE = "TRANSFERLENS_"
+"""Start of the names of private glasses in files that the toolkit writes."""
 
-    Numbers have all their digits. The pose becomes a pair of dummy surfaces at its pivot, the first
-    decentered and tilted, the second in reverse (REV). Glasses that CODE V has are named; others, and
-    constant indices, become private glasses with their index at each wavelength. Sensor, title and exact
-    glass names stand in comments.
+_ENDLESS = ("INF", "INFINITY")
+
+INFINITE_MM = 1e10
+"""Distance from which CODE V treats the object as infinitely far."""
+
+_WORDS = re.compile(r"""'[^']*'|"[^"]*"|;|!.*|&\s*$|[^\s;!'"&]+|['"&]""")
+
+# Weights, labels, coupling codes and settings of analyses or drawings. They do not describe the lens.
+_IDLE_WORDS = """
+LEN WTW WTF INI DER DOR CWL POL SLB THC CCY GLC KC XDC YDC ZDC ADC BDC CDC SPH CON ASP GO SET CA FFO IC
+AC BC CC DC EC FC GC HC JC CUC COM XAN YAN XIM YIM XRI YRI LCM BIN
+"""
+_IDLE = frozenset(_IDLE_WORDS.split())
+
+# Solves and pickups. The file also holds their present values.
+_SOLVE_WORDS = """
+PIM PIY PIX UMY UMX UCY UCX HMY HMX HCY HCX IMY IMX ICY ICX AMY ACY CMY EFY PIK SOL
+"""
+_SOLVES = frozenset(_SOLVE_WORDS.split())
+
+
+@dataclass
+class FileSurface:
+    """Values of one surface, collected from its commands; `kind` is SO, S or SI.
+
+    `given` names the quantities that have a value. `solved` maps a quantity that a solve determines to the
+    words and the location of the solve.
+    """
+
+    kind: str
+    name: str
+    location: str
+    radius_mm: float | None = None
+    thickness_mm: float = 0.0
+    glass: str = ""
+    glass_location: str = ""
+    conic: float = 0.0
+    terms: dict[str, float] = field(default_factory=dict)
+    semi_diameter_mm: float | None = None
+    stop: bool = False
+    moves: dict[str, float] = field(default_factory=dict)
+    move_kind: str = ""
+    given: set[str] = field(default_factory=set)
+    solved: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether the surface has decenters or tilts."""
+        return bool(self.moves)
+
+
+@dataclass
+class FileReader:
+    """State of the reader of one file."""
+
+    draft: Draft
+    surfaces: list[FileSurface] = field(default_factory=list)
+    title: str = ""
+    wavelengths_um: list[float] = field(default_factory=list)
+    reference: int = 1
+    heights: dict[str, list[float]] = field(default_factory=dict)
+    gives_radii: bool | None = None
+    in_private_block: bool = False
+    private_glasses: dict[str, PrivateGlass] = field(default_factory=dict)
+    private_wavelengths_nm: tuple[str, ...] = ()
+
+
+def commands(lines: Sequence[str], source: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the commands of a file: the number of the first line and the words of each.
+
+    A semicolon separates commands. An ampersand at the end of a line continues the command on the next line.
+    An exclamation mark starts a comment.
+    """
+    words: list[str] = []
+    start = 1
+    for count, line in enumerate(lines, start=1):
+        start = count if not words else start
+        goes_on = False
+        for word in _WORDS.findall(line):
+            if word == ";":
+                if words:
+                    yield start, words
+                words, start = [], count
+            elif word.startswith("&"):
+                goes_on = True
+            elif not word.startswith("!"):
+                words.append(word)
+        if words and not goes_on:
+            yield start, words
+            words = []
+    if words:
+        raise InputError(f"{source}, line {start}: the file ends within a command (&)")
+
+
+def read_command(reader: FileReader, words: list[str], location: str) -> None:
+    """Interpret one command.
+
+    Parameters
+    ----------
+    reader
+        State of the reader; it is updated.
+    words
+        Words of the command.
+    location
+        File and line, for messages.
 
     Raises
     ------
     InputError
-        If the format cannot hold the lens (a measured figure, a shape that it does not have), or the file
-        cannot be written; whatever stood there stays.
+        If a required value is missing or invalid.
+    """
+    word, values = words[0].upper(), words[1:]
+    if not _known(word) and _known(word[:3]) and word.isalpha():
+        word = word[:3]  # CODE V reads three letters
+    if reader.in_private_block:
+        _read_private_glass(reader, words, location)
+    elif word in ("SO", "S", "SI") or re.fullmatch(r"S\d+", word):
+        _start_surface(reader, word, values, location)
+    elif word in _OF_FILE:
+        _OF_FILE[word](reader, values, location)
+    elif word in _OF_SURFACE:
+        surface, rest = _addressed(reader, values, location)
+        _OF_SURFACE[word](reader, surface, word, rest, location)
+    elif word in _SOLVES:
+        name = reader.surfaces[-1].name if reader.surfaces else location
+        reader.draft.add_remark(f"{name}: {word} solve replaced by its present value")
+    elif word not in _IDLE:
+        name = reader.surfaces[-1].name if reader.surfaces else location.rpartition(", ")[2]
+        reader.draft.add_loss(f"{name}: {quoted(' '.join(words))}")
+
+
+def _known(word: str) -> bool:
+    return word in _OF_FILE or word in _OF_SURFACE or word in _SOLVES or word in _IDLE
+
+
+def _read_private_glass(reader: FileReader, words: list[str], location: str) -> None:
+    if words[0].upper() == "END":
+        reader.in_private_block = False
+    elif words[0].upper() == "PWL":
+        reader.private_wavelengths_nm = tuple(words[1:])
+    else:
+        name = words[0].strip("'\"")
+        reader.private_glasses[name.upper()] = PrivateGlass(
+            name, tuple(words[1:]), reader.private_wavelengths_nm, location
+        )
+
+
+def check_solves(reader: FileReader) -> None:
+    """Add a remark for each solve that is replaced by its present value.
+
+    Raises
+    ------
+    InputError
+        If the file lacks the present value of a solve.
+    """
+    for surface in reader.surfaces:
+        for quantity, (words, location) in surface.solved.items():
+            if quantity not in surface.given:
+                raise InputError(
+                    f"{location}: the {quantity} of {surface.name} is defined by a solve or pickup "
+                    f"({quoted(words)}), and the file lacks its present value; give the value instead"
+                )
+            reader.draft.add_remark(f"{surface.name}: {words.split()[0]} solve replaced by its present value")
+
+
+def _solved(
+    reader: FileReader, surface: FileSurface, quantity: str, values: Sequence[str], location: str
+) -> bool:
+    """Return whether a solve or a pickup replaces a value; if not, mark the quantity as given.
+
+    A word that is neither a number nor a known solve is a loss if the quantity already has a value.
+    """
+    word = values[0].upper() if values else ""
+    if word in _SOLVES:
+        surface.solved[quantity] = (" ".join(values), location)
+        return True
+    if word.isalpha() and word not in _ENDLESS and quantity in surface.given:
+        reader.draft.add_loss(f"{surface.name}: {quantity} by {quoted(' '.join(values))}; its value is kept")
+        return True
+    surface.given.add(quantity)
+    return False
+
+
+def _addressed(reader: FileReader, values: list[str], location: str) -> tuple[FileSurface, list[str]]:
+    """Return the surface that a command names (such as S2), or the last one; and the remaining words."""
+    named = re.fullmatch(r"[Ss](\d{1,6}|[OoIi])", values[0]) if values else None
+    if named is None:
+        if not reader.surfaces:
+            raise InputError(f"{location}: a command of a surface before the first surface")
+        return reader.surfaces[-1], values
+    key = named[1].upper()
+    index = {"O": 0, "I": len(reader.surfaces) - 1}.get(key, int(key) if key.isdecimal() else 0)
+    if not 0 <= index < len(reader.surfaces):
+        raise InputError(f"{location}: there is no surface {quoted(values[0])} yet")
+    return reader.surfaces[index], values[1:]
+
+
+def _start_surface(reader: FileReader, word: str, values: list[str], location: str) -> None:
+    count = len(reader.surfaces)
+    if (word == "SO") != (count == 0):
+        raise InputError(f"{location}: {word} as surface {count}; the object (SO) comes first, and once")
+    if reader.surfaces and reader.surfaces[-1].kind == "SI":
+        raise InputError(f"{location}: {word} behind the image surface (SI)")
+    if count > MAX_SURFACES:
+        raise InputError(f"{location}: more than {MAX_SURFACES} surfaces")
+    surface = FileSurface(word if word in ("SO", "SI") else "S", f"surface {count}", location)
+    reader.surfaces.append(surface)
+    if values and not _solved(reader, surface, "radius", values, location):
+        value = _finite_or_plane(values[0], location)
+        if value and reader.gives_radii is None:
+            raise InputError(
+                f"{location}: {quoted(values[0])} may be a radius or a curvature; add RDM (radii) or RDM N "
+                "(curvatures) before the surfaces"
+            )
+        surface.radius_mm = value or None
+        if value and not reader.gives_radii:
+            surface.radius_mm = _inverse(value, location)
+    if len(values) > 1:
+        _thickness(reader, surface, "THI", values[1:], location)
+    if len(values) > 2:
+        _glass(reader, surface, "GLA", values[2:], location)
+
+
+def _finite_or_plane(text: str, location: str) -> float:
+    """Return a radius or a curvature; both infinity and 0 denote a plane and return 0."""
+    return 0.0 if text.upper() in _ENDLESS else parse_number(text, location)
+
+
+def _inverse(curvature: float, location: str) -> float:
+    radius = 1.0 / curvature
+    if not math.isfinite(radius):
+        raise InputError(
+            f"{location}: curvature {curvature:g} is too small; its radius exceeds the range of numbers"
+        )
+    return radius
+
+
+def _value(values: Sequence[str], location: str) -> float:
+    if not values:
+        raise InputError(f"{location}: a command without its value")
+    return parse_number(values[0], location)
+
+
+def _radius(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if _solved(reader, surface, "radius", values, location):
+        return
+    value = _finite_or_plane(values[0], location) if values else _value(values, location)
+    surface.radius_mm = value or None
+    if value and word == "CUY":
+        surface.radius_mm = _inverse(value, location)
+
+
+def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if _solved(reader, surface, "thickness", values, location):
+        return
+    endless = bool(values) and values[0].upper() in _ENDLESS
+    value = math.inf if endless else _value(values, location)
+    surface.thickness_mm = math.inf if value >= INFINITE_MM else value
+
+
+def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if not values:
+        raise InputError(f"{location}: a glass without its name")
+    surface.glass, surface.glass_location = values[0].strip("'\""), location
+
+
+def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if not _solved(reader, surface, "conic constant", values, location):
+        surface.conic = _value(values, location)
+
+
+def _term(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if not _solved(reader, surface, f"asphere term {word}", values, location):
+        surface.terms[word] = _value(values, location)
+
+
+def _aperture(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    kind = values[0].upper() if len(values) > 1 else "CLR"
+    if kind == "EDG":
+        return
+    if kind != "CLR":
+        reader.draft.add_loss(f"{surface.name}: aperture CIR {quoted(' '.join(values))}")
+        return
+    value = _value(values[-1:], location)
+    surface.semi_diameter_mm = value if value > 0.0 else None
+
+
+def _fresnel(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if _value(values, location):
+        reader.draft.add_loss(f"{surface.name}: Fresnel base curvature of {values[0]}")
+
+
+def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    surface.stop = True
+
+
+def _move(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    if not _solved(reader, surface, word, values, location):
+        surface.moves[word] = _value(values, location)
+
+
+def _move_kind(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    surface.move_kind = word
+    if word not in ("DAR", "REV"):
+        reader.draft.add_loss(f"{surface.name}: {word}")
+
+
+_OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], None]] = {
+    "RDY": _radius,
+    "CUY": _radius,
+    "THI": _thickness,
+    "GLA": _glass,
+    "GL1": _glass,
+    "K": _conic,
+    "CIR": _aperture,
+    "CUF": _fresnel,
+    "STO": _stop,
+    **dict.fromkeys(CODEV_LETTERS, _term),
+    **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), _move),
+    **dict.fromkeys(("DAR", "REV", "BEN", "RET", "GLB"), _move_kind),
+}
+
+
+def _mode(reader: FileReader, values: list[str], location: str) -> None:
+    reader.gives_radii = not values or not values[0].upper().startswith("N")
+
+
+def _dimension(reader: FileReader, values: list[str], location: str) -> None:
+    if not values or values[0].upper() not in ("M", "MM"):
+        raise InputError(f"{location}: DIM {quoted(' '.join(values))}; only lengths in mm (M) can be read")
+
+
+def _title(reader: FileReader, values: list[str], location: str) -> None:
+    reader.title = " ".join(" ".join(v.strip("'\"") for v in values).split())
+
+
+def _aperture_kind(kind: str) -> Callable[[FileReader, list[str], str], None]:
+    def read(reader: FileReader, values: list[str], location: str) -> None:
+        reader.draft.aperture = (kind, _value(values, location))
+
+    return read
+
+
+def _wavelengths(reader: FileReader, values: list[str], location: str) -> None:
+    for value in values:
+        parse_number(value, location)
+    reader.wavelengths_um = [float(Decimal(v.lower().replace("d", "e")) / 1000) for v in values]
+
+
+def _reference(reader: FileReader, values: list[str], location: str) -> None:
+    value = _value(values, location)
+    reader.reference = int(value) if 0.0 < value < 1e3 else 0
+
+
+def _temperature(reader: FileReader, values: list[str], location: str) -> None:
+    if any(parse_number(v, location) not in (20.0, 22.0) for v in values):
+        reader.draft.add_loss(f"temperature of {quoted(' '.join(values))} degrees C")
+
+
+def _pressure(reader: FileReader, values: list[str], location: str) -> None:
+    if any(parse_number(v, location) != 760.0 for v in values):
+        reader.draft.add_loss(f"pressure of {quoted(' '.join(values))} mmHg")
+
+
+def _private(reader: FileReader, values: list[str], location: str) -> None:
+    reader.in_private_block = True
+
+
+_OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
+    "RDM": _mode,
+    "DIM": _dimension,
+    "TIT": _title,
+    "TITLE": _title,
+    "NAO": _aperture_kind("object_na"),
+    "NA": _aperture_kind("image_na"),
+    "EPD": _aperture_kind("pupil_diameter_mm"),
+    "FNO": _aperture_kind("working_f_number"),
+    "WL": _wavelengths,
+    "REF": _reference,
+    "XOB": field_height_reader("XOB"),
+    "YOB": field_height_reader("YOB"),
+    **dict.fromkeys(("VUX", "VLX", "VUY", "VLY"), read_vignetting),
+    "TEM": _temperature,
+    "PRE": _pressure,
+    "PRV": _private,
+}
+
+
+def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
+    """Write a lens to a CODE V sequence file (.seq).
+
+    :func:`read_seq` reads the same lens and pose from the file. Numbers are written with all digits. The pose
+    becomes a pair of dummy surfaces at its pivot: the first is decentered and tilted, the second reverses
+    this (REV). Glasses of CODE V's catalogues are written by name. Other glasses and constant indices become
+    private glasses with an index at each wavelength. Comments hold the sensor, the title and the exact glass
+    names.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    path
+        File to write.
+    pose
+        Pose of the lens (default: aligned). It must hold scalars, not one value for each trial.
+
+    Raises
+    ------
+    InputError
+        If the format cannot represent the lens (a measured figure, or a shape that CODE V lacks), or if the
+        file cannot be written. An existing file then stays unchanged.
     MaterialError
-        If a glass is unknown, or not known at one of the wavelengths.
+        If a glass is unknown, or its index is unknown at one of the wavelengths.
     """
     target = Path(path)
-    writable(lens, pose, lambda shape: shape.codev(), "a .seq file")
+    check_writable(lens, pose, lambda shape: shape.codev(), "a .seq file")
     half = 0.5 * lens.object.field_diameter_mm
     lines = [
         "RDM;LEN",
@@ -276,12 +689,12 @@ def _private_glasses(lens: Lens) -> list[str]:
                 refractive_index(surface.material, w, lens.glass_catalogs) for w in lens.wavelengths_um
             ]
             lines.append(f"'{PRIVATE}{i}' " + " ".join(map(repr, indices)))
-    waves = " ".join(str(Decimal(repr(w)) * 1000) for w in lens.wavelengths_um)
-    return ["PRV", f"PWL {waves}", *lines, "END"] if lines else []
+    wavelengths_um = " ".join(str(Decimal(repr(w)) * 1000) for w in lens.wavelengths_um)
+    return ["PRV", f"PWL {wavelengths_um}", *lines, "END"] if lines else []
 
 
 def _catalog_glass(material: str | float, lens: Lens) -> str | None:
-    """CODE V's name of a glass that it has in a catalogue."""
+    """Return CODE V's name of a glass; None if its catalogues lack it."""
     if not isinstance(material, str):
         return None
     glass = get_material(material, lens.glass_catalogs)
@@ -291,7 +704,7 @@ def _catalog_glass(material: str | float, lens: Lens) -> str | None:
 
 
 def _surface_lines(lens: Lens, pose: Pose) -> list[str]:
-    """Commands of every surface from the object to the image."""
+    """Return the commands of every surface from the object to the image."""
     thicknesses = [s.thickness_mm or 0.0 for s in lens.surfaces]
     if pose == Pose():
         front = [f"SO 0.0 {lens.object.working_distance_mm!r}"]
@@ -318,6 +731,6 @@ def _surface_lines(lens: Lens, pose: Pose) -> list[str]:
 
 
 def _plain(title: str) -> str:
-    """A title as it fits between quotation marks on one line."""
+    """Return a title without quotation marks, line breaks and control characters."""
     kept = "".join(c if c.isprintable() and c not in "'\"" else " " for c in title)
     return " ".join(kept.split())

@@ -1,9 +1,13 @@
-"""Private glasses of CODE V's files: indices at given wavelengths, or a dispersion formula with coefficients.
+"""Private glasses of CODE V files, given by indices at some wavelengths or by a dispersion formula.
 
-The formulas are those of the CODE V Lens System Setup Reference Manual, "Dispersion formulae", wavelengths in
-um. Laurent and Glass Manufacturer Laurent are sums of even powers for n^2, Glass Manufacturer Sellmeier has
-B1 C1 B2 C2 ... in n^2 = 1 + sum B w^2 / (w^2 - C), Cauchy has n = A0 + A1 / w^2 + A2 / w^4. Files with other
-formulas are refused where a surface has such a glass.
+The formulas are those of the CODE V Lens System Setup Reference Manual, "Dispersion formulae". The wavelength
+w is in um.
+
+- Laurent (LAU) and Glass Manufacturer Laurent (GML): n^2 is a sum of even powers of w.
+- Glass Manufacturer Sellmeier (GMS): n^2 = 1 + sum B w^2 / (w^2 - C), with coefficients B1 C1 B2 C2 ...
+- Cauchy (CAU): n = A0 + A1 / w^2 + A2 / w^4.
+
+A surface whose glass has another formula raises an error.
 """
 
 from __future__ import annotations
@@ -13,13 +17,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lensdesign.errors import InputError
-from lensdesign.files.draft import number, shown
-
-SAME_NM = 0.1
-"""Wavelengths that differ by no more are one line, written with other digits."""
+from lensdesign.files.draft import parse_number, quoted
 
 LARGEST_INDEX = 10.0
-"""No transparent medium has more; near a pole of its formula a glass would."""
+"""Largest accepted index. No transparent medium exceeds it; a formula does near its pole."""
 
 Formula = Callable[[Sequence[float], float], float]
 
@@ -46,21 +47,21 @@ FORMULAS: dict[str, tuple[str, int, Formula]] = {
     "GMS": ("Glass Manufacturer Sellmeier", 12, _sellmeier),
     "CAU": ("Cauchy", 3, _cauchy),
 }
-"""By the keyword: name, most coefficients, and n(coefficients, wavelength_um)."""
+"""Dispersion formulas by keyword: name, maximum number of coefficients, n(coefficients, wavelength_um)."""
 
 
 @dataclass(frozen=True)
 class PrivateGlass:
-    """A private glass as it stands in the file; read only where a surface has it.
+    """Text that defines a private glass; it is interpreted only if a surface has this glass.
 
     Attributes
     ----------
     name
-        As the file spells it.
+        Name as the file spells it.
     words
-        What follows the name.
+        Words that follow the name.
     wavelengths
-        The words of the PWL command before it.
+        Words of the preceding PWL command: wavelengths in nm.
     where
         File and line.
     """
@@ -68,42 +69,55 @@ class PrivateGlass:
     name: str
     words: tuple[str, ...]
     wavelengths: tuple[str, ...]
-    where: str
+    location: str
 
     def index(self, wavelength_um: float) -> tuple[float, str, str]:
-        """Index at a wavelength, a remark on how it was had, and what of it is a loss; both may be empty.
+        """Return the index at a wavelength, a remark, and a loss; the last two may be empty.
+
+        Parameters
+        ----------
+        wavelength_um
+            Vacuum wavelength in um.
+
+        Returns
+        -------
+        index : float
+            Refractive index.
+        remark : str
+            How the index was computed.
+        loss : str
+            Property of the glass that the import loses.
 
         Raises
         ------
         InputError
-            If the glass is given in a way that is not known here, or has no index there.
+            If the definition has an unsupported form or does not yield an index at the wavelength.
         """
         if not self.words:
-            raise InputError(f"{self.where}: private glass {shown(self.name)} has no index")
+            raise InputError(f"{self.location}: private glass {quoted(self.name)} has no index")
         key = self.words[0].upper()
         if key in FORMULAS:
             return self._by_formula(key, wavelength_um)
         if key[:1].isalpha():
             raise InputError(
-                f"{self.where}: private glass {shown(self.name)} is given by {shown(key)}, which cannot be "
-                "read; "
-                f"what can are indices at the wavelengths of PWL, and the formulas {', '.join(FORMULAS)}. "
-                "Give its indices instead"
+                f"{self.location}: private glass {quoted(self.name)} is given by {quoted(key)}, which is not "
+                "supported; allowed are indices at the wavelengths of PWL, and the formulas "
+                f"{', '.join(FORMULAS)}. Give its indices instead"
             )
         return self._by_table(1000.0 * wavelength_um)
 
     def disperses(self, wavelengths_um: Sequence[float]) -> bool:
-        """Whether its index differs between these wavelengths, or (of a table) between those of the file."""
+        """Return whether a formula's index differs between the wavelengths, or a table's within the file."""
         if self.words and self.words[0].upper() in FORMULAS:
             return len({self.index(w)[0] for w in wavelengths_um}) > 1
-        return len({number(v, self.where) for v in self.words}) > 1
+        return len({parse_number(v, self.location) for v in self.words}) > 1
 
     def _by_formula(self, key: str, wavelength_um: float) -> tuple[float, str, str]:
         name, count, formula = FORMULAS[key]
-        coefficients = [number(v, self.where) for v in self.words[1:]]
+        coefficients = [parse_number(v, self.location) for v in self.words[1:]]
         if not 0 < len(coefficients) <= count:
             raise InputError(
-                f"{self.where}: private glass {shown(self.name)} has {len(coefficients)} {name} "
+                f"{self.location}: private glass {quoted(self.name)} has {len(coefficients)} {name} "
                 f"coefficients; allowed are 1 to {count}"
             )
         try:
@@ -112,36 +126,39 @@ class PrivateGlass:
             index = math.nan
         if not 1.0 <= index <= LARGEST_INDEX:
             raise InputError(
-                f"{self.where}: the {name} coefficients of private glass {shown(self.name)} give an index of "
-                f"{index:g} at {wavelength_um:g} um; allowed is 1 to {LARGEST_INDEX:g}"
+                f"{self.location}: the {name} coefficients of private glass {quoted(self.name)} give an "
+                f"index of {index:g} at {wavelength_um:g} um; allowed is 1 to {LARGEST_INDEX:g}"
             )
         return index, f"index {index:.7g} at {wavelength_um:g} um by the {name} formula of {self.name}", ""
 
     def _by_table(self, wavelength_nm: float) -> tuple[float, str, str]:
-        waves = [number(v, self.where) for v in self.wavelengths]
-        indices = [number(v, self.where) for v in self.words]
-        if len(waves) != len(indices) or not waves:
+        wavelengths_um = [parse_number(v, self.location) for v in self.wavelengths]
+        indices = [parse_number(v, self.location) for v in self.words]
+        if len(wavelengths_um) != len(indices) or not wavelengths_um:
             raise InputError(
-                f"{self.where}: private glass {shown(self.name)} has {len(indices)} indices, and there are "
-                f"{len(waves)} wavelengths (PWL)"
+                f"{self.location}: private glass {quoted(self.name)} has {len(indices)} indices, and there "
+                f"are {len(wavelengths_um)} wavelengths (PWL)"
             )
-        pairs = sorted(zip(waves, indices, strict=True), key=lambda pair: abs(pair[0] - wavelength_nm))
+        pairs = sorted(
+            zip(wavelengths_um, indices, strict=True), key=lambda pair: abs(pair[0] - wavelength_nm)
+        )
         nearest_nm, nearest = pairs[0]
-        if abs(nearest_nm - wavelength_nm) <= SAME_NM or len(set(indices)) == 1 < len(indices):
+        same_line_nm = 0.1  # files give the same spectral line with different numbers of digits
+        if abs(nearest_nm - wavelength_nm) <= same_line_nm or len(set(indices)) == 1 < len(indices):
             return nearest, "", ""
-        if not min(waves) < wavelength_nm < max(waves):
+        if not min(wavelengths_um) < wavelength_nm < max(wavelengths_um):
             return (
                 nearest,
                 "",
                 f"index of the private glass {self.name} at {wavelength_nm:g} nm; that at {nearest_nm:g} nm "
-                "is taken",
+                "is used",
             )
         index = _interpolated(pairs[:4], wavelength_nm)
         return index, f"index {index:.7g} of {self.name} at {wavelength_nm:g} nm interpolated", ""
 
 
 def _interpolated(pairs: Sequence[tuple[float, float]], wavelength_nm: float) -> float:
-    """Lagrange's polynomial in 1 / w^2, as Cauchy's formula has it, through a few neighbours."""
+    """Interpolate the index by Lagrange's polynomial in 1 / w^2 (compare Cauchy's formula)."""
     x = [1.0 / w**2 for w, _ in pairs]
     at = 1.0 / wavelength_nm**2
     return sum(

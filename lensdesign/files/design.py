@@ -1,4 +1,4 @@
-"""Design files (TOML): read with every fault named, written without loss."""
+"""Design files (TOML): read with complete validation, written without loss."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, 
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.edges import Edge, Flange
-from lensdesign.lens.lengths import LongRadiusWarning, doubted_lengths, long_radii
+from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 
@@ -28,42 +28,44 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     Parameters
     ----------
     path
-        A TOML file. Paths of glass catalogues and measured figures in it are relative to its own folder, and
-        lead to nothing outside it but within :func:`lensdesign.common.input_files.files_from`.
+        A TOML file. Paths of glass catalogues and measured figures in it are relative to its own folder.
+        They must stay inside this folder, unless :func:`lensdesign.common.input_files.files_from` allows
+        another one.
 
     Returns
     -------
     Lens
+        The validated lens.
 
     Raises
     ------
     DesignError
-        If the file cannot be read or does not describe a lens; the message names file, key, value and
+        If the file cannot be read or does not describe a lens. The message names file, key and value, and
         what is allowed.
     InputError
         If a measured figure cannot be read, or does not cover its surface's clear aperture.
     MaterialError
-        If a glass is unknown, or not known at one of the wavelengths.
+        If a glass is unknown, or its index is unknown at one of the wavelengths.
 
     Warns
     -----
     LongRadiusWarning
-        If a radius is that of a weak surface, and a thousandth of it would be usual.
+        If a radius is unusually long, and a thousandth of it would be usual.
     """
     path = Path(path)
     return lens_of(read_toml(path), path)
 
 
 def lens_of(data: dict[str, Any], path: Path) -> Lens:
-    """A lens from the tables of a design file, refused as :func:`load_design` refuses it.
+    """Return the lens of a design file's tables; see :func:`load_design` for errors and warnings.
 
     Parameters
     ----------
     data
-        The tables.
+        Tables of the design file.
     path
-        Their file, whether it has been written or not: paths in them start from its folder, and messages
-        name it.
+        Path of the design file, which need not exist. Paths in the tables are relative to its folder, and
+        messages name it.
     """
     validate_kind(data, path, "design")
     lens = validated_lens(Lens, data, path)
@@ -71,9 +73,9 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
     surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
         validate_inside(catalog, path, "glass_catalogs", DesignError)
-    for number, surface in enumerate(surfaces, start=1):
+    for index, surface in enumerate(surfaces, start=1):
         if surface.figure is not None and surface.figure.file is not None:
-            validate_inside(surface.figure.file, path, f"surface {number}, figure, file", DesignError)
+            validate_inside(surface.figure.file, path, f"surface {index}, figure, file", DesignError)
     lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
     try:
         check_figures(lens)
@@ -84,44 +86,40 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
     return lens
 
 
-def validate_kind(data: Mapping[str, object], path: Path, wanted: str) -> None:
-    """Refuse a file of another kind, with the command that takes it.
+def validate_kind(data: Mapping[str, object], path: Path, required: str) -> None:
+    """Check that a file is not of another kind than the required one.
 
     Parameters
     ----------
     data
-        The file's tables.
+        Tables of the file.
     path
-        The file.
-    wanted
+        The file, for messages.
+    required
         ``design`` or ``specification``.
 
     Raises
     ------
     DesignError
+        If the tables are those of another kind of file. The message names the command for that kind.
     """
     kind = _kind(data)
-    if kind in ("", wanted):
+    if kind in ("", required):
         return
-    takes, needs = TAKEN_BY[kind], LACKS[wanted]
-    raise DesignError(f"{path}: this is a {kind}, which {takes} takes; a {wanted} is needed here{needs}")
-
-
-TAKEN_BY = {
-    "design": "lensdesign check (or draw, or export)",
-    "specification": "lensdesign optimize",
-    "tolerance study": "tolerancing run",
-}
-"""What takes each kind of file."""
-
-LACKS = {
-    "design": ": what lensdesign optimize writes, say",
-    "specification": ": a design with a [[variable]] for each thing that may change",
-}
+    command = {
+        "design": "lensdesign check (or draw, or export)",
+        "specification": "lensdesign optimize",
+        "tolerance study": "tolerancing run",
+    }[kind]
+    hint = {
+        "design": "for example a file that lensdesign optimize has written",
+        "specification": "a design with a [[variable]] for each parameter that may change",
+    }[required]
+    raise DesignError(f"{path}: this is a {kind}, which {command} takes; a {required} is needed here: {hint}")
 
 
 def _kind(data: Mapping[str, object]) -> str:
-    """What a file is, by its tables; empty where they do not say."""
+    """Return the kind of a file according to its tables; empty if unknown."""
     if "design" in data and {"trials", "merit", "perturbation"} & data.keys():
         return "tolerance study"
     if {"optimize", "constraints", "variable"} & data.keys():
@@ -130,10 +128,19 @@ def _kind(data: Mapping[str, object]) -> str:
 
 
 def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfLens:
-    """A lens or a specification from its tables, with a stop and with lengths that go together.
+    """Return a lens or a specification from its tables, after a check of its stop and its lengths.
 
-    A length in another unit often breaks a rule of geometry, too: surfaces cross, or end within their
-    aperture. The message then names the length first.
+    A length in another unit often violates a rule of geometry, too: surfaces cross, or end within their
+    aperture. The message then names the suspicious length first.
+
+    Parameters
+    ----------
+    model
+        Class of the result: :class:`Lens` or a subclass.
+    data
+        Tables of the file.
+    path
+        The file, for messages.
 
     Raises
     ------
@@ -144,13 +151,13 @@ def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfL
     Warns
     -----
     LongRadiusWarning
-        If a radius is that of a weak surface, and a thousandth of it would be usual.
+        If a radius is unusually long, and a thousandth of it would be usual.
     """
     try:
         lens = validate(model, data, path)
     except DesignError as error:
-        doubts = [f"{path}: {doubt}" for doubt in _doubts_of_tables(data)]
-        raise DesignError("\n".join([*doubts, str(error)])) from None
+        suspicions = [f"{path}: {sentence}" for sentence in _suspicious_lengths(data)]
+        raise DesignError("\n".join([*suspicions, str(error)])) from None
     if not any(surface.stop for surface in lens.surfaces):
         raise DesignError(
             f"{path}: no surface is marked stop = true; exactly one must be: the one whose semi_diameter_mm "
@@ -163,20 +170,21 @@ def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfL
 
 
 def validate_lengths(lens: Lens, source: Path) -> None:
-    """Refuse a lens with lengths that no lens has and that another unit would explain.
+    """Check that no length of a lens seems to be given in another unit.
 
     Raises
     ------
     DesignError
-        Naming the source and each length, with the value that may be meant.
+        If a length is implausible and another unit would explain it. The message names the source and each
+        such length, with the value that may be meant.
     """
-    doubts = [f"{source}: {doubt}" for doubt in doubted_lengths(lens)]
-    if doubts:
-        raise DesignError(joined_faults(doubts))
+    suspicions = [f"{source}: {sentence}" for sentence in implausible_lengths(lens)]
+    if suspicions:
+        raise DesignError(joined_faults(suspicions))
 
 
-def _doubts_of_tables(data: Mapping[str, Any]) -> list[str]:
-    """Sentences that question lengths of tables that are no valid lens; none where they cannot be read."""
+def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
+    """Return sentences on implausible lengths of tables that are not valid; none if they cannot be read."""
     try:
         edges = [
             Edge.model_construct(
@@ -195,13 +203,13 @@ def _doubts_of_tables(data: Mapping[str, Any]) -> list[str]:
             surfaces=tuple(surfaces),
             edges=tuple(edges),
         )
-        return list(doubted_lengths(lens))[:MOST_FAULTS]
+        return list(implausible_lengths(lens))[:MOST_FAULTS]
     except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
-        return []  # the fault that is reported anyway is of another kind
+        return []  # the tables have another fault, which the caller reports
 
 
 def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:
-    """A surface whose figure's file, if it has one, is known from anywhere."""
+    """Return the surface with an absolute path of its figure's file, if it has one."""
     if surface.figure is None or surface.figure.file is None:
         return surface
     figure = surface.figure.model_copy(update={"file": (folder / surface.figure.file).resolve()})
@@ -209,14 +217,21 @@ def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:
 
 
 def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
-    """Write a lens to a design file; reading it back gives an equal lens.
+    """Write a lens to a design file; :func:`load_design` reads an equal lens from it.
 
-    Glass catalogues and measured figures stay where they are; the file holds the way to them from its folder.
+    Glass catalogues and measured figures are not copied; the file holds their paths relative to its folder.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    path
+        File to write.
 
     Raises
     ------
     InputError
-        If the file cannot be written; whatever stood there stays.
+        If the file cannot be written. An existing file then stays unchanged.
     """
     path = Path(path)
     with atomic_path(path) as temporary:
@@ -224,11 +239,19 @@ def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
 
 
 def design_text(lens: Lens, folder: Path = Path()) -> str:
-    """A lens as the text of a design file in `folder`."""
+    """Return a lens as the text of a design file.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    folder
+        Folder of the design file; paths in the text are relative to it (default: the current folder).
+    """
     data = lens.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude_none=True)
     if lens.glass_catalogs:
         data["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
-    data["surface"][lens.stop_index]["stop"] = True  # in memory it may go without saying
+    data["surface"][lens.stop_index]["stop"] = True  # in memory, the stop may be implicit
     for surface, table in zip(lens.surfaces, data["surface"], strict=True):
         if surface.figure is not None and surface.figure.file is not None:
             table["figure"]["file"] = os.path.relpath(surface.figure.file, folder.resolve())

@@ -1,8 +1,9 @@
-"""What the files of other lens design programs have in common: read strictly, assembled into a lens.
+"""Common parts of the readers and writers of other programs' lens files.
 
-The sequential files of :mod:`lensdesign.files.zemax` and :mod:`lensdesign.files.codev` hold rows of surfaces
-from the object to the image, and coordinate breaks between them. Here such rows become a lens and its pose.
-What they hold and a design cannot is listed, and refused unless the caller accepts the loss.
+The sequential files of :mod:`lensdesign.files.zemax` and :mod:`lensdesign.files.codev` list surfaces from the
+object to the image, with coordinate breaks between them. A reader collects them in a :class:`Draft`, which
+:func:`lensdesign.files.assembly.assemble` converts to a lens and its pose. The draft also lists everything
+that a design cannot represent; the import fails unless the caller accepts these losses.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
 
-MOST_SURFACES = 1000
+MAX_SURFACES = 1000
 
 NOTE = "transferlens"
-"""First word of the remarks in which a design's own data travels through another program's file."""
+"""First word of the comments that hold data of a design which the other program's format lacks."""
 
 TOLERANCE_MM = 1e-9
 
@@ -39,30 +40,32 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 
 
 class LossyImportError(InputError):
-    """A file that holds what a design cannot; `dropped` lists it."""
+    """Raised if a design cannot represent a whole file; `dropped` lists the losses."""
 
     def __init__(self, source: str, dropped: Sequence[str]) -> None:
         self.dropped = tuple(dropped)
         listed = joined_faults([f"  {entry}" for entry in dropped])
-        super().__init__(f"{source}: a design cannot hold all of it; a lossy import leaves out\n{listed}")
+        super().__init__(
+            f"{source}: a design cannot represent the whole file; a lossy import leaves out\n{listed}"
+        )
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What was read from another program's file.
+    """Result of the import of another program's lens file.
 
     Attributes
     ----------
     lens, pose
-        The lens, and where the file's coordinate breaks put it.
+        The lens, and the pose that the file's coordinate breaks give it.
     dropped
-        What the file holds and the lens cannot, with the file's surface numbers; empty unless a lossy import
-        was asked for.
+        Contents of the file that the lens cannot represent, with the file's surface numbers. Empty unless
+        the import was lossy.
     remarks
-        What was replaced by its present value, and loses nothing of the lens as it stands: solves, pickups;
-        and where glasses and the size of the stop were taken from.
+        Replacements that do not change the present lens (solves and pickups replaced by their values), and
+        the sources of glasses and of the stop's semi-diameter.
     first_order
-        First-order data of the lens as traced, which agree with those by the file's records.
+        First-order data of the traced lens. They agree with those of the file's records.
     """
 
     lens: Lens
@@ -74,21 +77,20 @@ class Imported:
 
 @dataclass(frozen=True)
 class ImportedFirstOrder:
-    """What an imported lens does to paraxial rays, and its marginal ray, at its first wavelength.
+    """First-order data and marginal ray of an imported lens at its first wavelength.
 
     Attributes
     ----------
     efl_mm, bfl_mm
-        Effective and back focal length; inf for an afocal lens.
+        Effective and back focal length in mm; inf for an afocal lens.
     magnification
-        Transverse, of the object at the working distance into its paraxial image; inf where that is at
-        infinity.
+        Transverse magnification of the object at the working distance; inf for an image at infinity.
     image_distance_mm
-        From the last vertex to the paraxial image of the object.
+        Distance from the last vertex to the paraxial image in mm.
     object_na
         Sine of the marginal ray's angle at the object.
     stop_height_mm
-        Height of that ray at the stop.
+        Height of the marginal ray at the stop in mm.
     """
 
     efl_mm: float
@@ -101,7 +103,7 @@ class ImportedFirstOrder:
 
 @dataclass(frozen=True)
 class RecordedSurface:
-    """A surface as the records of a file have it, before anything was made of them."""
+    """A surface as the file records it, without any interpretation."""
 
     curvature_per_mm: float
     distance_mm: float
@@ -111,17 +113,23 @@ class RecordedSurface:
 
 @dataclass(frozen=True)
 class Supplement:
-    """What a design needs and another program's file may not tell; a value given here replaces the file's.
+    """Values that a design needs and another program's file may lack; a given value replaces the file's.
 
     Attributes
     ----------
     working_distance_mm, field_diameter_mm, numerical_aperture
-        As in :class:`lensdesign.ObjectSpace`; needed where the object is at infinity, the fields are
-        angles, or there is no aperture.
+        See :class:`lensdesign.ObjectSpace`. They are required if the object is at infinity, if the fields
+        are angles, or if the file has no aperture, respectively.
     pixel_pitch_um, pixels, plane_distances_mm
-        As in :class:`lensdesign.Sensor`.
+        See :class:`lensdesign.Sensor`. Files of other programs usually lack the pixels.
     glass_catalogs
-        Catalogue files in which glasses are sought first.
+        Catalogue files that are searched for glasses first.
+
+    Examples
+    --------
+    >>> from lensdesign.files import Supplement
+    >>> Supplement(pixel_pitch_um=3.2, pixels=(4000, 3000)).pixels
+    (4000, 3000)
     """
 
     working_distance_mm: float | None = None
@@ -134,41 +142,42 @@ class Supplement:
 
 
 @dataclass(frozen=True)
-class Break:
-    """A change of axes: decenter, then tilts about x, turned y and turned z; or all in reverse order."""
+class CoordinateBreak:
+    """A coordinate break: decenter, then tilts about x, the new y and the new z; or in reverse order."""
 
     decenter_mm: tuple[float, float] = (0.0, 0.0)
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reverse: bool = False
 
-    def inverse(self) -> Break:
-        """What undoes it."""
+    def inverse(self) -> CoordinateBreak:
+        """Return the inverse of the coordinate break."""
         x, y = self.decenter_mm
         a, b, c = self.tilt_deg
-        return Break((-x, -y), (-a, -b, -c), not self.reverse)
+        return CoordinateBreak((-x, -y), (-a, -b, -c), not self.reverse)
 
-    def undoes(self, other: Break) -> bool:
-        """Whether this is the other's inverse."""
-        mine, wanted = asdict(self), asdict(other.inverse())
-        alike: bool = all(
-            bool(np.allclose(mine[k], wanted[k], rtol=0.0, atol=1e-12)) for k in ("decenter_mm", "tilt_deg")
+    def undoes(self, other: CoordinateBreak) -> bool:
+        """Return whether this coordinate break is the inverse of another one."""
+        own, expected = asdict(self), asdict(other.inverse())
+        equal: bool = all(
+            bool(np.allclose(own[k], expected[k], rtol=0.0, atol=1e-12)) for k in ("decenter_mm", "tilt_deg")
         )
-        one_kind = not any(self.tilt_deg) or (
+        order_irrelevant = not any(self.tilt_deg) or (
             not any(self.decenter_mm) and np.count_nonzero(self.tilt_deg) < 2
         )
-        return alike and bool(one_kind or self.reverse != other.reverse)
+        return equal and bool(order_irrelevant or self.reverse != other.reverse)
 
 
 @dataclass(frozen=True)
-class Row:
-    """One surface of a file, the object first and the image last; `axes` makes it a coordinate break.
+class SurfaceRow:
+    """One surface of a file; the object comes first and the image last.
 
-    `shape` holds what a design file says of its shape beside radius and conic constant. `automatic_mm` is a
-    semi-diameter that the other program computed from its rays: it clips nothing.
+    If `axes` is given, the row is a coordinate break. `shape` holds the keys of a design file that describe
+    the shape, except radius and conic constant. `automatic_mm` is a semi-diameter that the other program
+    computed from rays; it does not clip.
     """
 
     name: str
-    where: str
+    location: str
     radius_mm: float | None = None
     conic: float = 0.0
     shape: dict[str, Any] = field(default_factory=dict)
@@ -176,24 +185,24 @@ class Row:
     material: str | float | None = None
     semi_diameter_mm: float | None = None
     stop: bool = False
-    axes: Break | None = None
+    axes: CoordinateBreak | None = None
     automatic_mm: float | None = None
 
 
 @dataclass
 class Draft:
-    """A file as read, before it is a lens.
+    """Contents of a file before they are assembled into a lens.
 
     `aperture` is a kind and its value: object_na, image_na, pupil_diameter_mm, image_f_number (focal length
-    over entrance pupil), working_f_number, or stop (whose semi-diameter counts then, not the value).
-    `recorded` holds the same surfaces once more, read independently of `rows`: the lens that comes of the
-    rows is compared with them.
+    over entrance pupil diameter), working_f_number, or stop (the stop's semi-diameter counts, not the value).
+    `recorded` holds the surfaces a second time, read independently of `rows`. The finished lens is compared
+    with them (:mod:`lensdesign.files.first_order_check`).
     """
 
     source: str
     title: str = ""
     wavelengths_um: list[float] = field(default_factory=list)
-    rows: list[Row] = field(default_factory=list)
+    rows: list[SurfaceRow] = field(default_factory=list)
     recorded: list[RecordedSurface] = field(default_factory=list)
     aperture: tuple[str, float] | None = None
     half_field_mm: float | None = None
@@ -201,37 +210,37 @@ class Draft:
     dropped: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def lose(self, what: str) -> None:
-        """List something that a design cannot hold, once."""
-        if what not in self.dropped:
-            self.dropped.append(what)
+    def add_loss(self, loss: str) -> None:
+        """Add something that a design cannot represent, unless it is listed already."""
+        if loss not in self.dropped:
+            self.dropped.append(loss)
 
-    def remark(self, what: str) -> None:
-        """Say something of the import that loses nothing, once."""
-        if what not in self.remarks:
-            self.remarks.append(what)
+    def add_remark(self, remark: str) -> None:
+        """Add a remark on the import, unless it is listed already."""
+        if remark not in self.remarks:
+            self.remarks.append(remark)
 
-    def lose_ends(self) -> None:
-        """List what object and image are beyond planes in air."""
-        for row, what in zip((self.rows[0], self.rows[-1]), ("object", "image"), strict=True):
+    def check_object_and_image(self) -> None:
+        """Add a loss if the object or the image is curved, or if the object is not in air."""
+        for row, kind in zip((self.rows[0], self.rows[-1]), ("object", "image"), strict=True):
             if row.radius_mm is not None:
-                self.lose(f"{row.name}: curved {what} surface")
+                self.add_loss(f"{row.name}: curved {kind} surface")
         if self.rows[0].material is not None:
-            self.lose(f"{self.rows[0].name}: object in {self.rows[0].material}, read as air")
+            self.add_loss(f"{self.rows[0].name}: object in {self.rows[0].material}, read as air")
 
-    def take_heights(self, x_mm: Sequence[float], y_mm: Sequence[float]) -> None:
-        """The field reaches to the highest of these object points; none is no field."""
+    def set_field_heights(self, x_mm: Sequence[float], y_mm: Sequence[float]) -> None:
+        """Set the half field to the largest distance of these object points from the axis."""
         pairs = zip_longest(x_mm, y_mm, fillvalue=0.0)
         self.half_field_mm = max((math.hypot(*pair) for pair in pairs), default=None)
 
 
 def read_lines(path: str | os.PathLike[str]) -> list[str]:
-    """Lines of a text file in UTF-8, UTF-16 (with or without a byte order mark) or Latin-1.
+    """Return the lines of a text file in UTF-8, UTF-16 (with or without a byte order mark) or Latin-1.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is larger than 20 MB, or is no text.
+        If the file cannot be read, is larger than 20 MB, or is not a text file.
     """
     text = _decode(read_input(path, LENS_FILE_BYTES), str(path))
     if "\0" in text:
@@ -239,14 +248,14 @@ def read_lines(path: str | os.PathLike[str]) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _decode(data: bytes, where: str) -> str:
+def _decode(data: bytes, location: str) -> str:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or data[1:2] == b"\0":
         marked = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         try:
             return data.decode("utf-16" if marked else "utf-16-le")
         except UnicodeDecodeError as error:
             raise InputError(
-                f"cannot read {where}: not valid UTF-16 text, as its first bytes promise"
+                f"cannot read {location}: the file starts as UTF-16 text, but is not valid UTF-16"
             ) from error
     try:
         return data.decode("utf-8-sig")
@@ -254,45 +263,51 @@ def _decode(data: bytes, where: str) -> str:
         return data.decode("latin-1")
 
 
-def number(text: str, where: str) -> float:
-    """A finite number as other programs write it, or an InputError that says where there is none."""
+def parse_number(text: str, location: str) -> float:
+    """Return a finite number in the notation of other programs (1.5, .5, 1E-3, 1D-3).
+
+    Raises
+    ------
+    InputError
+        If the text is not a finite number; the message names the location.
+    """
     value = math.nan
     if len(text) <= 400 and _NUMBER.fullmatch(text):
         value = float(text.lower().replace("d", "e"))
     if not math.isfinite(value):
-        raise InputError(f"{where}: {shown(text)} stands where a finite number must")
+        raise InputError(f"{location}: {quoted(text)} must be a finite number")
     return value
 
 
-class Reader(Protocol):
-    """What reads the lines of one file."""
+class FieldReader(Protocol):
+    """State of a reader that collects field heights."""
 
     draft: Draft
     heights: dict[str, list[float]]
 
 
-def heights_of(axis: str) -> Callable[[Reader, list[str], str], None]:
-    """What takes the field heights along one axis."""
+def field_height_reader(axis: str) -> Callable[[FieldReader, list[str], str], None]:
+    """Return a function that reads the field heights along one axis."""
 
-    def take(reader: Reader, values: list[str], where: str) -> None:
-        reader.heights[axis] = [number(v, where) for v in values]
+    def read(reader: FieldReader, values: list[str], location: str) -> None:
+        reader.heights[axis] = [parse_number(v, location) for v in values]
 
-    return take
-
-
-def lose_vignetting(reader: Reader, values: list[str], where: str) -> None:
-    """Vignetting factors are lost where they are not 0."""
-    if any(number(v, where) for v in values):
-        reader.draft.lose("vignetting factors")
+    return read
 
 
-def shown(text: str) -> str:
-    """A piece of a file for a message."""
+def read_vignetting(reader: FieldReader, values: list[str], location: str) -> None:
+    """Add a loss if a vignetting factor differs from 0."""
+    if any(parse_number(v, location) for v in values):
+        reader.draft.add_loss("vignetting factors")
+
+
+def quoted(text: str) -> str:
+    """Return a piece of a file in quotation marks, shortened to 40 characters, for messages."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def note_lines(lens: Lens, pose: Pose, folder: Path) -> list[str]:
-    """A design's own data, a remark each: what :func:`read_note` takes back."""
+    """Return one comment for each item of a design that the format lacks; :func:`read_note` reads them."""
     notes: dict[str, Any] = {
         "title": lens.title,
         "pixel_pitch_um": lens.sensor.pixel_pitch_um,
@@ -311,8 +326,8 @@ def note_lines(lens: Lens, pose: Pose, folder: Path) -> list[str]:
     return [f"{NOTE} {key} {json.dumps(value)}" for key, value in notes.items()]
 
 
-def read_note(text: str, draft: Draft, where: str) -> None:
-    """Take a remark of :func:`note_lines` into the draft; one that cannot be read is listed as lost."""
+def read_note(text: str, draft: Draft, location: str) -> None:
+    """Read a comment of :func:`note_lines` into the draft; an unreadable one is recorded as a loss."""
     word, key, value = (*text.split(maxsplit=2), "", "", "")[:3]
     if word != NOTE:
         return
@@ -321,35 +336,45 @@ def read_note(text: str, draft: Draft, where: str) -> None:
     except (ValueError, RecursionError) as error:  # cut short or folded by the program that saved it
         reason = str(error) if len(str(error)) < 80 else type(error).__name__
         draft.dropped.append(
-            f"remark {NOTE} {shown(key)} ({where.rpartition(', ')[2]}): not readable: {reason}"
+            f"remark {NOTE} {quoted(key)} ({location.rpartition(', ')[2]}): not readable: {reason}"
         )
 
 
-def writable(lens: Lens, pose: Pose, held: Callable[[Shape], object], kind: str) -> None:
-    """Refuse what a sequential file cannot hold.
+def check_writable(lens: Lens, pose: Pose, convert_shape: Callable[[Shape], object], kind: str) -> None:
+    """Check whether a sequential file can represent a lens and its pose.
+
+    Parameters
+    ----------
+    lens, pose
+        The lens and its pose.
+    convert_shape
+        Conversion of a shape to the format. It raises an InputError if the format lacks the shape.
+    kind
+        Name of the format, for messages.
 
     Raises
     ------
     InputError
-        For a measured figure, a shape that `held` refuses, or a pose of several trials.
+        If a surface has a measured figure, if the format lacks a shape, or if the pose holds several trials.
     """
     for i, surface in enumerate(lens.surfaces, start=1):
         if surface.figure is not None:
             raise InputError(
-                f"surface {i}: {kind} cannot hold a measured figure; leave it out of the design first"
+                f"surface {i}: {kind} cannot represent a measured figure; remove it from the design first"
             )
         try:
-            held(surface.shape)
+            convert_shape(surface.shape)
         except InputError as error:
             raise InputError(f"surface {i}: {error}") from error
     if any(np.ndim(getattr(pose, f.name)) for f in fields(pose)):
-        raise InputError(f"{kind} holds one pose, not one for each trial")
+        raise InputError(f"{kind} can represent a single pose only, not one for each trial")
 
 
 def pose_distances(lens: Lens, pose: Pose) -> tuple[float, float, float, float]:
-    """Distances from object to pivot, pivot to front vertex, exit vertex to pivot, pivot to first plane.
+    """Return distances: object to pivot, pivot to front vertex, exit vertex to pivot, pivot to first plane.
 
-    The first and the last run along the axis of object and sensor, the others along that of the lens.
+    All are in mm. The first and the last are measured along the axis of object and sensor, the others along
+    the axis of the lens.
     """
     pivot, despace = float(np.asarray(pose.pivot_z_mm)), float(np.asarray(pose.despace_mm))
     exit_z = lens.exit_vertex_z_mm
@@ -358,17 +383,17 @@ def pose_distances(lens: Lens, pose: Pose) -> tuple[float, float, float, float]:
     return to_pivot, -pivot, pivot - exit_z, exit_z + first - pivot - despace
 
 
-def pose_break(pose: Pose) -> Break:
-    """The pose's decenter and tilts as a change of axes at its pivot."""
+def pose_break(pose: Pose) -> CoordinateBreak:
+    """Return the pose's decenter and tilts as a coordinate break at its pivot."""
     x, y, a, b = (
         float(np.asarray(v))
         for v in (pose.decenter_x_mm, pose.decenter_y_mm, pose.tilt_x_deg, pose.tilt_y_deg)
     )
-    return Break((x, y), (a, b, 0.0))
+    return CoordinateBreak((x, y), (a, b, 0.0))
 
 
-def same_name(name: str) -> str:
-    """Letters and digits of a glass name: programs spell the rest differently."""
+def normalized_name(name: str) -> str:
+    """Return the letters and digits of a glass name in lower case; programs differ in other characters."""
     return "".join(c for c in name.casefold() if c.isalnum())
 
 
@@ -376,27 +401,33 @@ def find_glass(
     name: str,
     makers: Iterable[str],
     catalogs: Sequence[Path],
-    where: str,
+    location: str,
     remark: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """The design file's name of a glass: as a user's own catalogue has it, else as the makers have it.
+    """Return the name of a glass in a design file.
+
+    The user's own catalogues are searched first, those that the file names before the others; then the
+    catalogues of the makers.
 
     Parameters
     ----------
     name
-        As the file spells it; where no glass has that very name, one with the same letters and digits, if the
-        catalogue has only one such.
+        Name as the file spells it. If a catalogue lacks this name, the only glass with the same letters and
+        digits is used.
     makers
         Catalogues that the file names, in their order.
     catalogs
-        The user's own catalogue files. They are sought before all makers, those that the file names first.
+        The user's own catalogue files.
+    location
+        File and line, for messages.
     remark
-        Called with a sentence where the user should know which glass was taken.
+        Called with a sentence if several catalogues have the glass, or if the catalogue has a note on it
+        (default: no remarks).
 
     Raises
     ------
     MaterialError
-        If no such glass is known; glasses are never guessed.
+        If no catalogue has the glass. The reader never substitutes a similar glass.
     """
     listed = list_glasses(catalogs)
     own = list(dict.fromkeys(path.name for path in catalogs))
@@ -405,12 +436,14 @@ def find_glass(
         known.setdefault(catalog.casefold().removesuffix(".agf"), catalog)
     named = [known[key] for maker in makers if (key := maker.casefold().removesuffix(".agf")) in known]
     for catalog in dict.fromkeys([*(c for c in named if c in own), *own, *named]):
-        alike = [n for n, c in listed if c == catalog and same_name(n) == same_name(name)]
+        alike = [n for n, c in listed if c == catalog and normalized_name(n) == normalized_name(name)]
         exact = [n for n in alike if n.casefold() == name.casefold()] or alike
         if len(exact) == 1:
             found = _shortest_name(exact[0], catalog, catalogs)
             if catalog in own:
-                others = {c for n, c in listed if c not in own and same_name(n) == same_name(name)}
+                others = {
+                    c for n, c in listed if c not in own and normalized_name(n) == normalized_name(name)
+                }
                 if others:
                     remark(f"glass {name} is that of {catalog}, not of {' or '.join(sorted(others))}")
             _remark_notes(found, catalogs, remark)
@@ -418,7 +451,7 @@ def find_glass(
     try:
         get_material(name, catalogs)
     except MaterialError as error:
-        raise MaterialError(f"{where}: {error}") from error
+        raise MaterialError(f"{location}: {error}") from error
     return name
 
 
@@ -426,7 +459,7 @@ def _remark_notes(name: str, catalogs: Sequence[Path], remark: Callable[[str], N
     try:
         for note in get_material(name, catalogs).notes:
             remark(note)
-    except MaterialError:  # said where its index is needed
+    except MaterialError:  # reported later, when the index is needed
         pass
 
 
@@ -434,6 +467,6 @@ def _shortest_name(name: str, maker: str, catalogs: Sequence[Path]) -> str:
     try:
         if get_material(name, catalogs).catalog == maker:
             return name
-    except MaterialError:  # one name, two materials; or a glass with a fault
+    except MaterialError:  # the name is ambiguous, or the catalogue's entry is invalid
         pass
     return f"{maker}:{name}"

@@ -1,8 +1,8 @@
-"""Measured sag-error maps: the grid file, and what a design file says of a surface's figure.
+"""Measured sag-error maps (surface figures): grid files and the figures of a design's surfaces.
 
-A grid file is CSV text: two lines ``# spacing_mm = 0.1`` and ``# unit = um``, other lines that start with #
-as comments, then a line for each row of the grid, y rising from line to line and x along each line. The
-middle of the grid is the vertex. ``nan`` or nothing between commas is a point that was not measured.
+A grid file is CSV text. It starts with two lines ``# spacing_mm = 0.1`` and ``# unit = um``; other lines that
+start with # are comments. One line for each row of the grid follows: x increases along each line, y from line
+to line. The middle of the grid is the vertex. ``nan`` or an empty entry marks a point that was not measured.
 """
 
 from __future__ import annotations
@@ -25,13 +25,23 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
 
 UNITS_MM = {"mm": 1.0, "um": 1e-3, "nm": 1e-6, "waves_633nm": 1e-3 * TEST_WAVELENGTH_UM}
-"""Units of the values in a grid file, in mm."""
+"""Length in mm of each unit that a grid file may use."""
 
 KEYS = ("spacing_mm", "unit")
 
 
 def surface_figure(surface: Surface) -> SurfaceFigure | None:
-    """The figure of a surface, read from where its table says; None where it has none.
+    """Return the figure of a surface from its grid file or Zernike coefficients; None if it has none.
+
+    Parameters
+    ----------
+    surface
+        A surface of a design.
+
+    Returns
+    -------
+    SurfaceFigure or None
+        Sag error over the clear aperture.
 
     Raises
     ------
@@ -41,7 +51,7 @@ def surface_figure(surface: Surface) -> SurfaceFigure | None:
     source = surface.figure
     if source is None:
         return None
-    assert surface.semi_diameter_mm is not None  # the validator saw to it
+    assert surface.semi_diameter_mm is not None  # ensured by the validator
     if source.file is None:
         return _zernike_figure(source)
     try:
@@ -52,23 +62,24 @@ def surface_figure(surface: Surface) -> SurfaceFigure | None:
 
 
 def check_figures(lens: Lens) -> None:
-    """Read every figure of a lens.
+    """Check that every figure of a lens can be read.
 
     Raises
     ------
     InputError
-        As :func:`surface_figure`, with the surface's number.
+        If a grid file cannot be read, or does not cover its surface's clear aperture. The message names the
+        surface.
     """
-    for number, surface in enumerate(lens.surfaces, start=1):
+    for index, surface in enumerate(lens.surfaces, start=1):
         try:
             surface_figure(surface)
         except InputError as error:
-            raise type(error)(f"surface {number}: {error}") from error
+            raise type(error)(f"surface {index}: {error}") from error
 
 
 @lru_cache(maxsize=32)
 def _zernike_figure(source: FigureSource) -> SurfaceFigure:
-    assert source.semi_diameter_mm is not None  # the validator saw to it
+    assert source.semi_diameter_mm is not None  # ensured by the validator
     return figure_from_zernike(source.coefficients_um, source.semi_diameter_mm)
 
 
@@ -82,34 +93,41 @@ def _grid_figure(path: Path, semi_diameter_mm: float, _mtime_ns: int, _size: int
 
 
 def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
-    """Read a grid file.
+    """Read a measured sag-error map from a grid file.
+
+    Parameters
+    ----------
+    path
+        A grid file in the format that :mod:`lensdesign.files.figures` describes.
 
     Returns
     -------
     sag_error_mm : ndarray, shape (rows, columns)
-        Positive along +z; NaN where not measured. Row: y, column: x, both rising.
+        Sag error in mm, positive along +z; NaN where it was not measured. y increases with the row, x with
+        the column.
     spacing_mm : float
-        Between neighbouring points.
+        Distance between neighbouring points in mm.
 
     Raises
     ------
     InputError
-        If the file cannot be read or holds no grid; the message names file and line.
+        If the file cannot be read or does not hold a grid; the message names file and line.
     """
     path = Path(path)
     header: dict[str, str] = {}
     rows: list[list[float]] = []
     texts: list[tuple[str, str]] = []
     for count, line in enumerate(read_text(path).splitlines(), start=1):
-        where, text = f"{path}, line {count}", line.strip()
+        location, text = f"{path}, line {count}", line.strip()
         if text.startswith("#"):
-            _read_header(text[1:], header, where)
+            _read_header(text[1:], header, location)
         elif text:
-            rows.append(_row(text, where))
-            texts.append((text, where))
+            rows.append(_row(text, location))
+            texts.append((text, location))
             if len(rows[-1]) != len(rows[0]):
                 raise InputError(
-                    f"{where}: {len(rows[-1])} values, but the first row holds {len(rows[0])}: must be equal"
+                    f"{location}: {len(rows[-1])} values, but the first row holds {len(rows[0])}: "
+                    "must be equal"
                 )
     missing = [key for key in KEYS if key not in header]
     if missing:
@@ -121,19 +139,31 @@ def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
 
 
 def write_figure_grid(sag_error_mm: ArrayLike, spacing_mm: float, path: str | os.PathLike[str]) -> None:
-    """Write a grid file, in um; reading it back gives the same map to rounding.
+    """Write a sag-error map to a grid file; :func:`read_figure_grid` reads it back within rounding errors.
 
     Parameters
     ----------
-    sag_error_mm, spacing_mm
-        As :func:`read_figure_grid` returns them.
+    sag_error_mm
+        Sag error in mm, shape (rows, columns), positive along +z; NaN where it was not measured.
+    spacing_mm
+        Distance between neighbouring points in mm.
     path
         File to write.
 
     Raises
     ------
     InputError
-        If the values are no grid, or the file cannot be written.
+        If the values are not a two-dimensional grid, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from lensdesign.files import read_figure_grid, write_figure_grid
+    >>> path = Path(tempfile.mkdtemp()) / "figure.csv"
+    >>> write_figure_grid([[0.0, 1e-4], [2e-4, 3e-4]], 0.5, path)
+    >>> read_figure_grid(path)[1]
+    0.5
     """
     values = np.asarray(sag_error_mm, float)
     if values.ndim != 2 or not values.size:
@@ -144,24 +174,24 @@ def write_figure_grid(sag_error_mm: ArrayLike, spacing_mm: float, path: str | os
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _read_header(text: str, header: dict[str, str], where: str) -> None:
-    """Keep a `key = value`; other text is a comment."""
-    key, equals, value = (part.strip() for part in text.partition("="))
+def _read_header(text: str, header: dict[str, str], location: str) -> None:
+    """Store a `key = value` of the header; other text is a comment."""
+    key, equals, value = (piece.strip() for piece in text.partition("="))
     if not equals:
         return
     if key not in KEYS:
-        raise InputError(f"{where}: {key}: {unknown_key(key, KEYS)}")
+        raise InputError(f"{location}: {key}: {unknown_key(key, KEYS)}")
     if key in header:
-        raise InputError(f"{where}: {key} is given twice")
+        raise InputError(f"{location}: {key} is given twice")
     if key == "unit" and value not in UNITS_MM:
-        raise InputError(f"{where}: unit = {value}: allowed: {', '.join(UNITS_MM)}")
-    if key == "spacing_mm" and not 0.0 < read_number(value, where, key) < math.inf:
-        raise InputError(f"{where}: spacing_mm = {value}: must be finite and above 0")
+        raise InputError(f"{location}: unit = {value}: allowed: {', '.join(UNITS_MM)}")
+    if key == "spacing_mm" and not 0.0 < read_number(value, location, key) < math.inf:
+        raise InputError(f"{location}: spacing_mm = {value}: must be finite and above 0")
     header[key] = value
 
 
-def _row(text: str, where: str) -> list[float]:
-    values = read_grid_row(text, where)
+def _row(text: str, location: str) -> list[float]:
+    values = read_grid_row(text, location)
     if any(math.isinf(value) for value in values):
-        raise InputError(f"{where}: inf is no sag error; write nan where nothing was measured")
+        raise InputError(f"{location}: inf is not a valid sag error; write nan for a point without data")
     return values

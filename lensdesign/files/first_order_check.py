@@ -1,9 +1,8 @@
-"""Whether an imported lens does to rays near the axis what the records of its file imply.
+"""Check of an imported lens: its first-order data must agree with those of the file's records.
 
-The lens is traced with exact rays close to the axis. The file's records, read a second time and without what
-the reader made of them, give the same figures by the paraxial equations (Hecht, Optics, section 6.2):
-refraction n' u' = n u - (n' - n) c y, transfer y' = y + d u. Where both differ, something was lost or
-invented on the way.
+The imported lens is traced with exact rays close to the axis. The file's records, read a second time and
+without interpretation, give the same quantities by the paraxial equations (Hecht, Optics, section 6.2):
+refraction n' u' = n u - (n' - n) c y, and transfer y' = y + d u. A difference reveals an error of the import.
 """
 
 from __future__ import annotations
@@ -24,39 +23,38 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 
 TOLERANCE = 1e-6
-"""Relative difference of first-order data that rounding may leave."""
+"""Allowed relative difference of first-order data."""
 
 MARGINAL_TOLERANCE = 1e-3
-"""Relative difference between the marginal ray's height at the stop and the stop's semi-diameter."""
+"""Allowed relative difference between the marginal ray's height at the stop and the stop's semi-diameter."""
 
 SMALLEST_POWER = 1e-3
-"""Per mm; power is compared to `TOLERANCE` of this at least: terms in r^4 still bend rays near the axis."""
+"""Power in 1/mm below which the comparison is absolute; terms in r^4 still bend rays near the axis."""
 
-NEAR_AXIS = 1e-5
-"""Height of the traced rays by the smallest radius; its square is the error of the comparison."""
-
-NEARER_AXIS = 1e-7
-"""The same for strong aspheres, whose terms in r^4 still count at `NEAR_AXIS`; rounding counts more here."""
+# Ratio of the height of the traced rays to the smallest radius. Its square is the error of the comparison.
+# Strong aspheres, whose terms in r^4 matter at the first value, are traced again with the second one, where
+# rounding errors are larger.
+_RELATIVE_HEIGHTS = (1e-5, 1e-7)
 
 
 @dataclass(frozen=True)
-class _Train:
-    """The surfaces from the first that refracts to the last, with the space on both sides."""
+class _SurfaceTrain:
+    """The surfaces from the first to the last that refract, with the distances to object and image."""
 
-    before_mm: float
+    object_distance_mm: float
     curvatures: tuple[float, ...]
     distances_mm: tuple[float, ...]
     indices: tuple[float, ...]
-    behind_mm: float
+    image_distance_mm: float
     stop_z_mm: float | None
 
     @property
     def refracts(self) -> bool:
-        """Whether any two of the media differ."""
+        """Whether the lens has more than one medium."""
         return len(set(self.indices)) > 1
 
     def matrix(self) -> np.ndarray:
-        """Ray matrix from the first to the last vertex, of (height, slope) in media of their own."""
+        """Return the ray matrix of (height, slope) from the first to the last vertex."""
         matrix = np.eye(2)
         for i, c in enumerate(self.curvatures):
             n, behind = self.indices[i], self.indices[i + 1]
@@ -66,7 +64,7 @@ class _Train:
         return matrix
 
     def height_at_stop(self, y: float, u: float) -> float:
-        """Height at the stop of a paraxial ray with height `y` and slope `u` at the first surface."""
+        """Return the height at the stop of a ray with height `y` and slope `u` at the first surface."""
         assert self.stop_z_mm is not None
         z = 0.0
         for i, c in enumerate(self.curvatures):
@@ -87,47 +85,54 @@ class _Train:
 def check_first_order(
     draft: Draft, lens: Lens, pose: Pose, supplement: Supplement, filled: bool
 ) -> ImportedFirstOrder:
-    """Trace the imported lens and compare it with the file's records.
+    """Trace the imported lens and compare its first-order data with those of the file's records.
 
     Parameters
     ----------
     draft
-        With the records and the system aperture of the file.
+        Contents of the file: its records and its system aperture.
     lens, pose
-        What was made of it.
+        The imported lens and its pose.
     supplement
-        What the user gave in place of the file's values, which is not compared.
+        Values that the user gave in place of the file's; these are not compared.
     filled
-        Whether the stop is as high as the marginal ray, and neither smaller nor the user's.
+        Whether the semi-diameter of the stop should equal the height of the marginal ray.
+
+    Returns
+    -------
+    ImportedFirstOrder
+        First-order data of the traced lens.
 
     Raises
     ------
     InputError
-        If focal lengths, distances of object and image, magnification or the marginal ray differ.
+        If focal lengths, the distance of the object or image, the aperture or the marginal ray differ.
     """
     _, system, first = _traced(lens, draft.source)
     if not draft.recorded:
         return first
     recorded = _recorded(draft, supplement.glass_catalogs)
     found = _lens_train(lens, system)
-    refracts = _ends(system.indices) is not None  # if not, only the way from object to image counts
+    refracts = _refracting_ends(system.indices) is not None  # if not, only the total distance is compared
     differences: list[str] = []
     if refracts or recorded.refracts:
-        for near in (NEAR_AXIS, NEARER_AXIS):
-            matrix, _, first = _traced(lens, draft.source, near)
+        for relative_height in _RELATIVE_HEIGHTS:
+            matrix, _, first = _traced(lens, draft.source, relative_height)
             differences = _matrix_differences(matrix, recorded)
             if not differences:
                 break
     despace = float(np.asarray(pose.despace_mm)) if refracts else 0.0
-    asked_distance = supplement.working_distance_mm is not None
-    asked_planes = supplement.plane_distances_mm is not None
-    if not (asked_distance or (asked_planes and not refracts)) and math.isfinite(recorded.before_mm):
+    requested_distance = supplement.working_distance_mm is not None
+    requested_planes = supplement.plane_distances_mm is not None
+    if not (requested_distance or (requested_planes and not refracts)) and math.isfinite(
+        recorded.object_distance_mm
+    ):
         differences += _difference(
-            "distance from the object (mm)", found.before_mm + despace, recorded.before_mm
+            "distance from the object (mm)", found.object_distance_mm + despace, recorded.object_distance_mm
         )
-    if refracts and not asked_planes:
+    if refracts and not requested_planes:
         differences += _difference(
-            "distance to the image (mm)", found.behind_mm - despace, recorded.behind_mm
+            "distance to the image (mm)", found.image_distance_mm - despace, recorded.image_distance_mm
         )
     if supplement.numerical_aperture is None:
         differences += _aperture_difference(draft, lens, found, recorded)
@@ -135,9 +140,9 @@ def check_first_order(
         differences += _marginal_difference(lens, first)
     if differences:
         raise InputError(
-            f"{draft.source}: the lens as imported does not do what the file's records imply: "
+            f"{draft.source}: the imported lens disagrees with the file's records: "
             + "; ".join(differences)
-            + ". A record of the file is misread; no lens is given"
+            + ". A record of the file was misread, so the import is rejected"
         )
     return first
 
@@ -148,8 +153,8 @@ def _difference(name: str, found: float, expected: float) -> list[str]:
     return [f"{name} {found:.8g}, by the records {expected:.8g}"]
 
 
-def _matrix_differences(found: np.ndarray, train: _Train) -> list[str]:
-    """What differs between two ray matrices, as the figures that a designer knows."""
+def _matrix_differences(found: np.ndarray, train: _SurfaceTrain) -> list[str]:
+    """Return the differences between two ray matrices in terms of focal lengths."""
     expected = train.matrix()
     length = float(np.sum(np.abs(train.distances_mm)))
     power = sum(
@@ -165,10 +170,10 @@ def _matrix_differences(found: np.ndarray, train: _Train) -> list[str]:
         return []
     pairs = [(_efl(found), _efl(expected)), (_bfl(found), _bfl(expected))]
     names = ("focal length (mm)", "back focal length (mm)")
-    said = [
+    differences = [
         f"{name} {a:.8g}, by the records {b:.8g}" for name, (a, b) in zip(names, pairs, strict=True) if a != b
     ]
-    return said or ["ray matrix"]
+    return differences or ["ray matrix"]
 
 
 def _efl(matrix: np.ndarray) -> float:
@@ -180,19 +185,19 @@ def _bfl(matrix: np.ndarray) -> float:
 
 
 def _traced(
-    lens: Lens, source: str, near: float = NEAR_AXIS
+    lens: Lens, source: str, relative_height: float = _RELATIVE_HEIGHTS[0]
 ) -> tuple[np.ndarray, MeridionalSystem, ImportedFirstOrder]:
-    """Ray matrix of the trimmed lens by exact rays near the axis, and its first-order data."""
+    """Return the ray matrix by exact rays near the axis, the surfaces, and the first-order data."""
     system = meridional_system(lens)
-    front, back = _ends(system.indices) or (0, len(system.shapes) - 1)
-    part = MeridionalSystem(
+    front, back = _refracting_ends(system.indices) or (0, len(system.shapes) - 1)
+    refracting = MeridionalSystem(
         system.shapes[front : back + 1],
         system.distances_mm[front:back],
         system.indices[front : back + 2],
     )
-    matrix = _near_axis_matrix(part, near)
+    matrix = _near_axis_matrix(refracting, relative_height)
     if matrix is None:
-        raise InputError(f"{source}: no ray near the axis passes through the lens as imported")
+        raise InputError(f"{source}: no ray near the axis passes through the imported lens")
     behind = sum(system.distances_mm[back:])
     before = lens.object.working_distance_mm + sum(system.distances_mm[:front])
     (a, b), (c, d) = matrix.tolist()
@@ -215,7 +220,15 @@ def _traced(
 
 
 def meridional_system(lens: Lens, wavelength_um: float | None = None) -> MeridionalSystem:
-    """The surfaces of a lens for exact rays in the meridional plane."""
+    """Return the surfaces of a lens for exact rays in the meridional plane.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    wavelength_um
+        Vacuum wavelength in um (default: the first wavelength of the lens).
+    """
     wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     return MeridionalSystem(
         tuple(s.shape for s in lens.surfaces),
@@ -224,13 +237,13 @@ def meridional_system(lens: Lens, wavelength_um: float | None = None) -> Meridio
     )
 
 
-def _near_axis_matrix(system: MeridionalSystem, near: float) -> np.ndarray | None:
-    """Ray matrix by two exact rays, one parallel to the axis and one through the first vertex."""
+def _near_axis_matrix(system: MeridionalSystem, relative_height: float) -> np.ndarray | None:
+    """Return the ray matrix by two exact rays: one parallel to the axis, one through the first vertex."""
     bent = [abs(1.0 / s.curvature) for s in system.shapes if s.curvature]
     radius = min([r for r in bent if math.isfinite(r)], default=1.0)
     length = sum(abs(d) for d in system.distances_mm)
     end = float(sum(system.distances_mm))
-    height = near * radius / max(system.indices)
+    height = relative_height * radius / max(system.indices)
     sine = height / (radius + length)
     parallel = system.trace(height, -radius, 0.0)
     through = system.trace(-sine / math.sqrt(1.0 - sine * sine) * radius, -radius, sine)
@@ -245,16 +258,16 @@ def _near_axis_matrix(system: MeridionalSystem, near: float) -> np.ndarray | Non
     )
 
 
-def _ends(indices: Sequence[float]) -> tuple[int, int] | None:
-    """First and last surface between two different media; None where there is none."""
+def _refracting_ends(indices: Sequence[float]) -> tuple[int, int] | None:
+    """Return the indices of the first and the last surface that refract; None if no surface does."""
     bends = [before != behind for before, behind in pairwise(indices)]
     if not any(bends):
         return None
     return bends.index(True), len(bends) - 1 - bends[::-1].index(True)
 
 
-def _lens_train(lens: Lens, system: MeridionalSystem) -> _Train:
-    return _trimmed(
+def _lens_train(lens: Lens, system: MeridionalSystem) -> _SurfaceTrain:
+    return _trim(
         lens.object.working_distance_mm,
         [s.curvature for s in lens.surfaces],
         [*system.distances_mm, lens.sensor.plane_distances_mm[0]],
@@ -263,15 +276,15 @@ def _lens_train(lens: Lens, system: MeridionalSystem) -> _Train:
     )
 
 
-def _recorded(draft: Draft, catalogs: Sequence[Path]) -> _Train:
-    """The train of a file's records: the object first, the image last, breaks as planes in one medium."""
+def _recorded(draft: Draft, catalogs: Sequence[Path]) -> _SurfaceTrain:
+    """Return the surfaces of a file's records; coordinate breaks count as planes within one medium."""
     wavelength_um = draft.wavelengths_um[0]
     front, *inner, _ = draft.recorded
     indices = [1.0] + [
         1.0 if s.material is None else refractive_index(s.material, wavelength_um, catalogs) for s in inner
     ]
     stop = next((i for i, s in enumerate(inner) if s.stop), None)
-    return _trimmed(
+    return _trim(
         front.distance_mm,
         [s.curvature_per_mm for s in inner],
         [s.distance_mm for s in inner],
@@ -280,19 +293,19 @@ def _recorded(draft: Draft, catalogs: Sequence[Path]) -> _Train:
     )
 
 
-def _trimmed(
-    before_mm: float,
+def _trim(
+    object_distance_mm: float,
     curvatures: Sequence[float],
     distances_mm: Sequence[float],
     indices: Sequence[float],
     stop: int | None,
-) -> _Train:
-    ends = _ends(indices)
-    if ends is None:  # nothing refracts: what counts is the way from object to image
-        return _Train(before_mm + sum(distances_mm), (0.0,), (), (1.0, 1.0), 0.0, None)
+) -> _SurfaceTrain:
+    ends = _refracting_ends(indices)
+    if ends is None:  # no surface refracts: only the distance from object to image matters
+        return _SurfaceTrain(object_distance_mm + sum(distances_mm), (0.0,), (), (1.0, 1.0), 0.0, None)
     front, back = ends
-    return _Train(
-        before_mm + sum(distances_mm[:front]),
+    return _SurfaceTrain(
+        object_distance_mm + sum(distances_mm[:front]),
         tuple(curvatures[front : back + 1]),
         tuple(distances_mm[front:back]),
         tuple(indices[front : back + 2]),
@@ -301,12 +314,14 @@ def _trimmed(
     )
 
 
-def _aperture_difference(draft: Draft, lens: Lens, found: _Train, recorded: _Train) -> list[str]:
-    """Where the design's numerical aperture is not the paraxial one that the file's aperture implies."""
+def _aperture_difference(
+    draft: Draft, lens: Lens, found: _SurfaceTrain, recorded: _SurfaceTrain
+) -> list[str]:
+    """Return the difference between the design's numerical aperture and the file's, by paraxial rays."""
     kind, value = draft.aperture or ("", 0.0)
     matrix = recorded.matrix()
     slope = abs(
-        found.before_mm * matrix[1, 0] + matrix[1, 1]
+        found.object_distance_mm * matrix[1, 0] + matrix[1, 1]
     )  # behind the lens, for a slope of 1 at the object
     tangent = math.nan
     if kind == "object_na" and abs(value) < 1.0:
@@ -316,21 +331,21 @@ def _aperture_difference(draft: Draft, lens: Lens, found: _Train, recorded: _Tra
     elif kind == "image_na" and abs(value) < 1.0 and slope:
         tangent = value / math.sqrt(1.0 - value * value) / slope
     elif kind in ("pupil_diameter_mm", "image_f_number") and recorded.stop_z_mm is not None:
-        from_object = recorded.height_at_stop(found.before_mm, 1.0)
+        from_object = recorded.height_at_stop(found.object_distance_mm, 1.0)
         parallel = recorded.height_at_stop(1.0, 0.0)
-        pupil = value if kind == "pupil_diameter_mm" else _over(1.0, value * abs(matrix[1, 0]))
-        tangent = abs(_over(0.5 * pupil * parallel, from_object))
+        pupil = value if kind == "pupil_diameter_mm" else _ratio(1.0, value * abs(matrix[1, 0]))
+        tangent = abs(_ratio(0.5 * pupil * parallel, from_object))
     if not math.isfinite(tangent):
         return []
     return _difference("numerical aperture", lens.object.numerical_aperture, math.sin(math.atan(tangent)))
 
 
-def _over(value: float, by: float) -> float:
+def _ratio(value: float, by: float) -> float:
     return value / by if by else math.nan
 
 
 def _marginal_difference(lens: Lens, first: ImportedFirstOrder) -> list[str]:
-    """Where the exact marginal ray of the lens does not meet the rim of its stop."""
+    """Return the difference between the exact marginal ray's height and the stop's semi-diameter."""
     semi = lens.stop_semi_diameter_mm
     if abs(first.stop_height_mm - semi) <= MARGINAL_TOLERANCE * semi * (1.0 + 1e-9):
         return []

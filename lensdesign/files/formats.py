@@ -1,4 +1,4 @@
-"""Other programs' lens files, by the suffix of their names: the one place that names them all."""
+"""Registry of other programs' lens files by suffix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LensFormat:
-    """A format of lens files: whose it is, and what of `lensdesign.files` reads and writes it."""
+    """A lens file format of another program.
+
+    Attributes
+    ----------
+    program
+        Name of the program.
+    reader, writer
+        Names of the functions of :mod:`lensdesign.files` that read and write the format.
+    """
 
     program: str
     reader: str
@@ -33,24 +41,51 @@ LENS_FORMATS = {
 def read_lens_file(
     path: str | os.PathLike[str], supplement: Supplement | None = None, lossy: bool = False
 ) -> Imported:
-    """Read a lens from another program's file, by its suffix; parameters and errors are those of the readers.
+    """Read a lens from another program's file; the suffix selects the format.
+
+    Parameters
+    ----------
+    path
+        A file that ends in ``.zmx`` (Zemax OpticStudio) or ``.seq`` (CODE V).
+    supplement
+        Values that a design needs and the file lacks (default: none).
+    lossy
+        Whether to import a file that a design can represent only in part (default: False).
+
+    Returns
+    -------
+    Imported
+        The lens, its pose, and the lists of losses and remarks.
 
     Raises
     ------
+    LossyImportError
+        If a design cannot represent the whole file and `lossy` is False.
     InputError
-        Also if no format has the suffix.
+        If no format has the suffix, the file cannot be read, or it does not describe a lens.
+    MaterialError
+        If a glass is unknown.
     """
     found: Imported = getattr(files, _format_of(path, "read").reader)(path, supplement, lossy)
     return found
 
 
 def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
-    """Write a lens to another program's file, by its suffix; errors are those of the writers.
+    """Write a lens to another program's file; the suffix selects the format.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    path
+        File to write: ``.zmx`` (Zemax OpticStudio) or ``.seq`` (CODE V).
 
     Raises
     ------
     InputError
-        Also if no format has the suffix.
+        If no format has the suffix, the format cannot represent the lens, or the file cannot be written.
+    MaterialError
+        If a glass is unknown.
     """
     getattr(files, _format_of(path, "write").writer)(lens, path)
 

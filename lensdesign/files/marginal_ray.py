@@ -1,4 +1,4 @@
-"""Exact rays in the meridional plane of a lens that is being read: what an aperture means at the stop."""
+"""Exact rays in the meridional plane, for the conversion between a system aperture and the stop's height."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ import numpy as np
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.intersection import intersect
 
-STEPS = 80
-"""Most steps towards the sine whose ray reaches a given height at the stop; bisection alone needs fewer."""
-
 
 @dataclass(frozen=True)
 class MeridionalRay:
-    """A ray behind the last surface that it was traced through.
+    """A traced ray in the meridional plane.
 
     Attributes
     ----------
     heights_mm
-        Heights at the surfaces.
+        Heights at the surfaces in mm.
     y_mm, z_mm
-        Its last point; z from the first vertex.
+        Point on the last surface that was traced; z is measured from the first vertex.
     slope
-        dy/dz behind the last surface.
+        Slope dy/dz behind that surface.
     """
 
     heights_mm: tuple[float, ...]
@@ -34,22 +31,22 @@ class MeridionalRay:
     slope: float
 
     def height_at(self, z_mm: float) -> float:
-        """Height of the straight line behind the last surface at a position along the axis."""
+        """Return the height of the ray behind the last surface at a position along the axis."""
         return self.y_mm + (z_mm - self.z_mm) * self.slope
 
 
 @dataclass(frozen=True)
 class MeridionalSystem:
-    """Surfaces in a row on one axis.
+    """A centered sequence of surfaces.
 
     Attributes
     ----------
     shapes
-        Of the surfaces.
+        Shapes of the surfaces.
     distances_mm
-        From each surface to the next; what stands behind the last one does not count.
+        Distance from each surface to the next in mm; an entry for the last surface is ignored.
     indices
-        Before the first surface and behind each.
+        Refractive indices before the first surface and behind each surface.
     """
 
     shapes: tuple[Shape, ...]
@@ -59,19 +56,21 @@ class MeridionalSystem:
     def trace(
         self, y_mm: float, z_mm: float, sine: float, surfaces: int | None = None
     ) -> MeridionalRay | None:
-        """Trace a ray by Snell's law through the first `surfaces` surfaces (None: all).
+        """Trace a ray through the surfaces by Snell's law.
 
         Parameters
         ----------
         y_mm, z_mm
-            A point of the ray in front of the lens; z from the first vertex.
+            A point of the ray in front of the lens in mm; z is measured from the first vertex.
         sine
-            Of its angle with the axis.
+            Sine of the angle between the ray and the axis.
+        surfaces
+            Number of surfaces to trace through (default: all).
 
         Returns
         -------
         MeridionalRay or None
-            None where it misses a surface or is totally reflected.
+            The ray; None if it misses a surface or is totally reflected.
         """
         count = len(self.shapes) if surfaces is None else surfaces
         position = np.array([[0.0, y_mm, z_mm]])
@@ -99,17 +98,17 @@ class MeridionalSystem:
         return MeridionalRay(tuple(heights), y, z, slope) if math.isfinite(slope) else None
 
     def height_at_stop(self, object_distance_mm: float, sine: float, stop: int) -> float | None:
-        """Height at the stop of a ray from the axis of the object; None where it does not get there."""
+        """Return the height at the stop of a ray from the axial object point; None if it does not arrive."""
         ray = self.trace(0.0, -object_distance_mm, sine, stop + 1)
         return None if ray is None else abs(ray.heights_mm[stop])
 
     def sine_through_stop(self, object_distance_mm: float, height_mm: float, stop: int) -> float | None:
-        """Sine of the ray from the axis of the object that meets the stop at a height; None without one.
+        """Return the sine of the ray from the axial object point that meets the stop at a height, or None.
 
-        The smallest one is sought; heights grow with the sine until rays miss a surface.
+        Bisection finds the smallest such sine: heights increase with the sine until rays miss a surface.
         """
         low, high = 0.0, 1.0
-        for _ in range(STEPS):
+        for _ in range(80):  # 1e-15 is reached after 50 steps
             middle = 0.5 * (low + high)
             height = self.height_at_stop(object_distance_mm, middle, stop)
             if height is not None and height < height_mm:
@@ -125,10 +124,10 @@ class MeridionalSystem:
         return sine
 
 
-def _refracted(direction: np.ndarray, normal: np.ndarray, before: float, behind: float) -> np.ndarray | None:
-    """Direction behind a surface by Snell's law in vectors; None under total reflection."""
+def _refracted(direction: np.ndarray, normal: np.ndarray, n1: float, n2: float) -> np.ndarray | None:
+    """Return the refracted direction by Snell's law in vector form; None for total reflection."""
     normal = normal / math.sqrt(float(normal @ normal))
-    ratio = before / behind
+    ratio = n1 / n2
     cosine = float(direction @ normal)
     inside = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
     if not inside >= 0.0 or cosine <= 0.0:

@@ -1,12 +1,18 @@
-"""Zemax OpticStudio's sequential lens files (.zmx), read and written.
+"""Read and write sequential lens files of Zemax OpticStudio (.zmx).
 
-Read are surfaces of the types that the shapes of :mod:`lensdesign.lens.shapes` name, with their curvature,
-conic, parameters, thickness, glass, semi-diameter (where it is not automatic), circular aperture and stop;
-the apertures ENPD, FNUM, OBNA and FLOA, which decide how wide the stop is filled; object heights;
-wavelengths, the primary one first; and a pair of coordinate breaks as the pose of the whole lens. Weights,
-the merit function and what only governs analyses or drawings says nothing of the lens and is passed over; so
-are fields at which there is nothing but the axis. The format has no public specification: what the records
-mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files that lens makers publish.
+The reader supports
+
+- the surface types that the shapes of :mod:`lensdesign.lens.shapes` declare, with curvature, conic constant,
+  parameters, thickness, glass, fixed semi-diameter, circular aperture and stop;
+- the system apertures ENPD, FNUM, OBNA and FLOA, which determine the semi-diameter of the stop;
+- object heights, and wavelengths (the primary one comes first);
+- one pair of coordinate breaks, which becomes the pose of the whole lens.
+
+It ignores records that do not describe the lens: weights, the merit function, settings of analyses and
+drawings. Every other record that a design cannot represent is reported as a loss.
+
+The format has no public specification. The meaning of the records follows the OpticStudio user's manual
+(Ansys Zemax) and files that lens makers publish.
 """
 
 from __future__ import annotations
@@ -14,108 +20,120 @@ from __future__ import annotations
 import codecs
 import math
 import os
-from decimal import Decimal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from decimal import Context, Decimal
 from pathlib import Path
 from typing import Any
 
-from lensdesign.errors import MaterialError, atomic_path
+from lensdesign.errors import InputError, MaterialError, atomic_path
 from lensdesign.files.assembly import assemble
 from lensdesign.files.draft import (
-    Break,
+    MAX_SURFACES,
+    CoordinateBreak,
     Draft,
     Imported,
     RecordedSurface,
-    Row,
     Supplement,
+    SurfaceRow,
+    check_writable,
+    field_height_reader,
     find_glass,
     note_lines,
-    number,
+    parse_number,
     pose_break,
     pose_distances,
+    quoted,
     read_lines,
     read_note,
-    writable,
-)
-from lensdesign.files.zemax_records import (
-    EXACT,
-    FileReader,
-    FileSurface,
-    finish_records,
-    integer_at,
-    shape_of_type,
-    take_record,
-    value_at,
+    read_vignetting,
 )
 from lensdesign.lens.glass import get_material, glass_summary
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.conic import Conic
+from lensdesign.lens.shapes.registry import shape_classes
 
 
 def read_zmx(
     path: str | os.PathLike[str], supplement: Supplement | None = None, lossy: bool = False
 ) -> Imported:
-    """Read a lens from a .zmx file.
+    """Read a lens from a Zemax OpticStudio file (.zmx).
 
     Parameters
     ----------
     path
         A sequential OpticStudio file: text in UTF-16, UTF-8 or Latin-1, lengths in mm.
     supplement
-        What the file does not tell; files of :func:`write_zmx` tell all in their notes.
+        Values that a design needs and the file lacks (default: none). Files of :func:`write_zmx` need no
+        supplement, because their notes hold these values.
     lossy
-        Whether to go on where a design cannot hold all of the file.
+        Whether to import a file that a design can represent only in part (default: False).
+
+    Returns
+    -------
+    Imported
+        The lens, its pose, and the lists of losses and remarks.
 
     Raises
     ------
     LossyImportError
-        If it cannot, and `lossy` is not set; the message lists what would be lost.
+        If a design cannot represent the whole file and `lossy` is False. The message lists the losses.
     InputError
-        If the file cannot be read or is no lens; the message names file and line or surface.
+        If the file cannot be read or does not describe a lens. The message names the file and the line or
+        surface.
     MaterialError
         If a glass is unknown.
+
+    Examples
+    --------
+    >>> from lensdesign.files import Supplement, read_zmx
+    >>> sensor = Supplement(working_distance_mm=100.0, pixel_pitch_um=3.2, pixels=(4000, 3000))
+    >>> imported = read_zmx("objective.zmx", sensor, lossy=True)  # doctest: +SKIP
+    >>> print(imported.dropped)  # doctest: +SKIP
     """
     supplement = supplement or Supplement()
     reader = FileReader(Draft(source=str(path)))
     lines = read_lines(path)
     for count, line in enumerate(lines, start=1):
-        where = f"{path}, line {count}"
+        location = f"{path}, line {count}"
         word, *values = line.split() or [""]
         if word.upper() == "NOTE":
             if len(values) > 1:
-                read_note(line.split(maxsplit=2)[2], reader.draft, where)
+                read_note(line.split(maxsplit=2)[2], reader.draft, location)
         elif word.upper() == "NAME":
             reader.name = line.strip()[4:].strip()
         elif word:
-            take_record(reader, word.upper(), values, where, line[:1].isspace())
+            read_record(reader, word.upper(), values, location, line[:1].isspace())
     finish_records(reader)
     return assemble(_finished(reader, lines, supplement), supplement, lossy)
 
 
 def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> Draft:
-    """The draft with what only the whole file tells."""
+    """Return the draft, completed with values that depend on several records."""
     draft = reader.draft
-    noted = draft.notes.get("title")
-    draft.title = noted if isinstance(noted, str) and _plain(noted) == reader.name else reader.name
-    numbers = sorted(reader.waves)[: reader.wave_count]
+    stored = draft.notes.get("title")
+    draft.title = stored if isinstance(stored, str) and _plain(stored) == reader.name else reader.name
+    numbers = sorted(reader.wavelengths_um)[: reader.wavelength_count]
     if reader.primary in numbers:
         numbers.sort(key=lambda n: n != reader.primary)
-    draft.wavelengths_um = [reader.waves[n] for n in numbers]
+    draft.wavelengths_um = [reader.wavelengths_um[n] for n in numbers]
     if reader.field_kind == 1:
-        draft.take_heights(*(reader.heights.get(axis, [])[: reader.field_count] for axis in "xy"))
+        draft.set_field_heights(*(reader.heights.get(axis, [])[: reader.field_count] for axis in "xy"))
     materials = draft.notes.get("materials")
     named = iter(materials if isinstance(materials, list) else [])
     for i, surface in enumerate(reader.surfaces):
         inner = 0 < i < len(reader.surfaces) - 1 and surface.kind != "COORDBRK"
         draft.rows.append(_row(reader, surface, next(named, None) if inner else None, supplement))
     if reader.surfaces:
-        draft.lose_ends()
+        draft.check_object_and_image()
     draft.recorded = _recorded(lines, reader, supplement)
     return draft
 
 
 def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> list[RecordedSurface]:
-    """The surfaces by a second, plain look at the file: of each block the first record of a kind counts."""
+    """Read the surfaces a second time, independently; the first record of each kind in a block counts."""
     blocks: list[dict[str, list[str]]] = []
     for line in lines:
         word, *values = line.split() or [""]
@@ -130,14 +148,14 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
         material = (
             row.material
             if glass == surface.glass
-            else _material(reader, FileSurface(surface.name, surface.where, glass=glass), None, supplement)
+            else _material(reader, FileSurface(surface.name, surface.location, glass=glass), None, supplement)
         )
         if block.get("TYPE", [""])[:1] == ["COORDBRK"]:
             material = recorded[-1].material if recorded else None
         recorded.append(
             RecordedSurface(
-                number(block.get("CURV", ["0"])[0], surface.where),
-                _distance(block.get("DISZ", ["0"])[0], surface.where),
+                parse_number(block.get("CURV", ["0"])[0], surface.location),
+                _parse_distance(block.get("DISZ", ["0"])[0], surface.location),
                 material,
                 "STOP" in block,
             )
@@ -145,28 +163,28 @@ def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> l
     return recorded
 
 
-def _distance(text: str, where: str) -> float:
-    return math.inf if text.upper() == "INFINITY" else number(text, where)
+def _parse_distance(text: str, location: str) -> float:
+    return math.inf if text.upper() == "INFINITY" else parse_number(text, location)
 
 
-def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Supplement) -> Row:
+def _row(reader: FileReader, surface: FileSurface, stored: Any, supplement: Supplement) -> SurfaceRow:
     if surface.kind == "COORDBRK":
         x, y, a, b, c, order = (surface.terms.get(i, 0.0) for i in range(1, 7))
-        axes = Break((x, y), (a, b, c), order != 0.0)
-        return Row(surface.name, surface.where, thickness_mm=surface.thickness_mm, axes=axes)
+        axes = CoordinateBreak((x, y), (a, b, c), order != 0.0)
+        return SurfaceRow(surface.name, surface.location, thickness_mm=surface.thickness_mm, axes=axes)
     shape, keys = shape_of_type(surface.kind, surface.terms) or (Conic, {})
     held = shape.of_keys({"radius_mm": surface.radius_mm, "conic": surface.conic} | keys).zemax()[1]
     for i, value in sorted(surface.terms.items()):
         if value != held.get(i, 0.0):
-            reader.draft.lose(f"{surface.name}: {shape.ZEMAX_LOST.get(i, f'PARM {i}')} of {value:g}")
-    return Row(
+            reader.draft.add_loss(f"{surface.name}: {shape.ZEMAX_LOST.get(i, f'PARM {i}')} of {value:g}")
+    return SurfaceRow(
         surface.name,
-        surface.where,
+        surface.location,
         surface.radius_mm,
         surface.conic,
         keys,
         surface.thickness_mm,
-        _material(reader, surface, noted, supplement),
+        _material(reader, surface, stored, supplement),
         surface.aperture_mm or surface.semi_diameter_mm,
         surface.stop,
         automatic_mm=None if surface.aperture_mm else surface.automatic_mm,
@@ -174,36 +192,36 @@ def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Suppl
 
 
 def _material(
-    reader: FileReader, surface: FileSurface, noted: Any, supplement: Supplement
+    reader: FileReader, surface: FileSurface, stored: Any, supplement: Supplement
 ) -> str | float | None:
-    """The medium behind a surface: air, a glass by name, or a model glass without dispersion."""
+    """Return the medium behind a surface: None for air, a glass name, or the index of a model glass."""
     if not surface.glass or surface.glass[0].upper() == "AIR":
         return None
     name, *values = surface.glass
     if name.upper() == "MIRROR":
-        reader.draft.lose(f"{surface.name}: mirror, read as a surface in air")
+        reader.draft.add_loss(f"{surface.name}: mirror, read as a surface in air")
         return None
-    kind = integer_at(values, 0, surface.glass_where) if values else 0
+    kind = integer_at(values, 0, surface.glass_location) if values else 0
     if kind == 1 or name.upper() in ("___BLANK", "MODEL"):
-        index = value_at(values, 2, surface.glass_where)
-        abbe = value_at(values, 3, surface.glass_where) if len(values) > 3 else 0.0
+        index = value_at(values, 2, surface.glass_location)
+        abbe = value_at(values, 3, surface.glass_location) if len(values) > 3 else 0.0
         if abbe:
-            reader.draft.lose(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
+            reader.draft.add_loss(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
         return index
     if kind > 1:
-        reader.draft.remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
-    if isinstance(noted, str) and _token(noted) == name:
-        return noted
+        reader.draft.add_remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
+    if isinstance(stored, str) and _token(stored) == name:
+        return stored
 
-    def remark(what: str) -> None:
-        reader.draft.remark(f"{surface.name}: {what}")
+    def remark(message: str) -> None:
+        reader.draft.add_remark(f"{surface.name}: {message}")
 
-    found = find_glass(name, reader.makers, supplement.glass_catalogs, surface.glass_where, remark)
+    found = find_glass(name, reader.makers, supplement.glass_catalogs, surface.glass_location, remark)
     _remark_catalogues(reader, surface.name, found, supplement)
     return found
 
 
-# Catalogues that come with OpticStudio, by their names in GCAT.
+# Names in GCAT records of the catalogues that OpticStudio supplies.
 _STANDARD_CATALOGUES = """
 ANGSTROMLINK APEL ARCHER ARTON AUER BIREFRINGENT CDGM CORNING HERAEUS HIKARI HOYA INFRARED ISUZU LIEBETRAUT
 LIGHTPATH LZOS MISC NHG NIKON NIKON-HIKARI OHARA OSAKAGASCHEMICAL PILKINGTON RAD_HARD RPO SCHOTT SCHOTT_IRG
@@ -212,8 +230,8 @@ SUMITA TOPAS UMICORE VITRON ZEON
 _STANDARD = frozenset(_STANDARD_CATALOGUES.split())
 
 
-def _remark_catalogues(reader: FileReader, place: str, found: str, supplement: Supplement) -> None:
-    """Say where a glass was taken from although the file names a catalogue that is not at hand."""
+def _remark_catalogues(reader: FileReader, surface_name: str, found: str, supplement: Supplement) -> None:
+    """Add a remark if the file names a catalogue that is not available and may have the same glass name."""
     own = {path.name for path in supplement.glass_catalogs}
     stems = {name.casefold().removesuffix(".agf") for name in own}
     missing = [
@@ -223,32 +241,434 @@ def _remark_catalogues(reader: FileReader, place: str, found: str, supplement: S
     ]
     try:
         catalog = get_material(found, supplement.glass_catalogs).catalog
-    except MaterialError:  # said where its index is needed
+    except MaterialError:  # reported later, when the index is needed
         return
     if missing and catalog not in own:
-        reader.draft.remark(
-            f"{place}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, which "
-            "may have another of this name (give it as a glass catalogue)"
+        reader.draft.add_remark(
+            f"{surface_name}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, "
+            "which may have another of this name (give it as a glass catalogue)"
         )
 
 
-def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
-    """Write a lens to a .zmx file, from which :func:`read_zmx` has the same lens and pose again.
+# With 25 digits a radius survives the conversion to a curvature and back without loss.
+EXACT = Context(prec=25)
 
-    Numbers have all their digits. The pose becomes a pair of coordinate breaks about its pivot; a constant
-    index becomes a model glass without dispersion; sensor, title and exact glass names stand in notes.
-    Asphere coefficients of zero behind the last other one are left out.
+# Records of analyses, drawings, weights, polarization, authors and comments. They do not describe the lens.
+_IDLE_WORDS = """
+VERS PFIL LANG DBDT GFAC GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
+MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
+SCBD TBTP RSCE RWCE VDSZ VPAR AUTH IWDP EERA SSID STUD
+"""
+_IDLE = frozenset(_IDLE_WORDS.split())
+
+# Keywords that start the part behind the last surface: tolerances, configurations, the merit function.
+_TAIL_STARTS = frozenset(("TOL", "TOLE", "MNUM", "MOFF"))
+
+# Solves and pickups. The file also holds their present values.
+_SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
+
+
+@dataclass
+class FileSurface:
+    """Values of one surface, collected from its records.
+
+    `terms` maps a parameter number (PARM) to its value. `automatic_mm` is a semi-diameter that OpticStudio
+    computed from rays; it is not an aperture. `first_records` holds values and location of each record that
+    may occur only once.
+    """
+
+    name: str
+    location: str
+    kind: str = "STANDARD"
+    radius_mm: float | None = None
+    conic: float = 0.0
+    thickness_mm: float = 0.0
+    glass: tuple[str, ...] = ()
+    glass_location: str = ""
+    semi_diameter_mm: float | None = None
+    automatic_mm: float | None = None
+    aperture_mm: float | None = None
+    stop: bool = False
+    terms: dict[int, float] = field(default_factory=dict)
+    first_records: dict[str, tuple[list[str], str]] = field(default_factory=dict)
+
+
+@dataclass
+class FileReader:
+    """State of the reader of one file.
+
+    `wavelengths_um` maps the number of a wavelength to its value. `trailing_records` holds unknown records
+    behind the last surface; they become losses if another surface follows.
+    """
+
+    draft: Draft
+    surfaces: list[FileSurface] = field(default_factory=list)
+    makers: list[str] = field(default_factory=list)
+    catalogues: list[str] = field(default_factory=list)
+    wavelengths_um: dict[int, float] = field(default_factory=dict)
+    wavelength_count: int | None = None
+    primary: int = 1
+    field_kind: int = 0
+    field_count: int | None = None
+    heights: dict[str, list[float]] = field(default_factory=dict)
+    name: str = ""
+    in_trailing_block: bool = False
+    trailing_records: list[str] = field(default_factory=list)
+    aperture_location: str = ""
+
+
+def read_record(reader: FileReader, word: str, values: list[str], location: str, indented: bool) -> None:
+    """Interpret one record of the file.
+
+    The keyword decides whether a record describes the file or the most recent surface; indentation does not
+    matter. An unknown record is a loss. The exception are records behind the last surface, where the merit
+    function, tolerances and configurations follow (see :func:`finish_records`).
+
+    Parameters
+    ----------
+    reader
+        State of the reader; it is updated.
+    word, values
+        Keyword of the record in capitals, and the words that follow it.
+    location
+        File and line, for messages.
+    indented
+        Whether the record is indented.
 
     Raises
     ------
     InputError
-        If the format cannot hold the lens (a measured figure, a shape that it does not have), or the
-        file cannot be written; whatever stood there stays.
+        If a required value is missing or invalid.
+    """
+    if word == "SURF":
+        _start_surface(reader, values, location)
+        return
+    surface = reader.surfaces[-1] if reader.surfaces else None
+    line = location.rpartition(", ")[2]
+    if word in _OF_FILE:
+        _OF_FILE[word](reader, values, location)
+    elif surface is not None and word in _OF_SURFACE:
+        _drop_trailing_records(reader)
+        _check_duplicate(surface, word, values, location)
+        _OF_SURFACE[word](reader, surface, values, location)
+    elif surface is not None and word in _TAIL_STARTS:
+        reader.in_trailing_block = True
+    elif word in _IDLE:
+        return
+    elif surface is None:
+        reader.draft.add_loss(f"{word} {quoted(' '.join(values))} ({line})")
+    elif word in _SOLVES and not reader.in_trailing_block:
+        reader.draft.add_remark(f"{surface.name}: {word} solve or pickup replaced by its present value")
+    elif reader.in_trailing_block or not indented:
+        reader.trailing_records.append(f"{surface.name}: {word} {quoted(' '.join(values))}")
+    else:
+        reader.draft.add_loss(f"{surface.name}: {word} {quoted(' '.join(values))}")
+
+
+def finish_records(reader: FileReader) -> None:
+    """Decide whether unknown records behind the last surface are losses.
+
+    A complete file lists its merit function there, followed by tolerances or configurations. In a file
+    without the latter the unknown records are losses.
+    """
+    if not reader.in_trailing_block:
+        _drop_trailing_records(reader)
+
+
+def _drop_trailing_records(reader: FileReader) -> None:
+    """Record the trailing records as losses, because the block of surfaces has not ended."""
+    for record in reader.trailing_records:
+        reader.draft.add_loss(record)
+    reader.trailing_records.clear()
+    reader.in_trailing_block = False
+
+
+def _check_duplicate(surface: FileSurface, word: str, values: list[str], location: str) -> None:
+    """Raise an error if a record that may occur only once occurs again with other values."""
+    if word not in _ONCE:
+        return
+    first, first_location = surface.first_records.setdefault(word, (values, location))
+    if first != values:
+        raise InputError(
+            f"{location}: {word} {quoted(' '.join(values))} is a second {word} record of {surface.name}; "
+            f"{first_location.rpartition(', ')[2]} has {quoted(' '.join(first))}, and a surface has one"
+        )
+
+
+def _start_surface(reader: FileReader, values: list[str], location: str) -> None:
+    expected = len(reader.surfaces)
+    if values != [str(expected)]:
+        raise InputError(f"{location}: SURF {quoted(' '.join(values))} where surface {expected} must follow")
+    if expected > MAX_SURFACES:
+        raise InputError(f"{location}: more than {MAX_SURFACES} surfaces")
+    _drop_trailing_records(reader)
+    reader.surfaces.append(FileSurface(f"surface {expected}", location))
+
+
+def value_at(values: Sequence[str], index: int, location: str) -> float:
+    """Return one value of a record as a number."""
+    if index >= len(values):
+        raise InputError(f"{location}: {len(values)} values; at least {index + 1} are required")
+    return parse_number(values[index], location)
+
+
+def integer_at(values: Sequence[str], index: int, location: str) -> int:
+    """Return one value of a record as a whole number."""
+    value = value_at(values, index, location)
+    if value != int(value) or abs(value) > 1e6:
+        raise InputError(f"{location}: {quoted(values[index])} must be a whole number")
+    return int(value)
+
+
+def _type(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    surface.kind = values[0] if values else ""
+    if surface.kind != "COORDBRK" and shape_of_type(surface.kind, {}) is None:
+        reader.draft.add_loss(f"{surface.name}: surface type {quoted(surface.kind)}, read as STANDARD")
+
+
+def shape_of_type(kind: str, parameters: Mapping[int, float]) -> tuple[type[Shape], dict[str, Any]] | None:
+    """Return the shape class of a surface type and its keys except radius and conic; None if unknown."""
+    for shape in shape_classes():
+        keys = shape.keys_of_zemax(kind, parameters)
+        if keys is not None:
+            return shape, keys
+    return None
+
+
+def _curvature(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    surface.radius_mm = radius_mm(values[0], location) if value_at(values, 0, location) else None
+    if len(values) > 1 and parse_number(values[1], location) > 1.0:  # 1 marks a variable
+        reader.draft.add_remark(f"{surface.name}: curvature solve replaced by its present value")
+
+
+def _conic(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    surface.conic = value_at(values, 0, location)
+
+
+def _distance(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    endless = bool(values) and values[0].upper() == "INFINITY"
+    surface.thickness_mm = math.inf if endless else value_at(values, 0, location)
+
+
+def _glass(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    if not values:
+        raise InputError(f"{location}: GLAS without a name")
+    surface.glass, surface.glass_location = tuple(values), location
+
+
+def _diameter(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    """Read a semi-diameter and its solve: 0 automatic, 1 fixed, 2 pickup, 3 maximum of configurations.
+
+    Automatic values and maxima follow the rays and do not clip. Without a solve the value is fixed.
+    """
+    value = value_at(values, 0, location)
+    solve = integer_at(values, 1, location) if len(values) > 1 else 1
+    surface.semi_diameter_mm = surface.automatic_mm = None
+    if value <= 0.0:
+        return
+    if solve in (0, 3):
+        surface.automatic_mm = value
+        return
+    surface.semi_diameter_mm = value
+    if solve != 1:
+        reader.draft.add_remark(f"{surface.name}: semi-diameter solve replaced by its present value")
+
+
+def _aperture(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    if value_at(values, 0, location) > 0.0:
+        reader.draft.add_loss(f"{surface.name}: central obscuration of radius {values[0]}")
+    value = value_at(values, 1, location)
+    surface.aperture_mm = value if value > 0.0 else None
+
+
+def _shift(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    if any(parse_number(v, location) for v in values):
+        reader.draft.add_loss(f"{surface.name}: decentered aperture")
+
+
+def _stop(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    surface.stop = True
+
+
+def _parameter(reader: FileReader, surface: FileSurface, values: list[str], location: str) -> None:
+    surface.terms[integer_at(values, 0, location)] = value_at(values, 1, location)
+
+
+_OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]] = {
+    "TYPE": _type,
+    "CURV": _curvature,
+    "CONI": _conic,
+    "DISZ": _distance,
+    "GLAS": _glass,
+    "DIAM": _diameter,
+    "CLAP": _aperture,
+    "FLAP": _aperture,
+    "OBDC": _shift,
+    "STOP": _stop,
+    "PARM": _parameter,
+}
+
+_ONCE = frozenset(("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM"))
+
+
+def _mode(reader: FileReader, values: list[str], location: str) -> None:
+    if values != ["SEQ"]:
+        raise InputError(
+            f"{location}: MODE {quoted(' '.join(values))}; only sequential files (SEQ) can be read"
+        )
+
+
+def _unit(reader: FileReader, values: list[str], location: str) -> None:
+    if not values or values[0] != "MM":
+        raise InputError(f"{location}: UNIT {quoted(' '.join(values[:1]))}; only lengths in MM can be read")
+
+
+def _set_aperture(reader: FileReader, kind: str, value: float, location: str) -> None:
+    """Set the system aperture; a file has exactly one."""
+    if reader.draft.aperture not in (None, (kind, value)):
+        raise InputError(
+            f"{location}: a second system aperture that differs from the one of {reader.aperture_location}; "
+            "a file must have exactly one"
+        )
+    reader.draft.aperture, reader.aperture_location = (kind, value), location.rpartition(", ")[2]
+
+
+def _pupil(reader: FileReader, values: list[str], location: str) -> None:
+    _set_aperture(reader, "pupil_diameter_mm", value_at(values, 0, location), location)
+
+
+def _f_number(reader: FileReader, values: list[str], location: str) -> None:
+    working = len(values) > 1 and parse_number(values[1], location) == 1.0
+    kind = "working_f_number" if working else "image_f_number"
+    _set_aperture(reader, kind, value_at(values, 0, location), location)
+
+
+def _object_aperture(reader: FileReader, values: list[str], location: str) -> None:
+    value = value_at(values, 0, location)
+    in_degrees = len(values) > 1 and parse_number(values[1], location) == 1.0
+    _set_aperture(reader, "object_na", math.sin(math.radians(value)) if in_degrees else value, location)
+
+
+def _floating(reader: FileReader, values: list[str], location: str) -> None:
+    _set_aperture(reader, "stop", 0.0, location)
+
+
+def _field_type(reader: FileReader, values: list[str], location: str) -> None:
+    reader.field_kind = integer_at(values, 0, location)
+    if len(values) > 1 and integer_at(values, 1, location):
+        reader.draft.add_loss("telecentric object space")
+    if len(values) > 3:
+        reader.field_count, reader.wavelength_count = (
+            integer_at(values, 2, location),
+            integer_at(values, 3, location),
+        )
+
+
+def _wave(reader: FileReader, values: list[str], location: str) -> None:
+    reader.wavelengths_um[integer_at(values, 0, location)] = value_at(values, 1, location)
+
+
+def _waves(reader: FileReader, values: list[str], location: str) -> None:
+    reader.wavelengths_um = {i: parse_number(v, location) for i, v in enumerate(values, start=1)}
+
+
+def _primary(reader: FileReader, values: list[str], location: str) -> None:
+    reader.primary = integer_at(values, 0, location)
+
+
+def _catalogues(reader: FileReader, values: list[str], location: str) -> None:
+    reader.makers = list(dict.fromkeys(name for maker in values for name in (maker, maker.split("_")[0])))
+    reader.catalogues = values
+
+
+def _environment(reader: FileReader, values: list[str], location: str) -> None:
+    celsius, atmospheres = value_at(values, 0, location), value_at(values, 1, location)
+    if (celsius, atmospheres) != (20.0, 1.0):
+        reader.draft.add_loss(
+            f"environment of {celsius:g} degrees C and {atmospheres:g} atm; a design has 20 and 1"
+        )
+
+
+def _configurations(reader: FileReader, values: list[str], location: str) -> None:
+    reader.in_trailing_block |= bool(reader.surfaces)
+    if integer_at(values, 0, location) > 1:
+        reader.draft.add_loss(f"{values[0]} configurations; the one whose values the surfaces hold is read")
+
+
+_OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
+    "MODE": _mode,
+    "UNIT": _unit,
+    "ENPD": _pupil,
+    "FNUM": _f_number,
+    "OBNA": _object_aperture,
+    "FLOA": _floating,
+    "FTYP": _field_type,
+    "XFLN": field_height_reader("x"),
+    "YFLN": field_height_reader("y"),
+    "XFLD": field_height_reader("x"),
+    "YFLD": field_height_reader("y"),
+    **dict.fromkeys(
+        ("VDXN", "VDYN", "VCXN", "VCYN", "VANN", "ZVDX", "ZVDY", "ZVCX", "ZVCY"), read_vignetting
+    ),
+    "WAVM": _wave,
+    "WAVL": _waves,
+    "PWAV": _primary,
+    "GCAT": _catalogues,
+    "ENVD": _environment,
+    "MNUM": _configurations,
+}
+
+
+def radius_mm(curvature: str, location: str) -> float:
+    """Return the radius of a curvature that is given as text.
+
+    Other programs round a radius more than once before they store its curvature. If a radius of at most 12
+    digits explains the curvature within this rounding, it is returned. A curvature with more than 21 digits
+    identifies its radius exactly.
+    """
+    rounding = 2e-14  # relative
+    value = parse_number(curvature, location)
+    digits = curvature.lower().split("e")[0].strip("+-").replace(".", "").strip("0")
+    exact = float(EXACT.divide(Decimal(1), Decimal(curvature.lower().replace("d", "e"))))
+    if len(digits) <= 21:
+        for count in range(1, 13):
+            short = float(f"{exact:.{count}g}")
+            if abs(short * value - 1.0) <= rounding:
+                return short
+    if not math.isfinite(exact):
+        raise InputError(
+            f"{location}: curvature {quoted(curvature)} is too small; its radius exceeds the range of numbers"
+        )
+    return exact
+
+
+def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
+    """Write a lens to a Zemax OpticStudio file (.zmx).
+
+    :func:`read_zmx` reads the same lens and pose from the file. Numbers are written with all digits. The pose
+    becomes a pair of coordinate breaks at its pivot. A constant index becomes a model glass without
+    dispersion. Notes hold the sensor, the title and the exact glass names. Trailing asphere coefficients of
+    zero are omitted.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    path
+        File to write.
+    pose
+        Pose of the lens (default: aligned). It must hold scalars, not one value for each trial.
+
+    Raises
+    ------
+    InputError
+        If the format cannot represent the lens (a measured figure, or a shape that OpticStudio lacks), or if
+        the file cannot be written. An existing file then stays unchanged.
     MaterialError
         If a glass is unknown.
     """
     target = Path(path)
-    writable(lens, pose, lambda shape: shape.zemax(), "a .zmx file")
+    check_writable(lens, pose, lambda shape: shape.zemax(), "a .zmx file")
     lines = _header(lens) + [f"NOTE 0 {line}" for line in note_lines(lens, pose, target.parent)]
     blocks = _blocks(lens, pose)
     for i, block in enumerate(blocks):
@@ -289,7 +709,7 @@ def _header(lens: Lens) -> list[str]:
 
 
 def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
-    """Records of every surface from the object to the image."""
+    """Return the records of every surface from the object to the image."""
     inner = [
         [
             f"TYPE {kind}",
@@ -323,7 +743,7 @@ def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
     return [*placed, back]
 
 
-def _break_records(axes: Break) -> list[str]:
+def _break_records(axes: CoordinateBreak) -> list[str]:
     values = (*axes.decenter_mm, *axes.tilt_deg, float(axes.reverse))
     return ["TYPE COORDBRK", "CURV 0.0", *(f"PARM {i} {v!r}" for i, v in enumerate(values, start=1))]
 
@@ -336,10 +756,10 @@ def _glass_values(material: str | float, lens: Lens) -> str:
 
 
 def _token(material: str) -> str:
-    """A glass name as one word, without its catalogue."""
+    """Return a glass name as one word, without its catalogue."""
     return "_".join(material.rpartition(":")[2].split())
 
 
 def _plain(title: str) -> str:
-    """A title as it fits on one line."""
+    """Return a title without line breaks and control characters."""
     return " ".join("".join(c if c.isprintable() else " " for c in title).split())

@@ -1,6 +1,4 @@
-"""What a lens is: surfaces and their shapes, glasses, measured figures, poses, edges, and the solid they
-bound.
-"""
+"""The lens model: surfaces, shapes, glasses, measured figures, poses, edges and the solid glass bodies."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How a glass element ends outside its clear apertures: ground diameter, flats, bevels, flange."""
+"""The edge of a glass element outside its clear apertures: ground diameter, flats, bevels and flange."""
 
 from __future__ import annotations
 
@@ -13,16 +13,22 @@ NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=
 
 
 class Flange(Section):
-    """A ring about the edge cylinder by which a moulded lens is held.
+    """A ring around the edge cylinder by which a moulded lens is mounted.
 
     Attributes
     ----------
     semi_diameter_mm
-        Its outer radius.
+        Outer radius of the ring.
     distance_mm
-        From the element's front vertex to the ring's front face, along z.
+        Distance along z from the front vertex of the element to the front face of the ring.
     thickness_mm
-        Between its faces.
+        Distance between the two faces of the ring.
+
+    Examples
+    --------
+    >>> flange = Flange(semi_diameter_mm=6.0, distance_mm=1.0, thickness_mm=1.5)
+    >>> Edge(semi_diameter_mm=5.0, flange=flange).flange.semi_diameter_mm
+    6.0
     """
 
     semi_diameter_mm: Positive
@@ -31,20 +37,25 @@ class Flange(Section):
 
 
 class Edge(Section):
-    """The edge of one glass element, about the axis of the lens.
+    """The edge of one glass element, centred on the axis of the lens.
 
     Attributes
     ----------
     semi_diameter_mm
-        Of the edge cylinder; None is the largest clear semi-diameter of the lens, for which exports and
-        drawings choose a ground diameter (:func:`lensdesign.analysis.outline.drawn_outline`).
+        Radius of the edge cylinder. None means the largest clear semi-diameter of the lens; exports and
+        drawings then choose a ground diameter (:func:`lensdesign.analysis.outline.drawn_outline`).
     front_flat_from_mm, back_flat_from_mm
-        Radial height at which the surface ends and a flat ring goes on to the edge; None prolongs the surface
-        with its own sag.
+        Radial height at which the surface ends and a flat ring continues to the edge. None extends the
+        surface with its own sag.
     front_bevel_mm, back_bevel_mm
-        Leg of the protective bevel at 45 degrees; 0 is a sharp edge.
+        Leg length of the protective bevel at 45 degrees; 0 is a sharp edge.
     flange
-        Ring about the edge cylinder; None is none.
+        Ring around the edge cylinder; None means no flange.
+
+    Examples
+    --------
+    >>> Edge(semi_diameter_mm=5.0, front_bevel_mm=0.2).sides()
+    ((None, 0.2), (None, 0.0))
     """
 
     semi_diameter_mm: Positive | None = None
@@ -59,7 +70,10 @@ class Edge(Section):
         if self.flange is None:
             return self
         if self.semi_diameter_mm is None:
-            raise ValueError("an edge with a flange needs a semi_diameter_mm, that of the cylinder within it")
+            raise ValueError(
+                "an edge with a flange needs a semi_diameter_mm, the radius of the edge cylinder inside the "
+                "flange"
+            )
         if self.flange.semi_diameter_mm <= self.semi_diameter_mm:
             raise ValueError(
                 f"the flange's semi_diameter_mm of {self.flange.semi_diameter_mm:g} must be greater than the "
@@ -68,7 +82,7 @@ class Edge(Section):
         return self
 
     def sides(self) -> tuple[tuple[float | None, float], tuple[float | None, float]]:
-        """Beginning of the flat and leg of the bevel, of front and back."""
+        """Return the start of the flat and the leg of the bevel, for the front and for the back."""
         return (
             (self.front_flat_from_mm, self.front_bevel_mm),
             (self.back_flat_from_mm, self.back_bevel_mm),

@@ -1,7 +1,7 @@
 """Figure of a surface: its sag error, the departure of the made shape from the designed one.
 
-However it was given, a figure is held as one thing: a bicubic B-spline on a uniform grid, with continuous
-second derivatives, so that rays and waves see the same height and slope.
+Every figure is stored as a bicubic B-spline on a uniform grid, whether it was given as a grid or by Zernike
+coefficients. Its second derivatives are continuous, so that rays and waves use the same height and slope.
 """
 
 from __future__ import annotations
@@ -20,33 +20,25 @@ from lensdesign.lens.zernikes import zernike, zernike_orders
 Array = NDArray[Any]
 
 FEWEST_POINTS = 8
-"""Nodes along each side of a measured grid."""
-
-_NODES_PER_ORDER_SQUARED = 2.6
-"""From the vertex to the rim: the spline then misses a polynomial of root mean square 1 by less than 1e-6."""
-
-_MARGIN = 12
-"""Nodes beyond the rim for which Zernike polynomials go on, so that nothing behind reaches back inside."""
-
-_BLOCK = 1 << 15
-"""Points evaluated at one time."""
+"""Smallest number of nodes along each side of a measured grid."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFigure:
     """Sag error over a disc in a surface's own frame, positive along +z; it adds to the sag.
 
-    Beyond its grid the error goes on as it stands at the edge.
+    Outside the grid the error keeps the value that it has at the nearest edge of the grid.
 
     Attributes
     ----------
     semi_diameter_mm : float
-        Of the disc about the vertex over which it is stated.
+        Semi-diameter of the disc around the vertex over which the error is defined.
     spacing_mm : float
-        Between the nodes of the grid, which is centred on the vertex.
+        Distance between neighbouring nodes of the grid, which is centred on the vertex.
     coefficients : ndarray, shape (rows + 2, columns + 2) or (trials, rows + 2, columns + 2)
-        B-spline coefficients in mm; row: y, column: x, both rising. One more on each side than nodes. With a
-        leading axis, figures of many perturbed copies of one surface.
+        B-spline coefficients in mm; rows follow y and columns x, both increasing. There is one coefficient
+        more than nodes on each side. A leading axis holds the figures of many perturbed copies of one
+        surface.
     """
 
     semi_diameter_mm: float
@@ -55,7 +47,7 @@ class SurfaceFigure:
 
     @property
     def trials(self) -> int | None:
-        """Number of copies; None for a single figure."""
+        """Number of perturbed copies; None for a single figure."""
         return len(self.coefficients) if self.coefficients.ndim == 3 else None
 
     @property
@@ -64,34 +56,35 @@ class SurfaceFigure:
         rows, columns = self.coefficients.shape[-2:]
         return rows - 2, columns - 2
 
-    def trial(self, number: int) -> SurfaceFigure:
-        """The figure of one copy; a single figure is that of every copy."""
+    def trial(self, index: int) -> SurfaceFigure:
+        """Return the figure of one copy; a single figure applies to every copy."""
         if self.trials is None:
             return self
-        return SurfaceFigure(self.semi_diameter_mm, self.spacing_mm, self.coefficients[number])
+        return SurfaceFigure(self.semi_diameter_mm, self.spacing_mm, self.coefficients[index])
 
     def sag(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
-        """Sag error in mm at transverse points, broadcast together; trials, if any, come first."""
+        """Return the sag error in mm at transverse points, broadcast together; a trial axis comes first."""
         return self._evaluate(x_mm, y_mm, ((0, 0),))[0]
 
     def sag_and_slopes(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Array, Array, Array]:
-        """Sag error in mm, and its slopes along x and y (dimensionless)."""
+        """Return the sag error in mm and its slopes along x and y (dimensionless)."""
         z, dx, dy = self._evaluate(x_mm, y_mm, ((0, 0), (0, 1), (1, 0)))
         return z, dx, dy
 
     def _evaluate(
         self, x_mm: ArrayLike, y_mm: ArrayLike, derivatives: tuple[tuple[int, int], ...]
     ) -> list[Array]:
-        """Derivatives (order along y, order along x), block by block."""
+        """Return derivatives, each given by its order along y and along x, computed block by block."""
+        block = 1 << 15  # points at a time; bounds the memory of the intermediate arrays
         x, y = np.broadcast_arrays(np.asarray(x_mm), np.asarray(y_mm))
         leading = self.coefficients.shape[:-2]
         kind = np.result_type(x, y, float)
         results = [np.empty((*leading, x.size), kind) for _ in derivatives]
         across, down = x.reshape(-1), y.reshape(-1)
-        for start in range(0, x.size, _BLOCK):
-            part = slice(start, start + _BLOCK)
-            column, by_x = self._basis(across[part], self.nodes[1])
-            row, by_y = self._basis(down[part], self.nodes[0])
+        for start in range(0, x.size, block):
+            points = slice(start, start + block)
+            column, by_x = self._basis(across[points], self.nodes[1])
+            row, by_y = self._basis(down[points], self.nodes[0])
             values = [np.zeros((*leading, len(column)), kind) for _ in derivatives]
             for j in range(4):
                 for i in range(4):
@@ -99,15 +92,15 @@ class SurfaceFigure:
                     for value, (order_y, order_x) in zip(values, derivatives, strict=True):
                         value += by_y[order_y][j] * by_x[order_x][i] * local
             for result, value in zip(results, values, strict=True):
-                result[..., part] = value
+                result[..., points] = value
         return [result.reshape((*leading, *x.shape)) for result in results]
 
     def _basis(self, at_mm: Array, nodes: int) -> tuple[NDArray[np.intp], tuple[list[Array], list[Array]]]:
-        """Cell of each coordinate, and the four B-splines there: values and derivatives."""
+        """Return the cell of each coordinate and the values and derivatives of the four B-splines there."""
         u = at_mm / self.spacing_mm + 0.5 * (nodes - 1)
         within = (np.real(u) >= 0.0) & (np.real(u) <= nodes - 1)
         u = np.where(within, u, np.clip(np.real(u), 0.0, nodes - 1))
-        # A point that is no number has no cell; its weights are no numbers either.
+        # A NaN coordinate gets any cell: its weights are NaN, so the result is NaN too.
         cell = np.clip(np.nan_to_num(np.real(u)), 0, nodes - 2).astype(np.intp)
         t = u - cell
         values = [
@@ -128,18 +121,18 @@ class SurfaceFigure:
 
 @dataclass(frozen=True, eq=False)
 class PackedFigures:
-    """Figures of all surfaces as flat arrays.
+    """Figures of all surfaces as flat arrays, the form that compiled ray tracing reads.
 
     Attributes
     ----------
     first : ndarray of int, shape (surfaces + 1,)
-        Figures first[s] to first[s + 1] - 1 are those of surface s.
+        Figures first[s] to first[s + 1] - 1 belong to surface s.
     layout : ndarray of int, shape (figures, 4)
-        Start in `coefficients`, step from trial to trial, rows and columns.
+        For each figure: its start in `coefficients`, the step from trial to trial, rows and columns.
     per_mm : ndarray, shape (figures,)
-        One over the spacing.
+        Reciprocal of the grid spacing.
     coefficients : ndarray, shape (n,)
-        Of all B-splines, in mm.
+        B-spline coefficients of all figures, in mm.
     """
 
     first: NDArray[np.int64]
@@ -149,7 +142,7 @@ class PackedFigures:
 
 
 def packed_figures(figures: Sequence[Sequence[SurfaceFigure]]) -> PackedFigures:
-    """Lay out the figures of each surface."""
+    """Return the figures of all surfaces, one sequence per surface, as flat arrays."""
     every = [figure for own in figures for figure in own]
     sizes = [figure.coefficients.size for figure in every]
     layout = [
@@ -165,24 +158,36 @@ def packed_figures(figures: Sequence[Sequence[SurfaceFigure]]) -> PackedFigures:
 
 
 def figure_from_grid(sag_error_mm: ArrayLike, spacing_mm: float, semi_diameter_mm: float) -> SurfaceFigure:
-    """A figure through the points of a uniform grid.
+    """Return a figure that interpolates the points of a uniform grid.
 
-    Points that were not measured (NaN) may lie outside the disc only; they take the nearest measured value.
+    Points that were not measured (NaN) may lie outside the disc only. They take the nearest measured value.
 
     Parameters
     ----------
     sag_error_mm
-        Sag error, positive along +z, shape (rows, columns) or (trials, rows, columns); row: y, column: x,
-        both rising, the grid centred on the vertex.
+        Sag error in mm, positive along +z, shape (rows, columns) or (trials, rows, columns). Rows follow y
+        and columns x, both increasing; the grid is centred on the vertex.
     spacing_mm
-        Between neighbouring points, along x and y.
+        Distance between neighbouring points, the same along x and y.
     semi_diameter_mm
-        Of the disc over which it is stated, usually the clear aperture.
+        Semi-diameter of the disc over which the error is defined, usually the clear aperture.
+
+    Returns
+    -------
+    SurfaceFigure
 
     Raises
     ------
     InputError
-        If the grid does not cover the disc, holds points inside it that were not measured, or is no grid.
+        If the grid does not cover the disc, has fewer than 8 points along a side, or contains points inside
+        the disc that were not measured.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> figure = figure_from_grid(np.full((9, 9), 1e-4), spacing_mm=1.0, semi_diameter_mm=4.0)
+    >>> round(float(figure.sag(0.5, -1.2)), 9)
+    0.0001
     """
     values = np.array(sag_error_mm, float)
     for name, size in (("spacing_mm", spacing_mm), ("semi_diameter_mm", semi_diameter_mm)):
@@ -211,20 +216,32 @@ def figure_from_grid(sag_error_mm: ArrayLike, spacing_mm: float, semi_diameter_m
 
 
 def figure_from_zernike(coefficients_um: Mapping[int, ArrayLike], semi_diameter_mm: float) -> SurfaceFigure:
-    """A figure from Zernike coefficients; the spline keeps them to 1e-6.
+    """Return a figure from Zernike coefficients; the spline reproduces the polynomials to 1e-6.
 
     Parameters
     ----------
     coefficients_um
         Root mean square sag error in um of each polynomial, by OSA/ANSI index
-        (:mod:`lensdesign.lens.zernikes`). Arrays of shape (trials,) give figures of many copies.
+        (:mod:`lensdesign.lens.zernikes`). Arrays of shape (trials,) give the figures of many copies.
     semi_diameter_mm
-        Of the disc over which the polynomials are normalized.
+        Semi-diameter of the disc over which the polynomials are normalized.
+
+    Returns
+    -------
+    SurfaceFigure
 
     Raises
     ------
     InputError
-        If an index does not exist, a value is not finite, or arrays differ in length.
+        If an index does not exist, a value is not finite, or the arrays differ in length.
+
+    Examples
+    --------
+    Defocus of 0.1 um root mean square has a sag error of sqrt(3) times as much at the rim:
+
+    >>> figure = figure_from_zernike({4: 0.1}, semi_diameter_mm=5.0)
+    >>> round(1e3 * float(figure.sag(5.0, 0.0)), 4)
+    0.1732
     """
     validate_positive("figure: semi_diameter_mm", semi_diameter_mm)
     given = {index: np.asarray(value, float) for index, value in coefficients_um.items()}
@@ -237,8 +254,11 @@ def figure_from_zernike(coefficients_um: Mapping[int, ArrayLike], semi_diameter_
         if not np.all(np.isfinite(value)):
             raise InputError(f"figure: Zernike coefficient {index} is not finite")
     order = max((zernike_orders(index)[0] for index in given), default=0)
-    across = max(FEWEST_POINTS, math.ceil(_NODES_PER_ORDER_SQUARED * order**2))
-    at = np.arange(-across - _MARGIN, across + _MARGIN + 1) / across
+    # So many nodes from vertex to rim keep the spline within 1e-6 of a polynomial of root mean square 1. The
+    # polynomials continue for some nodes beyond the rim, so that the spline's end conditions do not act
+    # inside.
+    across, margin = max(FEWEST_POINTS, math.ceil(2.6 * order**2)), 12
+    at = np.arange(-across - margin, across + margin + 1) / across
     rho = np.minimum(np.hypot(at, at[:, None]), at[-1])
     theta = np.arctan2(at[:, None], at)
     values = np.zeros((*next(iter(lengths), ()), len(at), len(at)))
@@ -248,7 +268,7 @@ def figure_from_zernike(coefficients_um: Mapping[int, ArrayLike], semi_diameter_
 
 
 def _filled(values: Array) -> Array:
-    """Points that are not finite take the value of the nearest that is."""
+    """Fill points that are not finite with the value of the nearest finite point."""
     from scipy.ndimage import distance_transform_edt
 
     for plane in values.reshape(-1, *values.shape[-2:]):
@@ -260,13 +280,13 @@ def _filled(values: Array) -> Array:
 
 
 def _spline(values: Array) -> Array:
-    """Coefficients of the cubic B-spline through the last two axes, not-a-knot at the ends (de Boor)."""
+    """Return the cubic B-spline coefficients along the last two axes, not-a-knot at the ends (de Boor)."""
     from scipy.linalg import solve_banded
 
     for axis in (-1, -2):
         along = np.moveaxis(values, axis, 0)
         n = len(along)
-        bands = np.zeros((9, n + 2))  # bands[4 + i - j, j] is the matrix at (i, j)
+        bands = np.zeros((9, n + 2))  # banded storage: bands[4 + i - j, j] is matrix element (i, j)
         fourth = (1.0, -4.0, 6.0, -4.0, 1.0)
         bands[4 - np.arange(5), np.arange(5)] = fourth
         bands[4 + np.arange(5), n + 1 - np.arange(5)] = fourth

@@ -1,4 +1,4 @@
-"""What a design file says of a surface's measured figure."""
+"""The source of a surface's measured figure, as a design file states it."""
 
 from __future__ import annotations
 
@@ -12,23 +12,29 @@ from lensdesign.common.section import Finite, Positive, Section, as_path
 from lensdesign.lens.zernikes import zernike_orders
 
 TEST_WAVELENGTH_UM = 0.6328
-"""Of the helium-neon laser that tests surfaces: what "waves at 633 nm" are counted in."""
+"""Wavelength of the helium-neon laser of surface tests, the unit of "waves at 633 nm"."""
 
 
 class FigureSource(Section):
-    """Where a surface's measured figure (sag error, positive along +z) comes from.
+    """The source of a surface's measured figure (sag error, positive along +z).
 
     Exactly one of `file`, `zernike_um` and `zernike_waves_633nm` is given.
 
     Attributes
     ----------
     file
-        Grid file; see :mod:`lensdesign.files.figures`.
+        Path of a grid file; see :mod:`lensdesign.files.figures`.
     zernike_um, zernike_waves_633nm
         Pairs of an OSA/ANSI index and the root mean square sag error of that polynomial, in um or in waves of
-        `TEST_WAVELENGTH_UM`; see :mod:`lensdesign.lens.zernikes`. A table in the design file.
+        `TEST_WAVELENGTH_UM`; see :mod:`lensdesign.lens.zernikes`. The design file gives them as a table.
     semi_diameter_mm
-        Of the disc over which the Zernike polynomials are normalized; a grid file has none.
+        Semi-diameter of the disc over which the Zernike polynomials are normalized; None with a grid file.
+
+    Examples
+    --------
+    >>> source = FigureSource(zernike_um={4: 0.1, 12: -0.02}, semi_diameter_mm=5.0)
+    >>> source.coefficients_um
+    {4: 0.1, 12: -0.02}
     """
 
     file: Path | None = None
@@ -44,7 +50,7 @@ class FigureSource(Section):
     @field_validator("zernike_um", "zernike_waves_633nm", mode="before")
     @classmethod
     def _coefficients(cls, value: Any) -> Any:
-        """A table with indices for keys, or pairs, as pairs in rising order."""
+        """Return the pairs of a table or of a sequence of pairs, in increasing order of the index."""
         if not isinstance(value, dict | tuple):
             raise ValueError("must be a table: { index = coefficient, ... }")
         pairs = {}
@@ -74,7 +80,8 @@ class FigureSource(Section):
             raise ValueError(
                 f"{given[0]} needs a semi_diameter_mm, over which the polynomials are normalized"
                 if self.file is None
-                else "semi_diameter_mm goes with Zernike coefficients; a grid file tells its own size"
+                else "semi_diameter_mm goes with Zernike coefficients; a grid file states its own size, "
+                "leave it out"
             )
         return self
 

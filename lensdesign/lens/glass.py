@@ -1,6 +1,6 @@
 """Refractive indices: constants, glass catalogue files, and the refractiveindex.info database.
 
-All indices are relative to air, as glass makers publish them; air itself, and a vacuum, count as 1.
+All indices are relative to air, as glass makers publish them. Air and a vacuum have the index 1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from lensdesign.lens.catalogues.thermal import (
 
 _AIR_NAMES = ("AIR", "VACUUM")
 
-# Books of the database's `specs` shelf and their makers; where two makers use one name, the first wins.
+# Books of the database's `specs` shelf and their makers. Where two makers use the same name, the first one
+# in this table is used.
 _MAKER_BOOKS = {
     "SCHOTT-optical": "Schott",
     "OHARA-optical": "Ohara",
@@ -49,8 +50,8 @@ _MAKER_BOOKS = {
     "Cargille": "Cargille",
 }
 
-# Measurements from the literature, for materials that no maker's catalogue names: page -> names.
-# Birefringent crystals are given by their ordinary ray.
+# Measurements from the literature for materials that no maker's catalogue lists: page -> names.
+# Birefringent crystals have the index of their ordinary ray.
 _LITERATURE_CATALOG = "refractiveindex.info"
 _LITERATURE_PAGES = {
     ("organic", "poly_methyl_methacrylate", "Beadie"): ("PMMA", "ACRYLIC"),
@@ -75,19 +76,19 @@ class Material:
     Parameters
     ----------
     name
-        Name in its catalogue, or the number of a constant index.
+        Name in its catalogue, or the value of a constant index as text.
     wavelength_range_um
-        Shortest and longest wavelength for which the index is known, both inside.
+        Shortest and longest wavelength for which the index is known; both ends are allowed.
     catalog
         Maker, "refractiveindex.info", the name of a catalogue file, or "constant".
     source
-        Where the data comes from, in words; empty for a constant.
+        Source of the data as text; empty for a constant.
     dispersion
-        The index at a wavelength in um, without a check of the range.
+        Function that returns the index at a wavelength in um without a check of the range.
     thermal
-        What is known of it in heat.
+        Thermal data of the material.
     notes
-        What a user of the material should know of its entry in the catalogue.
+        Remarks on the catalogue entry that a user of the material should know.
     """
 
     name: str
@@ -99,12 +100,17 @@ class Material:
     notes: tuple[str, ...] = field(default=(), repr=False)
 
     def index(self, wavelength_um: float) -> float:
-        """Refractive index relative to air.
+        """Return the refractive index relative to air.
+
+        Parameters
+        ----------
+        wavelength_um
+            Vacuum wavelength (air has the index 1).
 
         Raises
         ------
         MaterialError
-            If the wavelength is outside the range, or the data has no index of 1 or more there.
+            If the wavelength is outside the range, or the data give no index of 1 or more there.
         """
         shortest, longest = self.wavelength_range_um
         if not shortest <= wavelength_um <= longest:
@@ -124,45 +130,56 @@ class Material:
 
 
 def is_air(material: str | float | None) -> bool:
-    """Whether a design file's material is air or a vacuum: none, their names, or the index 1."""
+    """Return whether a material of a design file is air or a vacuum: None, AIR, VACUUM or the index 1."""
     if isinstance(material, str):
         return material.strip().upper() in _AIR_NAMES
     return material is None or material == 1.0
 
 
 def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Material:
-    """Find a material by name, or make one with a constant index.
+    """Return a material by its name, or one with a constant index.
 
     A name may be any of
 
-    - ``AIR`` or ``VACUUM``, the index 1: catalogue indices are relative to air;
-    - a glass name such as ``N-BK7``, in any case, sought first in the given catalogue files, in their
-      order, then in the refractiveindex.info database: Schott, Ohara, Hoya, CDGM, Hikari, Sumita, LZOS,
-      then infrared glasses, crystals and filters. The first maker that has the name is taken;
+    - ``AIR`` or ``VACUUM``, with the index 1, since catalogue indices are relative to air;
+    - a glass name such as ``N-BK7``, in upper or lower case. It is searched first in the given catalogue
+      files, in their order, then in the refractiveindex.info database: Schott, Ohara, Hoya, CDGM, Hikari,
+      Sumita, LZOS, then infrared glasses, crystals and filters. The first maker that has the name is used;
     - a plastic or a crystal: PMMA, POLYCARB, POLYSTYR, E48R, SILICA, CaF2, SAPPHIRE (ordinary ray) ...;
     - any of these with its catalogue, such as ``OHARA:S-BSL7`` or ``my_glasses.agf:X1``;
-    - any of these with a temperature, such as ``N-BK7@50C``: at 50 degrees Celsius, relative to air of 50.
+    - any of these with a temperature, such as ``N-BK7@50C``: the index at 50 degrees Celsius, relative to air
+      at 50 degrees Celsius.
 
-    Names are never guessed: one that is not found raises an error that lists similar ones.
+    Names are never guessed: an unknown name raises an error that lists similar ones.
 
     Parameters
     ----------
     material
-        A name, or a constant index of at least 1 that holds at every wavelength.
+        Name of a material, or a constant index of at least 1 for every wavelength.
     catalogs
-        Glass catalogue files in Zemax's AGF format.
+        Paths of glass catalogue files in Zemax's AGF format.
+
+    Returns
+    -------
+    Material
 
     Raises
     ------
     MaterialError
-        If the name is unknown or could be two materials, the index is below 1 or not finite, a
-        catalogue file cannot be read, or its entry of this glass contradicts itself or another entry.
+        If the name is unknown or matches two materials, the index is below 1 or not finite, a catalogue
+        file cannot be read, or its entry for this glass contradicts itself or another entry.
 
     Notes
     -----
     Some of the database's pages are tables and not fits (LZOS, SCHOTT:B270, most of Crystran's). They are
-    interpolated linearly, which in the visible errs by up to 1e-3 between the lines of the widest steps
-    (LZOS's densest flints). What a formula describes is as good as its maker's fit.
+    interpolated linearly. In the visible the interpolation error reaches 1e-3 between the most widely spaced
+    lines (LZOS's densest flints). A dispersion formula is as accurate as the fit of its maker.
+
+    Examples
+    --------
+    >>> glass = get_material("N-BK7")
+    >>> glass.catalog, round(glass.index(0.5875618), 4)
+    ('Schott', 1.5168)
     """
     if not isinstance(material, str):
         return _constant(material)
@@ -199,43 +216,70 @@ def _at_temperature(material: str, files: tuple[Path, ...]) -> Material:
         return found
     if not found.thermal.knows_index:
         raise MaterialError(
-            f"{found.name} ({found.catalog}): no data says how its index changes with temperature; give a "
-            "glass that has it, or an AGF catalogue with a TD record"
+            f"{found.name} ({found.catalog}): the change of its index with temperature is not known; use a "
+            "glass for which it is, or an AGF catalogue with a TD record"
         )
     heated = Heated(found.dispersion, found.thermal, temperature_c)
     return replace(found, name=at_temperature(name, temperature_c), dispersion=heated)
 
 
 def refractive_index(material: str | float, wavelength_um: float, catalogs: Iterable[Path] = ()) -> float:
-    """Refractive index of a material, as `get_material` finds it, at one wavelength."""
+    """Return the refractive index of a material at one wavelength; see :func:`get_material`.
+
+    Examples
+    --------
+    >>> refractive_index(1.5, 0.55)
+    1.5
+    """
     return get_material(material, catalogs).index(wavelength_um)
 
 
 def list_glasses(catalogs: Iterable[Path] = ()) -> tuple[tuple[str, str], ...]:
-    """Every (name, catalogue) that `get_material` knows, in the order in which it looks."""
+    """Return every (name, catalogue) that `get_material` knows, in the order of its search.
+
+    Examples
+    --------
+    >>> ("N-BK7", "Schott") in list_glasses()
+    True
+    """
     entries = _all_entries(tuple(Path(path) for path in catalogs))
     return tuple((entry.name, entry.catalog) for entry in entries)
 
 
 def glass_summary(material: str | float, catalogs: Iterable[Path] = ()) -> dict[str, Any]:
-    """Key figures of a material.
+    """Return the key figures of a material.
+
+    Parameters
+    ----------
+    material, catalogs
+        Name or constant index, and catalogue files, as for :func:`get_material`.
 
     Returns
     -------
     dict
-        ``name``, ``catalog``, ``source``; ``wavelength_range_um`` (None if any wavelength will do); ``nd``,
-        the index at the helium d line, and ``vd``, the Abbe number (nd - 1) / (nF - nC), each None where
-        the range does not hold the lines. ``vd`` is None, too, for a constant index.
+        ``name``, ``catalog``, ``source``; ``wavelength_range_um`` (None if every wavelength is allowed);
+        ``nd``, the index at the helium d line; ``vd``, the Abbe number (nd - 1) / (nF - nC). `nd` and `vd`
+        are None where the range does not contain the lines. `vd` is also None for a constant index.
+
+    Raises
+    ------
+    MaterialError
+        If the material is not found.
+
+    Examples
+    --------
+    >>> round(glass_summary("N-BK7")["vd"], 1)
+    64.2
     """
     glass = get_material(material, catalogs)
     shortest, longest = glass.wavelength_range_um
 
-    def holds(wavelength_um: float) -> bool:
+    def in_range(wavelength_um: float) -> bool:
         return shortest <= wavelength_um <= longest
 
-    nd = glass.index(LINE_D_UM) if holds(LINE_D_UM) else None
+    nd = glass.index(LINE_D_UM) if in_range(LINE_D_UM) else None
     vd = None
-    if nd is not None and holds(LINE_F_UM) and holds(LINE_C_UM):
+    if nd is not None and in_range(LINE_F_UM) and in_range(LINE_C_UM):
         spread = glass.index(LINE_F_UM) - glass.index(LINE_C_UM)
         vd = (nd - 1.0) / spread if spread else None
     return {
@@ -275,7 +319,7 @@ class _Entry:
 
     @property
     def makers(self) -> tuple[str, ...]:
-        """What may stand before the colon: the catalogue, for a file also without its suffix."""
+        """Prefixes allowed before the colon: the catalogue, for a file also without its suffix."""
         catalog = self.catalog.casefold()
         return (catalog, catalog.removesuffix(".agf"))
 
@@ -328,7 +372,7 @@ def _file_entries(path: Path) -> tuple[_Entry, ...]:
 
 
 def _sources(files: tuple[Path, ...]) -> Iterator[tuple[_Entry, ...]]:
-    """Where to look, in order; the database is read only if it comes to that."""
+    """Yield the entries of each source in order of search; the database is read only if it is reached."""
     for path in files:
         yield _file_entries(path)
     yield _database_entries()
@@ -339,7 +383,7 @@ def _all_entries(files: tuple[Path, ...]) -> tuple[_Entry, ...]:
 
 
 def _split(material: str) -> tuple[str, str]:
-    """Catalogue before the colon, if any, and name, both case-folded."""
+    """Return the catalogue before the colon (may be empty) and the name, both case-folded."""
     maker, colon, name = material.strip().casefold().rpartition(":")
     if not name or (colon and not maker):
         raise MaterialError(f"material {material!r}: must be a name such as 'N-BK7' or 'SCHOTT:N-BK7'")
@@ -347,9 +391,9 @@ def _split(material: str) -> tuple[str, str]:
 
 
 def _choose(material: str, found: Sequence[_Entry]) -> _Entry:
-    """The entry spelled as asked, else the first; refuse where only case tells two materials apart."""
-    asked = material.rpartition(":")[2].strip()
-    exact = [entry for entry in found if entry.name == asked]
+    """Return the entry with this very spelling, else the first; refuse names that differ only in case."""
+    requested = material.rpartition(":")[2].strip()
+    exact = [entry for entry in found if entry.name == requested]
     if not exact and len({entry.name for entry in found}) > 1:
         options = ", ".join(f"{entry.name} ({entry.catalog})" for entry in found)
         raise MaterialError(f"material {material!r} could be any of {options}; write it in one of these ways")
@@ -387,12 +431,12 @@ def _is_number(text: str) -> bool:
 
 
 def _similar(name: str, entries: Sequence[_Entry]) -> list[_Entry]:
-    """Entries with the same letters and digits, then those that contain them, then close spellings."""
-    asked = _plain(name)
+    """Return entries with the same letters and digits, then those that contain them, then close spellings."""
+    requested = _plain(name)
     plain = [(_plain(entry.name), entry) for entry in entries]
-    containing = [pair for pair in plain if asked and asked in pair[0]]
+    containing = [pair for pair in plain if requested and requested in pair[0]]
     containing.sort(key=lambda pair: len(pair[0]))
-    close = difflib.get_close_matches(asked, dict.fromkeys(key for key, _ in plain), n=5)
+    close = difflib.get_close_matches(requested, dict.fromkeys(key for key, _ in plain), n=5)
     first = dict(reversed(plain))
     ranked = [entry for _, entry in containing] + [first[key] for key in close]
     return list({(entry.name, entry.catalog): entry for entry in ranked}.values())[:5]

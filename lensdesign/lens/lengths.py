@@ -1,7 +1,8 @@
-"""Which lengths go with a lens: of its own file, of a simulation of it, and of the tolerances of it.
+"""Plausible ranges of the lengths of a lens file, of a simulation and of tolerances.
 
-Ranges are relative to the lens, so that a lens of any size is judged alike. They are wide: a length is
-questioned where nothing real has it, such as a decenter beyond the clear diameter.
+The ranges are relative to the lens, so that a lens of any size is judged by the same rule. They are wide: a
+length is questioned only where no real design has it, such as a decenter larger than the clear diameter. The
+usual cause of such a length is a wrong unit.
 """
 
 from __future__ import annotations
@@ -11,55 +12,42 @@ import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, doubted_length
+from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, implausible_length
 from lensdesign.lens.lens import Lens
 
 FAR = 50.0
-"""A length is too long if it is so many times all lengths of other kinds."""
-
-WIDE = 12.0
-"""The same of the field: seen from the lens, so wide a field reaches 80 degrees off the axis."""
-
-FEW_LINES = 6.0
-"""Number of the finest lines that an object has at least."""
-
-LENS_MM = PlausibleLength(0.01, 2000.0, (0.1, 500.0))
-"""Median length of a lens: a smaller one would be a few wavelengths wide, and none of glass is larger."""
-
-LEAST_APERTURE = 1e-6
-"""Numerical aperture below which none is told from a smaller one, so that its square divides."""
-
-ANY = math.inf
+"""A length is too long if it exceeds all lengths of other kinds by this factor."""
 
 
 class LongRadiusWarning(UserWarning):
-    """A radius is so long that the surface is nearly a plane; a thousandth of it would be usual."""
+    """Warn of a radius that makes the surface nearly plane and that would be usual in micrometres."""
 
 
 @dataclass(frozen=True)
 class LensLengths:
-    """Lengths by which others are judged.
+    """Characteristic lengths of a lens, by which other lengths are judged.
 
     Attributes
     ----------
     median_mm
-        Of diameters, field, thicknesses of glass and working distance; a single wrong one moves it little.
+        Median of diameters, field, glass thicknesses and working distance. A single wrong length changes it
+        little.
     largest_mm
-        Of the same and all distances; radii apart, which may have any length.
+        Largest of these and of all distances; without radii, which may have any length.
     clear_diameter_mm
-        Of the widest surface.
+        Clear diameter of the widest surface.
     field_mm
         Diameter of the field.
     resolved_mm
         Finest line width that the numerical aperture passes.
     focal_depth_mm
-        Wavelength over the square of the numerical aperture.
+        Wavelength divided by the square of the numerical aperture.
     wavelength_mm
-        Of the light.
+        Wavelength of the light.
     working_distance_mm
-        From the object to the lens.
+        Distance from the object to the front vertex.
     planes_mm
-        Distances of the sensor planes.
+        Distances of the sensor planes from the exit vertex.
     sensor_mm
         Longer side of the sensor.
     """
@@ -77,9 +65,9 @@ class LensLengths:
 
     @classmethod
     def of(cls, lens: Lens, wavelength_um: float | None = None) -> LensLengths:
-        """Those of a lens, in its first wavelength where none is given."""
+        """Return the lengths of a lens at a wavelength (default: its first)."""
         wavelength = 1e-3 * (lens.wavelengths_um[0] if wavelength_um is None else wavelength_um)
-        aperture = max(lens.object.numerical_aperture, LEAST_APERTURE)
+        aperture = max(lens.object.numerical_aperture, 1e-6)  # its square must not underflow to 0
         diameters = _diameters(lens)
         field, distance = lens.object.field_diameter_mm, lens.object.working_distance_mm
         glass = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and s.material is not None]
@@ -100,33 +88,43 @@ class LensLengths:
         )
 
     def plausible_mm(self, name: str) -> PlausibleLength | None:
-        """What a length of a simulation or a merit may be, by the name of the setting without its unit.
+        """Return the plausible range of a length of a simulation or a merit.
 
-        None where the name is that of no length.
+        Parameters
+        ----------
+        name
+            Name of the setting without its unit.
+
+        Returns
+        -------
+        PlausibleLength or None
+            None if the setting is not a length.
         """
         field, fine, wave = self.field_mm, self.resolved_mm, self.wavelength_mm
         if name in ("patch", "field_stop", "picture_width", "region_size", "tile_width"):
             least, most = fine, (1.5 if name == "patch" else 5.0) * field
-            said = f"must be from {least:.3g} mm, the finest line that the aperture passes, to {most:.3g} mm"
-            return PlausibleLength(least, most, (4.0 * fine, field), said)
+            reason = (
+                f"must be from {least:.3g} mm, the finest line that the aperture passes, to {most:.3g} mm"
+            )
+            return PlausibleLength(least, most, (4.0 * fine, field), reason)
         if name in ("field_stop_at", "chart_at", "region_at"):
             return _at_most(3.0 * field, f"must lie within {3.0 * field:.3g} mm, three times the field")
         if name in ("field", "field_points", "field_height"):
             half = 0.5 * field
-            said = f"must be 0, or from {0.002 * half:.2g} to {half:.3g} mm, half of the field"
-            return PlausibleLength(0.002 * half, 1.01 * half, (0.02 * half, 1.01 * half), said)
+            reason = f"must be 0, or from {0.002 * half:.2g} to {half:.3g} mm, half of the field"
+            return PlausibleLength(0.002 * half, 1.01 * half, (0.02 * half, 1.01 * half), reason)
         if name in ("object_pitch", "line_width", "line_widths", "linewidths"):
             return _fineness(fine, 300.0, "lines that the aperture passes")
         if name in ("pitch", "step"):
             return _fineness(wave, 50.0, "light")
         if name in ("picture_pixel", "light_pitch"):
             least, most = 0.01 * fine, field / 8.0
-            said = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} um, for a field of {field:g} mm"
-            return PlausibleLength(least, most, (0.05 * fine, field / 10.0), said)
+            reason = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} um, for a field of {field:g} mm"
+            return PlausibleLength(least, most, (0.05 * fine, field / 10.0), reason)
         if name == "waist":
             least, most = 2.0 * wave, 20.0 * field
-            said = f"must be {least:.3g} to {most:.3g} mm, for a field of {field:g} mm"
-            return PlausibleLength(least, most, (4.0 * wave, 2.0 * field), said)
+            reason = f"must be {least:.3g} to {most:.3g} mm, for a field of {field:g} mm"
+            return PlausibleLength(least, most, (4.0 * wave, 2.0 * field), reason)
         if name in ("planes", "plane_distance", "predict"):
             return self._plane()
         if name == "pivot_z":
@@ -143,35 +141,35 @@ class LensLengths:
             return self._error(max(self.planes_mm), "the distance of the farthest plane")
         if name in ("shift", "plane_shift"):
             most = 0.1 * self.sensor_mm
-            said = f"must be from 0.01 to {1e3 * most:.4g} um, a tenth of the sensor"
-            return PlausibleLength(1e-5, most, (5e-4, most), said)
+            reason = f"must be from 0.01 to {1e3 * most:.4g} um, a tenth of the sensor"
+            return PlausibleLength(1e-5, most, (5e-4, most), reason)
         if name == "refocus":
             depth, distance = self.focal_depth_mm, self.working_distance_mm
             most = min(distance, max(0.2 * distance, 300.0 * depth))
-            said = (
+            reason = (
                 f"must be {0.02 * depth:.3g} to {most:.3g} mm, for a depth of focus of {depth:.3g} mm and a "
                 f"working distance of {distance:.3g} mm"
             )
-            return PlausibleLength(0.02 * depth, most, (0.1 * depth, most), said)
+            return PlausibleLength(0.02 * depth, most, (0.1 * depth, most), reason)
         return None
 
     def _error(self, most: float, what: str) -> PlausibleLength:
-        """What an error of assembly may be: what can be measured, up to a length of the lens."""
+        """Return the range of an assembly error: from what can be measured up to a length of the lens."""
         least = min(1e-4, 1e-5 * self.clear_diameter_mm)
-        said = f"must be from {least:.2g} to {most:.3g} mm, {what}"
-        return PlausibleLength(least, most, (20.0 * least, 0.5 * most), said)
+        reason = f"must be from {least:.2g} to {most:.3g} mm, {what}"
+        return PlausibleLength(least, most, (20.0 * least, 0.5 * most), reason)
 
     def _plane(self) -> PlausibleLength:
         others = max(self.clear_diameter_mm, self.field_mm, self.working_distance_mm, self.median_mm)
         least = min(self.median_mm / 250.0, 0.1)
         most = FAR * others
-        said = f"must be {least:.3g} to {most:.4g} mm for a lens of this size"
-        return PlausibleLength(least, most, (10.0 * least, 3.0 * others), said)
+        reason = f"must be {least:.3g} to {most:.4g} mm for a lens of this size"
+        return PlausibleLength(least, most, (10.0 * least, 3.0 * others), reason)
 
     def of_parameter_mm(
         self, lens: Lens, target: str, parameter: str, surface: int | None, plane: int | None = None
     ) -> PlausibleLength | None:
-        """What a deviation of one parameter of a lens may be; None where it is no length.
+        """Return the plausible range of the deviation of one parameter of a lens.
 
         Parameters
         ----------
@@ -180,9 +178,14 @@ class LensLengths:
         target
             ``lens``, ``surface``, ``element``, ``object`` or ``sensor``.
         parameter
-            Its name with the unit, as tolerance studies have it.
+            Name of the parameter with its unit, as in a tolerance study.
         surface, plane
-            Index of the surface or the sensor plane, if it is of one.
+            Index of the surface or of the sensor plane; None if the parameter belongs to neither.
+
+        Returns
+        -------
+        PlausibleLength or None
+            None if the parameter is not a length.
         """
         beyond = (surface or 0) >= len(lens.surfaces) or (plane or 0) >= len(self.planes_mm)
         if not parameter.endswith("_mm") or beyond:
@@ -192,14 +195,14 @@ class LensLengths:
             if not radius:
                 return None
             bent = min(radius, 5.0 * self.clear_diameter_mm)  # a weak surface may have any radius
-            said = f"must be from {5e-6 * bent:.2g} to {radius:.3g} mm, the nominal radius"
-            return PlausibleLength(5e-6 * bent, radius, (1e-4 * bent, 0.1 * radius), said)
+            reason = f"must be from {5e-6 * bent:.2g} to {radius:.3g} mm, the nominal radius"
+            return PlausibleLength(5e-6 * bent, radius, (1e-4 * bent, 0.1 * radius), reason)
         return self._error(*self._nominal(lens, target, parameter, surface, plane))
 
     def _nominal(
         self, lens: Lens, target: str, parameter: str, surface: int | None, plane: int | None
     ) -> tuple[float, str]:
-        """Largest deviation of a parameter, and what it is."""
+        """Return the largest deviation of a parameter in mm and its description."""
         if parameter == "thickness_mm" and surface is not None:
             nominal = lens.surfaces[surface].thickness_mm or self.median_mm
             return max(0.5 * nominal, 0.02 * self.median_mm), "half of the nominal thickness"
@@ -215,21 +218,20 @@ class LensLengths:
         return 0.2 * self.clear_diameter_mm, "a fifth of the clear diameter"
 
 
-def doubted_lengths(lens: Lens) -> Iterator[str]:
-    """Sentences that question lengths of a lens file.
+def implausible_lengths(lens: Lens) -> Iterator[str]:
+    """Yield a message for each implausible length of a lens file.
 
-    Pixel pitch and wavelengths are judged by themselves, all other lengths by the lengths of other kinds.
-    Very long radii are those of weak surfaces, thin layers between glasses those of cement: neither is
-    questioned.
+    Pixel pitch and wavelengths have absolute ranges; all other lengths are compared with the lengths of other
+    kinds. Very long radii (weak surfaces) and thin layers between glasses (cement) are not questioned.
 
     Parameters
     ----------
     lens
-        A lens, which need not be valid: its surfaces may cross, and its planes be out of order.
+        A lens, which need not be valid: its surfaces may cross, and its planes may be out of order.
     """
-    yield from _said("sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PIXEL_PITCH_UM, "um")
+    yield from _question("sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PIXEL_PITCH_UM, "um")
     for wavelength in lens.wavelengths_um:
-        yield from _said("wavelengths_um", wavelength, WAVELENGTH_UM, "um")
+        yield from _question("wavelengths_um", wavelength, WAVELENGTH_UM, "um")
     own = [*_of_object_and_sensor(lens), *_of_surfaces(lens), *_of_edges(lens)]
     yield from own
     if not own:
@@ -237,8 +239,8 @@ def doubted_lengths(lens: Lens) -> Iterator[str]:
 
 
 def long_radii(lens: Lens) -> Iterator[str]:
-    """Sentences that name radii which may be given in micrometres, or be those of weak surfaces."""
-    middle = 0.5 * _middle(_diameters(lens))
+    """Yield a message for each radius that may be given in micrometres or belong to a weak surface."""
+    middle = 0.5 * _geometric_median(_diameters(lens))
     for number, surface in enumerate(lens.surfaces, start=1):
         half = surface.semi_diameter_mm or middle
         reason = f"is nearly a plane over a semi-diameter of {half:g} mm"
@@ -246,16 +248,19 @@ def long_radii(lens: Lens) -> Iterator[str]:
         for key in ("radius_mm", "radius_x_mm"):
             radius = getattr(surface, key)
             if radius is not None:
-                yield from _said(f"surface {number}, {key}", radius, plausible)
+                yield from _question(f"surface {number}, {key}", radius, plausible)
 
 
 def _of_the_whole(lens: Lens) -> Iterator[str]:
-    """All lengths in another unit: they go together, and no lens is of their size."""
+    """Yield a message if all lengths are in another unit: they are consistent, but no lens has their size."""
     reason = "no lens is of this size"
-    whole = PlausibleLength(LENS_MM.lowest, LENS_MM.highest, LENS_MM.usual, reason)
+    # A smaller lens would be a few wavelengths wide, and no glass lens is larger.
+    whole = PlausibleLength(0.01, 2000.0, (0.1, 500.0), reason)
     size = LensLengths.of(lens)
-    under_its_sensor = size.median_mm < 10.0 * LENS_MM.lowest and size.sensor_mm > 200.0 * size.largest_mm
-    if whole.doubt(size.median_mm, "mm") is None and not under_its_sensor:
+    far_smaller_than_sensor = (
+        size.median_mm < 10.0 * whole.lowest and size.sensor_mm > 200.0 * size.largest_mm
+    )
+    if whole.objection(size.median_mm, "mm") is None and not far_smaller_than_sensor:
         return
     semi = lens.stop_semi_diameter_mm
     meant = (1e-3 if semi > 1.0 else 1e3) * semi
@@ -265,17 +270,17 @@ def _of_the_whole(lens: Lens) -> Iterator[str]:
     )
 
 
-def _said(what: str, value: float, plausible: PlausibleLength, unit: str = "mm") -> Iterator[str]:
-    sentence = doubted_length(what, value, unit, plausible)
+def _question(what: str, value: float, plausible: PlausibleLength, unit: str = "mm") -> Iterator[str]:
+    sentence = implausible_length(what, value, unit, plausible)
     if sentence is not None:
         yield sentence
 
 
 def _fineness(scale_mm: float, most: float, what: str) -> PlausibleLength:
-    """What samples and lines may be, beside the scale of what they resolve."""
+    """Return the range of a sampling pitch or line width, relative to the scale that it resolves."""
     low, high = 0.01 * scale_mm, most * scale_mm
-    said = f"must be {1e3 * low:.3g} to {1e3 * high:.3g} um, for {what} of {1e3 * scale_mm:.3g} um"
-    return PlausibleLength(low, high, (0.05 * scale_mm, 20.0 * scale_mm), said)
+    reason = f"must be {1e3 * low:.3g} to {1e3 * high:.3g} um, for {what} of {1e3 * scale_mm:.3g} um"
+    return PlausibleLength(low, high, (0.05 * scale_mm, 20.0 * scale_mm), reason)
 
 
 def _at_most(most_mm: float, reason: str) -> PlausibleLength:
@@ -283,31 +288,21 @@ def _at_most(most_mm: float, reason: str) -> PlausibleLength:
 
 
 def _diameters(lens: Lens) -> list[float]:
-    """Clear diameters of all surfaces that have one, and the one that the aperture needs in front."""
+    """Return the clear diameters of all surfaces that have one."""
     own = [2.0 * s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None]
     return own or [2.0 * lens.stop_semi_diameter_mm]
 
 
 def _between(others: list[float], least: float, times: float = FAR) -> PlausibleLength:
-    """What a length may be that is judged by those of other kinds: not far more than the longest of them.
-
-    Parameters
-    ----------
-    others
-        Lengths of other kinds.
-    least
-        Shortest length that is plausible.
-    times
-        How many times the longest other length it may be.
-    """
+    """Return the range of a length from `least` to a multiple of the longest length of other kinds."""
     longest = max(others)
     most = times * longest
     reason = f"must be {least:.2g} to {most:.4g} mm beside the other lengths of the lens"
-    return PlausibleLength(least, most, (_middle(others) / 100.0, 5.0 * longest), reason)
+    return PlausibleLength(least, most, (_geometric_median(others) / 100.0, 5.0 * longest), reason)
 
 
 def _kinds(lens: Lens) -> dict[str, list[float]]:
-    """Lengths of a lens by their kinds, without radii."""
+    """Return the lengths of a lens by their kinds, without radii."""
     return {
         "diameters": _diameters(lens),
         "field": [lens.object.field_diameter_mm],
@@ -317,88 +312,89 @@ def _kinds(lens: Lens) -> dict[str, list[float]]:
     }
 
 
-def _others(lens: Lens, *left_out: str) -> list[float]:
-    """Lengths of all kinds but some."""
-    return [length for kind, lengths in _kinds(lens).items() if kind not in left_out for length in lengths]
+def _others(lens: Lens, *excluded: str) -> list[float]:
+    """Return the lengths of all kinds except the excluded ones."""
+    return [length for kind, lengths in _kinds(lens).items() if kind not in excluded for length in lengths]
 
 
-def _middle(lengths: list[float]) -> float:
+def _geometric_median(lengths: list[float]) -> float:
     return math.exp(statistics.median(map(math.log, lengths)))
 
 
 def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
     field, distance = lens.object.field_diameter_mm, lens.object.working_distance_mm
-    # A far object is legitimate where its light fills the lens: the beam has the lens's diameter then.
+    # A distant object is plausible if its light fills the lens: the beam then has the diameter of the lens.
     aperture = lens.object.numerical_aperture
     beam = 2.0 * distance * aperture / math.sqrt(1.0 - aperture**2)
     widths = [*_diameters(lens), field]
     if not min(widths) / 20.0 <= beam <= 20.0 * max(widths):
         others = _others(lens, "working distance")
-        yield from _said("object, working_distance_mm", distance, _between(others, _middle(others) / 100.0))
+        yield from _question(
+            "object, working_distance_mm", distance, _between(others, _geometric_median(others) / 100.0)
+        )
     others = _others(lens, "field")
-    # The end of a fibre is a small field; one of a few lines that the aperture passes is none.
-    few_lines = FEW_LINES * LensLengths.of(lens).resolved_mm
-    least = max(_middle(others) / 2000.0, min(_middle(others) / 500.0, few_lines))
-    yield from _said("object, field_diameter_mm", field, _between(others, least, WIDE))
+    # The end of a fibre is a plausible small field; a field narrower than six resolved lines is not.
+    few_lines = 6.0 * LensLengths.of(lens).resolved_mm
+    least = max(_geometric_median(others) / 2000.0, min(_geometric_median(others) / 500.0, few_lines))
+    # Seen from the lens, a field of twelve times its largest length reaches 80 degrees off the axis.
+    yield from _question("object, field_diameter_mm", field, _between(others, least, 12.0))
     others = _others(lens, "planes")
-    nearest = min(_middle(others) / 250.0, 0.1)
+    nearest = min(_geometric_median(others) / 250.0, 0.1)
     for number, plane in enumerate(lens.sensor.plane_distances_mm, start=1):
         what = f"sensor, plane_distances_mm {number}"
-        yield from _said(what, plane, _between(others, nearest))
+        yield from _question(what, plane, _between(others, nearest))
     pitch, (across, down) = lens.sensor.pixel_pitch_um, lens.sensor.size_mm
     if max(across, down) > FAR * max(_others(lens)) and pitch > PIXEL_PITCH_UM.usual[1]:
-        said = f"gives a sensor of {across:.4g} x {down:.4g} mm, more than {FAR:g} times all other lengths"
+        reason = f"gives a sensor of {across:.4g} x {down:.4g} mm, more than {FAR:g} times all other lengths"
         usual = PIXEL_PITCH_UM.usual
-        yield from _said("sensor, pixel_pitch_um", pitch, PlausibleLength(0.0, usual[1], usual, said), "um")
+        yield from _question(
+            "sensor, pixel_pitch_um", pitch, PlausibleLength(0.0, usual[1], usual, reason), "um"
+        )
 
 
 def _of_surfaces(lens: Lens) -> Iterator[str]:
-    before = False
+    glass_before = False
     for number, surface in enumerate(lens.surfaces, start=1):
-        where = f"surface {number}"
-        semi, thickness, is_glass = (
-            surface.semi_diameter_mm,
-            surface.thickness_mm,
-            surface.material is not None,
-        )
+        location = f"surface {number}"
+        semi, thickness = surface.semi_diameter_mm, surface.thickness_mm
+        is_glass = surface.material is not None
         yield from _semi_diameter(lens, number)
         if thickness is not None:
             others = _others(lens, "thicknesses")
-            behind = any(s.material is not None for s in lens.surfaces[number : number + 1])
-            yield from _said(
-                f"{where}, thickness_mm", thickness, _thickness(others, before, is_glass, behind)
-            )
-        half = semi if semi is not None else 0.5 * _middle(_diameters(lens))
+            glass_behind = any(s.material is not None for s in lens.surfaces[number : number + 1])
+            plausible = _thickness(others, is_glass, cemented=glass_before or glass_behind)
+            yield from _question(f"{location}, thickness_mm", thickness, plausible)
+        half = semi if semi is not None else 0.5 * _geometric_median(_diameters(lens))
         for key in ("radius_mm", "radius_x_mm"):
             radius, conic = getattr(surface, key), getattr(surface, f"conic{key[6:-3]}")
             if radius is not None and conic > -1.5:  # an axicon is a hyperbola with a small radius
-                said = f"is far less than the semi-diameter of {half:g} mm"
-                short = PlausibleLength(half / 10.0, ANY, (0.5 * half, 500.0 * half), said)
-                yield from _said(f"{where}, {key}", radius, short)
+                reason = f"is far less than the semi-diameter of {half:g} mm"
+                short = PlausibleLength(half / 10.0, math.inf, (0.5 * half, 500.0 * half), reason)
+                yield from _question(f"{location}, {key}", radius, short)
         if surface.figure is not None and surface.figure.semi_diameter_mm is not None:
             known = surface.figure.semi_diameter_mm
-            yield from _said(f"{where}, figure, semi_diameter_mm", known, _between([half], 0.0))
-        before = is_glass
+            yield from _question(f"{location}, figure, semi_diameter_mm", known, _between([half], 0.0))
+        glass_before = is_glass
 
 
 def _semi_diameter(lens: Lens, number: int) -> Iterator[str]:
-    """Doubts of a clear semi-diameter, which may be that of a pinhole."""
+    """Yield a message for an implausible clear semi-diameter; a pinhole is plausible."""
     semi = lens.surfaces[number - 1].semi_diameter_mm
     if semi is None:
         return
-    beside = [2.0 * s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm not in (None, semi)]
+    different = [2.0 * s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm not in (None, semi)]
     others = _others(lens, "diameters")
-    size = max(_middle(others), _middle(beside) if beside else 0.0)
-    yield from _said(f"surface {number}, semi_diameter_mm", semi, _between(others, 0.002 * size))
+    size = max(_geometric_median(others), _geometric_median(different) if different else 0.0)
+    yield from _question(f"surface {number}, semi_diameter_mm", semi, _between(others, 0.002 * size))
 
 
-def _thickness(others: list[float], before: bool, is_glass: bool, behind: bool) -> PlausibleLength:
-    """What a thickness may be, by what lies before, within and behind it."""
-    middle = _middle(others)
-    if is_glass and (before or behind):
+def _thickness(others: list[float], is_glass: bool, *, cemented: bool) -> PlausibleLength:
+    """Return the range of a thickness of glass or air; `cemented` if glass adjoins it."""
+    middle = _geometric_median(others)
+    if is_glass and cemented:
         least = 0.0  # cement, or a layer on glass
     elif is_glass:
-        least = min(middle / 200.0, 0.03)  # no thinner sheets of glass are sold
+        least = min(middle / 200.0, 0.03)  # thinner sheets of glass are not sold
     else:
         least = min(middle / 1000.0, 0.01)
     if is_glass:
@@ -409,22 +405,22 @@ def _thickness(others: list[float], before: bool, is_glass: bool, behind: bool) 
 
 def _of_edges(lens: Lens) -> Iterator[str]:
     others, diameters = _others(lens), _diameters(lens)
-    middle, narrow = _middle(others), 0.01 * _middle(diameters)
+    middle, narrow = _geometric_median(others), 0.01 * _geometric_median(diameters)
     for number, edge in enumerate(lens.edges, start=1):
-        where = f"edge {number}"
+        location = f"edge {number}"
         for key in ("semi_diameter_mm", "front_flat_from_mm", "back_flat_from_mm"):
             value = getattr(edge, key)
             if value is not None:
-                yield from _said(f"{where}, {key}", value, _between(diameters, narrow))
+                yield from _question(f"{location}, {key}", value, _between(diameters, narrow))
         least = 1e-4 * middle
         reason = f"must be 0, or {least:.2g} to {middle:.3g} mm beside the other lengths of the lens"
         bevel = PlausibleLength(least, middle, (3.0 * least, middle), reason)
         for key in ("front_bevel_mm", "back_bevel_mm"):
-            yield from _said(f"{where}, {key}", getattr(edge, key), bevel)
+            yield from _question(f"{location}, {key}", getattr(edge, key), bevel)
         if edge.flange is not None:
             for key, plausible in (
                 ("semi_diameter_mm", _between(diameters, narrow)),
                 ("distance_mm", _between(others, 5e-4 * middle)),
                 ("thickness_mm", _between(others, 1e-3 * middle)),
             ):
-                yield from _said(f"{where}, flange, {key}", getattr(edge.flange, key), plausible)
+                yield from _question(f"{location}, flange, {key}", getattr(edge.flange, key), plausible)

@@ -1,4 +1,4 @@
-"""The immutable lens: surfaces between an object plane and a sensor, as the design file holds them."""
+"""The immutable lens: surfaces between an object plane and a sensor, as the design file states them."""
 
 from __future__ import annotations
 
@@ -28,16 +28,21 @@ from lensdesign.lens.surface import Surface, vertex_z_mm
 
 
 class ObjectSpace(Section):
-    """What the lens looks at.
+    """Object plane of a lens: field, numerical aperture and working distance.
 
     Attributes
     ----------
     field_diameter_mm
         Diameter of the circular field of view.
     numerical_aperture
-        Sine of the marginal ray's angle on the axis, in air.
+        Sine of the angle between the marginal ray and the axis, in air.
     working_distance_mm
-        From the object plane to the front vertex.
+        Distance from the object plane to the front vertex.
+
+    Examples
+    --------
+    >>> ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=10.0).field_diameter_mm
+    2.0
     """
 
     field_diameter_mm: Positive
@@ -46,16 +51,21 @@ class ObjectSpace(Section):
 
 
 class Sensor(Section):
-    """The image sensor and the planes in which it records.
+    """The image sensor and its recording planes.
 
     Attributes
     ----------
     pixel_pitch_um
-        Pixel pitch.
+        Distance between the centres of neighbouring pixels.
     pixels
-        Number of pixels across x and y.
+        Number of pixels along x and y.
     plane_distances_mm
         Distances of the recording planes H1, H2, ... from the exit vertex, increasing.
+
+    Examples
+    --------
+    >>> Sensor(pixel_pitch_um=3.5, pixels=(1000, 800), plane_distances_mm=(20.0, 22.0)).size_mm
+    (3.5, 2.8000000000000003)
     """
 
     pixel_pitch_um: Positive
@@ -73,15 +83,47 @@ class Sensor(Section):
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """Width (x) and height (y) of the photosensitive area."""
+        """Width (x) and height (y) of the photosensitive area in mm."""
         return self.pixels[0] * self.pixel_pitch_um * 1e-3, self.pixels[1] * self.pixel_pitch_um * 1e-3
 
 
 class Lens(Section):
-    """A transfer lens with its object, sensor and wavelengths; the design file, in memory.
+    """A transfer lens with its object, sensor and wavelengths: the content of a design file.
 
-    Build one with :func:`lensdesign.load_design`, or from its parts; change one with
-    :meth:`with_surface` or ``lens.model_copy(update=...)`` followed by ``Lens.model_validate``.
+    Load one with :func:`lensdesign.load_design`, or build it from its components. Change it with
+    :meth:`with_surface` or :meth:`replaced`; both validate the result.
+
+    Attributes
+    ----------
+    title
+        Title of the design.
+    wavelengths_um
+        Vacuum wavelengths of the design (air has the index 1).
+    glass_catalogs
+        Paths of glass catalogue files (AGF).
+    object
+        Object plane: field, numerical aperture and working distance.
+    sensor
+        Sensor and its recording planes.
+    surfaces
+        Refracting surfaces, front to back.
+    edges
+        One edge for each glass element, front to back, or none at all.
+
+    Examples
+    --------
+    >>> from lensdesign import ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=10.0, thickness_mm=3.0, material="N-BK7", semi_diameter_mm=4.0, stop=True),
+    ...         Surface(radius_mm=-10.0, semi_diameter_mm=4.0),
+    ...     ),
+    ... )
+    >>> lens.track_mm
+    43.0
     """
 
     title: str = ""
@@ -112,35 +154,35 @@ class Lens(Section):
         if last.thickness_mm is not None:
             raise ValueError(
                 f"surface {len(self.surfaces)}: the last surface has no thickness_mm; "
-                "the sensor's distances stand in [sensor] plane_distances_mm"
+                "the distances of the sensor are given as [sensor] plane_distances_mm"
             )
         stops = [i + 1 for i, surface in enumerate(self.surfaces) if surface.stop]
         if len(stops) > 1:
             raise ValueError(f"surfaces {stops} are all marked stop = true; a lens has one stop")
         if self.surfaces[self.stop_index].semi_diameter_mm is None:
             raise ValueError(f"surface {self.stop_index + 1} is the stop and needs a semi_diameter_mm")
-        self._refuse_crossing()
-        self._refuse_object_within()
-        self._refuse_impossible_edges()
+        self._check_crossing()
+        self._check_object_outside()
+        self._check_edges()
         return self
 
-    def _refuse_crossing(self) -> None:
+    def _check_crossing(self) -> None:
         for i, (front, back) in enumerate(pairwise(self.surfaces)):
             heights = [s.semi_diameter_mm for s in (front, back) if s.semi_diameter_mm is not None]
             if not heights:
                 continue
             r = np.linspace(0.0, min(heights), 257)
-            x, y = (r[:, None] * part for part in directions(front.shape, back.shape))
+            x, y = (r[:, None] * component for component in directions(front.shape, back.shape))
             gap = (front.thickness_mm or 0.0) + np.min(back.shape.sag(x, y) - front.shape.sag(x, y), axis=1)
             if np.any(gap <= 0.0):
-                where = r[np.argmax(gap <= 0.0)]
+                height = r[np.argmax(gap <= 0.0)]
                 raise ValueError(
                     f"surfaces {i + 1} and {i + 2} cross inside the aperture, at a radial height of "
-                    f"{where:.4g} mm (smallest gap {np.nanmin(gap):.4g} mm within {r[-1]:g} mm); "
+                    f"{height:.4g} mm (smallest gap {np.nanmin(gap):.4g} mm within {r[-1]:g} mm); "
                     "raise thickness_mm or lower semi_diameter_mm"
                 )
 
-    def _refuse_object_within(self) -> None:
+    def _check_object_outside(self) -> None:
         front = self.surfaces[0]
         if front.semi_diameter_mm is None:
             return
@@ -155,12 +197,12 @@ class Lens(Section):
                 f"within its semi_diameter_mm of {front.semi_diameter_mm:g}; raise working_distance_mm"
             )
 
-    def _refuse_impossible_edges(self) -> None:
+    def _check_edges(self) -> None:
         fronts = self.glass_fronts
         if self.edges and len(self.edges) != len(fronts):
             raise ValueError(
-                f"edge: must hold one table for each glass element, front to back: {len(fronts)}, or none at "
-                f"all; {len(self.edges)} are given"
+                f"edge: {len(self.edges)} tables given; must be one for each glass element, front to back "
+                f"({len(fronts)}), or none at all"
             )
         for number, (i, edge) in enumerate(zip(fronts, self.edges, strict=False), start=1):
             radius = mechanical_semi_diameter_mm(self, number - 1)
@@ -190,12 +232,12 @@ class Lens(Section):
     def stop_semi_diameter_mm(self) -> float:
         """Semi-diameter of the aperture stop."""
         value = self.surfaces[self.stop_index].semi_diameter_mm
-        assert value is not None  # the validator saw to it
+        assert value is not None  # the validator requires it
         return value
 
     @property
     def vertex_z_mm(self) -> NDArray[np.float64]:
-        """z of every vertex; the front vertex is at 0."""
+        """z of every vertex in mm, shape (surfaces,); the front vertex is at 0."""
         return vertex_z_mm(self.surfaces)
 
     @property
@@ -210,7 +252,7 @@ class Lens(Section):
 
     @property
     def track_mm(self) -> float:
-        """From the object to the last sensor plane."""
+        """Distance from the object to the last sensor plane."""
         return self.object.working_distance_mm + self.sensor_z_mm[-1]
 
     @property
@@ -220,11 +262,16 @@ class Lens(Section):
 
     @property
     def half_field_mm(self) -> float:
-        """Largest field height."""
+        """Largest field height: half of the field diameter."""
         return 0.5 * self.object.field_diameter_mm
 
     def indices(self, wavelength_um: float) -> NDArray[np.float64]:
-        """Refractive index before the first surface (air) and behind each surface, shape (surfaces + 1,).
+        """Return the index before the first surface (air) and behind each surface, shape (surfaces + 1,).
+
+        Parameters
+        ----------
+        wavelength_um
+            Vacuum wavelength (air has the index 1).
 
         Raises
         ------
@@ -241,12 +288,19 @@ class Lens(Section):
         )
 
     def with_surface(self, index: int, **changes: Any) -> Self:
-        """A lens with some values of one surface (counted from 0) replaced, and validated anew.
+        """Return a validated lens with some values of one surface replaced.
+
+        Parameters
+        ----------
+        index
+            Index of the surface, from 0.
+        **changes
+            New values by the names of :class:`Surface`'s fields.
 
         Raises
         ------
         DesignError
-            If that is no lens.
+            If the result is not a valid lens.
         """
         surface = self.surfaces[index].replaced(**changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
@@ -260,7 +314,7 @@ class Lens(Section):
         )
 
     def _repr_html_(self) -> str:
-        rows = [(f"surface {number}", said) for number, said in enumerate(map(_in_words, self.surfaces), 1)]
+        rows = [(f"surface {number}", text) for number, text in enumerate(map(_summary, self.surfaces), 1)]
         pixels = " x ".join(map(str, self.sensor.pixels))
         planes = ", ".join(f"{d:g}" for d in self.sensor.plane_distances_mm)
         rows += [
@@ -274,13 +328,13 @@ class Lens(Section):
         ]
         try:
             picture = section_svg(glass_elements(self))
-        except InputError:  # no glass, or no size: nothing to draw
+        except InputError:  # a lens without glass or without a size has no section to draw
             picture = ""
         return html_table(self.title or "Lens", rows, picture)
 
 
-def _in_words(surface: Surface) -> str:
-    """A surface on one line: the values that it was given."""
+def _summary(surface: Surface) -> str:
+    """Return a surface on one line: the values that differ from their defaults."""
     given = surface.model_dump(exclude_defaults=True, exclude_none=True, exclude={"figure"})
     values = [
         key if value is True else f"{key} = {value:.7g}" if isinstance(value, float) else f"{key} = {value}"

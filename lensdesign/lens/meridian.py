@@ -1,4 +1,4 @@
-"""The meridian of an optical surface: points, tangents, distances from it, what it bounds."""
+"""The meridian of an optical surface: points, tangents, distances from it and enclosed volume."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ class SurfaceMeridian:
     """Meridian of one optical surface, from its vertex to a radial height.
 
     The parameter t runs from 0 at the vertex to 1 at `end_mm`. It is proportional to the eccentric angle
-    of an ellipse, so that the meridian stays smooth where a conic's tangent stands upright.
+    of an ellipse, so that the meridian stays smooth where the tangent of a conic is parallel to the axis.
 
     Attributes
     ----------
     surface
         The surface.
     vertex_z_mm
-        z of its vertex.
+        z of the vertex.
     end_mm
         Radial height at which the meridian ends.
     azimuth_rad
-        Where it lies, from +x towards +y; one stands for all of a surface of revolution.
+        Azimuth of the meridian, from +x towards +y. All meridians of a surface of revolution are equal.
     """
 
     surface: Surface
@@ -49,8 +49,8 @@ class SurfaceMeridian:
         return float(self.shape.terms[0]), float(self.shape.terms[1])
 
     @cached_property
-    def _rest(self) -> Shape:
-        """What the shape has beyond its conic."""
+    def _aspheric_part(self) -> Shape:
+        """The shape without its conic."""
         return self.shape.moved("curvature", -self.shape.terms[0])
 
     @cached_property
@@ -59,12 +59,12 @@ class SurfaceMeridian:
 
     @property
     def _scale(self) -> float:
-        """Eccentric angle (or radial height, where the conic has no edge) at t = 1."""
+        """Eccentric angle at t = 1, or the radial height where the conic has no edge."""
         edge = self._edge_mm
         return math.asin(min(1.0, self.end_mm / edge)) if math.isfinite(edge) else self.end_mm
 
     def points(self, t: Any) -> Array:
-        """Radial height and z in mm at parameters t, shape (..., 2)."""
+        """Return the radial height and z in mm at parameters t, shape (..., 2)."""
         c, conic = self._conic
         u = self._scale * np.asarray(t, float)
         edge = self._edge_mm
@@ -73,11 +73,11 @@ class SurfaceMeridian:
             if math.isfinite(edge)
             else (u, np.sqrt(1.0 - (1.0 + conic) * c * c * u * u))
         )
-        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self._rest.sag(0.0, r)
+        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self._aspheric_part.sag(0.0, r)
         return np.stack([r, z], axis=-1)
 
     def tangents(self, t: Any) -> Array:
-        """Derivatives of :meth:`points` with respect to t, in mm."""
+        """Return the derivatives of :meth:`points` with respect to t, in mm."""
         c, conic = self._conic
         u = self._scale * np.asarray(t, float)
         edge = self._edge_mm
@@ -85,28 +85,28 @@ class SurfaceMeridian:
             r, dr, dz = edge * np.sin(u), edge * np.cos(u), c * edge * edge * np.sin(u)
         else:
             r, dr, dz = u, np.ones_like(u), c * u / np.sqrt(1.0 - (1.0 + conic) * c * c * u * u)
-        dz = dz + dr * self._rest.sag_and_slopes(0.0, r)[2]
+        dz = dz + dr * self._aspheric_part.sag_and_slopes(0.0, r)[2]
         return self._scale * np.stack([dr, dz], axis=-1)
 
     def parameters(self, r_mm: Any) -> Array:
-        """Parameters t at radial heights, clipped to 0 ... 1."""
+        """Return the parameters t at radial heights, clipped to 0 ... 1."""
         r, edge = np.asarray(r_mm, float), self._edge_mm
         u = np.arcsin(np.clip(r / edge, 0.0, 1.0)) if math.isfinite(edge) else r
         return np.clip(u / self._scale, 0.0, 1.0)
 
     def distances(self, points_rz_mm: Array) -> Array:
-        """Shortest distances in mm of points (radial height, z), shape (n, 2), to the meridian."""
+        """Return the shortest distances in mm of points (radial height, z), shape (n, 2), to the meridian."""
         t = self.parameters(points_rz_mm[:, 0])
         for _ in range(20):
             tangent = self.tangents(t)
             step = np.sum((self.points(t) - points_rz_mm) * tangent, axis=-1) / np.sum(tangent**2, axis=-1)
-            before, t = t, np.clip(t - step, 0.0, 1.0)
-            if np.max(np.abs(t - before), initial=0.0) < 1e-9:
+            previous, t = t, np.clip(t - step, 0.0, 1.0)
+            if np.max(np.abs(t - previous), initial=0.0) < 1e-9:
                 break
         return np.asarray(np.linalg.norm(self.points(t) - points_rz_mm, axis=-1))
 
     def integral_mm3(self) -> float:
-        """Integral of 2 pi r z dr from the axis to `end_mm`."""
+        """Return the integral of 2 pi r z dr from the axis to `end_mm`."""
         nodes, weights = np.polynomial.legendre.leggauss(16)
         panels = np.linspace(0.0, 1.0, 65)
         half = 0.5 * np.diff(panels)[:, None]
@@ -117,10 +117,10 @@ class SurfaceMeridian:
 
 
 def ring_volume_mm3(corners: Array) -> float:
-    """Integral of 2 pi r z dr along a polygon of (radial height, z), taken backwards, shape (n, 2).
+    """Return minus the integral of 2 pi r z dr along a polygon of (radial height, z), shape (n, 2).
 
-    With the discs that close it at both ends towards z = 0 this is the volume outside of its two ends.
+    This is the volume that the polygon adds outside the heights of its two ends, measured from z = 0.
     """
     (r0, z0), (r1, z1) = corners[:-1].T, corners[1:].T
-    parts = (r1 - r0) * (z0 * (2.0 * r0 + r1) + z1 * (r0 + 2.0 * r1))
-    return -math.pi / 3.0 * float(np.sum(parts))
+    frusta = (r1 - r0) * (z0 * (2.0 * r0 + r1) + z1 * (r0 + 2.0 * r1))
+    return -math.pi / 3.0 * float(np.sum(frusta))

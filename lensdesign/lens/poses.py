@@ -1,4 +1,4 @@
-"""Where a lens, or one of its surfaces, sits: decenter, tilt and despace about a pivot."""
+"""Pose of a lens or of one of its surfaces: decenter, tilt and despace about a pivot."""
 
 from __future__ import annotations
 
@@ -21,20 +21,31 @@ Value = float | NDArray[np.float64]
 class Pose:
     """A decenter, then a right-handed rotation about a pivot that moves with the decenter.
 
-    Each value is a delta from nominal. Any value may be an array of shape (trials,); all arrays of a
+    Each value is a deviation from nominal. Any value may be an array of shape (trials,). All arrays of a
     pose have the same length, and a trace with such a pose returns a leading trial axis.
 
     Parameters
     ----------
     decenter_x_mm, decenter_y_mm
-        Shift across the axis.
+        Shift perpendicular to the axis.
     despace_mm
         Shift along the axis, positive towards the sensor.
     tilt_x_deg, tilt_y_deg
-        Right-handed rotation about the x axis, then about the y axis that turned with it.
+        Right-handed rotation about the x axis, then about the y axis that has rotated with it.
     pivot_z_mm
-        Where on the axis the rotation's centre sits, from the front vertex of the lens (or, for one
-        surface, from that surface's own vertex).
+        Position of the centre of rotation on the axis, from the front vertex of the lens (or, for one
+        surface, from the vertex of that surface).
+
+    Raises
+    ------
+    InputError
+        If a value is not finite or not a number or 1-D array, or if arrays differ in length.
+
+    Examples
+    --------
+    >>> rotation, shift = Pose(decenter_x_mm=0.1).transform()
+    >>> rotation.shape, shift[0].tolist()
+    ((1, 3, 3), [0.1, 0.0, 0.0])
     """
 
     decenter_x_mm: Value = 0.0
@@ -48,7 +59,7 @@ class Pose:
         check_values(self)
 
     def transform(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation and shift that take a point from the part's own frame to the fixed one.
+        """Return the rotation and shift from the frame of the moved part to the fixed frame.
 
         Returns
         -------
@@ -60,18 +71,38 @@ class Pose:
         dx, dy, dz, tilt_x, tilt_y, pivot = np.broadcast_arrays(*values)
         rotation = rotation_matrix(np.deg2rad(tilt_x), np.deg2rad(tilt_y))
         centre = np.stack([np.zeros_like(pivot), np.zeros_like(pivot), pivot], axis=-1)
-        turned = np.einsum("tij,tj->ti", rotation, centre)
-        return rotation, np.stack([dx, dy, dz], axis=-1) + centre - turned
+        rotated_centre = np.einsum("tij,tj->ti", rotation, centre)
+        return rotation, np.stack([dx, dy, dz], axis=-1) + centre - rotated_centre
 
 
 @dataclass(frozen=True)
 class SurfacePerturbation:
-    """Deltas of one surface from nominal; each a number or an array of shape (trials,).
+    """Deviations of one surface from nominal; each is a number or an array of shape (trials,).
 
-    The first five move this surface alone about its own vertex. A change of thickness moves every
-    surface behind it; the index is that of the medium behind the surface. `shape` has the deltas of what the
-    surface's shape has beside radius_mm and conic, by its `PARAMETERS`, such as radius_x_mm. The figure, a
-    sag error that adds to the surface's own, holds either one figure or one for each trial.
+    Parameters
+    ----------
+    decenter_x_mm, decenter_y_mm, despace_mm, tilt_x_deg, tilt_y_deg
+        Rigid motion of this surface alone, about its own vertex; see :class:`Pose`.
+    radius_mm, conic
+        Changes of the radius of curvature and the conic constant.
+    thickness_mm
+        Change of the distance to the next surface; it moves every surface behind this one.
+    index
+        Change of the refractive index of the medium behind the surface.
+    shape
+        Changes of further shape parameters such as radius_x_mm, by the shape's `PARAMETERS`.
+    figure
+        Sag error that is added to the surface's own: one figure, or one for each trial.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite or not a number or 1-D array, or if arrays differ in length.
+
+    Examples
+    --------
+    >>> SurfacePerturbation(radius_mm=0.01).shape_deltas()
+    {'radius_mm': 0.01}
     """
 
     decenter_x_mm: Value = 0.0
@@ -90,43 +121,55 @@ class SurfacePerturbation:
         check_values(self)
 
     def pose(self) -> Pose:
-        """The rigid part."""
+        """Return the rigid motion."""
         return Pose(self.decenter_x_mm, self.decenter_y_mm, self.despace_mm, self.tilt_x_deg, self.tilt_y_deg)
 
-    def of_shape(self) -> dict[str, Value]:
-        """Deltas of the shape that are not 0, by parameter."""
+    def shape_deltas(self) -> dict[str, Value]:
+        """Return the deviations of the shape that are not 0, by parameter."""
         deltas = {"radius_mm": self.radius_mm, "conic": self.conic} | dict(self.shape)
         return {name: delta for name, delta in deltas.items() if np.any(delta)}
 
 
 SURFACE_DELTAS = tuple(f.name for f in fields(SurfacePerturbation) if f.name not in ("shape", "figure"))
-"""Deltas of a surface that are numbers and those of every shape."""
+"""Names of the numeric deviations that every surface has, whatever its shape."""
 
 
 def rotation_matrix(tilt_x: NDArray[np.float64], tilt_y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Right-handed rotation about x, then about the turned y axis; angles in radians, shape (..., 3, 3)."""
+    """Return right-handed rotations about x, then about the rotated y axis, shape (..., 3, 3).
+
+    Parameters
+    ----------
+    tilt_x, tilt_y
+        Angles in radians, of equal shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rotation_matrix(np.array(0.0), np.array(0.0)).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, -0.0], [-0.0, 0.0, 1.0]]
+    """
     cx, sx, cy, sy = np.cos(tilt_x), np.sin(tilt_x), np.cos(tilt_y), np.sin(tilt_y)
     zero = np.zeros_like(cx)
     rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def trial_count(*parts: Pose | SurfacePerturbation) -> int | None:
-    """Number of trials that these poses and perturbations hold; None when all are single values.
+def trial_count(*perturbations: Pose | SurfacePerturbation) -> int | None:
+    """Return the number of trials of poses and perturbations; None if all are single values.
 
     Raises
     ------
     InputError
-        If arrays of different lengths meet.
+        If arrays differ in length.
     """
     lengths = {
-        f"{type(part).__name__}.{name}": np.size(value)
-        for part in parts
-        for name, value in _numbers(part).items()
+        f"{type(one).__name__}.{name}": np.size(value)
+        for one in perturbations
+        for name, value in _numbers(one).items()
         if np.ndim(value) == 1
     }
-    for part in parts:
-        figure = part.figure if isinstance(part, SurfacePerturbation) else None
+    for one in perturbations:
+        figure = one.figure if isinstance(one, SurfacePerturbation) else None
         if figure is not None and figure.trials is not None:
             lengths["SurfacePerturbation.figure"] = figure.trials
     if len(set(lengths.values())) > 1:
@@ -134,21 +177,22 @@ def trial_count(*parts: Pose | SurfacePerturbation) -> int | None:
     return next(iter(lengths.values()), None)
 
 
-def check_values(part: Pose | SurfacePerturbation) -> None:
-    """Refuse values that are not finite numbers or one-dimensional arrays of them."""
-    for name, value in _numbers(part).items():
+def check_values(perturbation: Pose | SurfacePerturbation) -> None:
+    """Raise InputError unless all values are finite numbers or 1-D arrays of equal length."""
+    for name, value in _numbers(perturbation).items():
         array = np.asarray(value)
         if array.ndim > 1 or array.dtype.kind not in "fiu" or not np.all(np.isfinite(array)):
             raise InputError(
-                f"{type(part).__name__}.{name} = {value!r}: must be a finite number or a 1-D array of them"
+                f"{type(perturbation).__name__}.{name} = {value!r}: must be a finite number or a 1-D array "
+                "of finite numbers"
             )
-    trial_count(part)
+    trial_count(perturbation)
 
 
-def _numbers(part: Pose | SurfacePerturbation) -> dict[str, Value]:
-    """The values that are numbers or arrays of them, by name."""
-    if isinstance(part, Pose):
-        return vars(part)
-    return {name: getattr(part, name) for name in SURFACE_DELTAS} | {
-        f"shape[{name!r}]": value for name, value in part.shape.items()
+def _numbers(perturbation: Pose | SurfacePerturbation) -> dict[str, Value]:
+    """Return the values that are numbers or arrays, by name."""
+    if isinstance(perturbation, Pose):
+        return vars(perturbation)
+    return {name: getattr(perturbation, name) for name in SURFACE_DELTAS} | {
+        f"shape[{name!r}]": value for name, value in perturbation.shape.items()
     }

@@ -1,4 +1,4 @@
-"""The same lens at another size, a small twin on which wave optics is cheap, or with another stop."""
+"""A lens at another size, for example a small twin on which wave optics is fast, or with another stop."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lensdesign.lens.surface import Surface
 
 
 def scaled(lens: Lens, factor: float) -> Lens:
-    """A lens with all lengths scaled, those of object space and sensor planes with it.
+    """Return a lens with all lengths scaled, including those of object space and sensor planes.
 
-    Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay, and with them the largest
-    spread angle and the resolution; the number of pixels and the space-bandwidth product shrink with the
+    Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay. The largest spread angle and
+    the resolution therefore stay too. The number of pixels and the space-bandwidth product scale with the
     areas. A figure given by Zernike coefficients scales in size and in sag error; one in a grid file cannot.
 
     Parameters
@@ -23,13 +23,29 @@ def scaled(lens: Lens, factor: float) -> Lens:
     lens
         Any lens.
     factor
-        What lengths are multiplied by.
+        Factor by which lengths are multiplied.
+
+    Returns
+    -------
+    Lens
 
     Raises
     ------
     DesignError
-        If the factor is not finite and above 0, a surface's figure stands in a grid file, or what comes out
-        is no lens.
+        If the factor is not finite and above 0, the figure of a surface is in a grid file, or the result is
+        not a valid lens.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(semi_diameter_mm=4.0),),
+    ... )
+    >>> scaled(lens, 0.125).track_mm
+    5.0
     """
     if not (math.isfinite(factor) and factor > 0.0):
         raise DesignError(f"scale factor = {factor!r}: must be finite and greater than 0")
@@ -48,21 +64,28 @@ def scaled(lens: Lens, factor: float) -> Lens:
 
 
 def stopped_down(lens: Lens, numerical_aperture: float) -> Lens:
-    """The lens with its stop closed to a numerical aperture, in proportion to the tangents.
+    """Return the lens with its stop closed to a numerical aperture, in proportion to the tangents.
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+    numerical_aperture
+        New numerical aperture, above 0 and at most that of the lens.
 
     Raises
     ------
     DesignError
-        If the aperture is larger than the lens's.
+        If the numerical aperture is not in that range.
     """
-    before = lens.object.numerical_aperture
-    if not 0.0 < numerical_aperture <= before:
+    largest = lens.object.numerical_aperture
+    if not 0.0 < numerical_aperture <= largest:
         raise DesignError(
-            f"numerical_aperture = {numerical_aperture!r}: must be above 0 and at most {before:g}"
+            f"numerical_aperture = {numerical_aperture!r}: must be above 0 and at most {largest:g}"
         )
-    tangents = [math.tan(math.asin(na)) for na in (numerical_aperture, before)]
-    share = tangents[0] / tangents[1]
-    stop = lens.stop_semi_diameter_mm * share
+    tangents = [math.tan(math.asin(na)) for na in (numerical_aperture, largest)]
+    ratio = tangents[0] / tangents[1]
+    stop = lens.stop_semi_diameter_mm * ratio
     surfaces = list(lens.surfaces)
     surfaces[lens.stop_index] = surfaces[lens.stop_index].replaced(semi_diameter_mm=stop)
     return lens.replaced(
@@ -71,10 +94,10 @@ def stopped_down(lens: Lens, numerical_aperture: float) -> Lens:
 
 
 def scaled_edge(edge: Edge, factor: float) -> Edge:
-    """An edge with all its lengths scaled."""
+    """Return an edge with all its lengths scaled."""
 
-    def times(part: Section) -> dict[str, float]:
-        lengths = part.model_dump(exclude_none=True, exclude={"flange"})
+    def times(section: Section) -> dict[str, float]:
+        lengths = section.model_dump(exclude_none=True, exclude={"flange"})
         return {name: factor * value for name, value in lengths.items()}
 
     flange = None if edge.flange is None else edge.flange.replaced(**times(edge.flange))
@@ -89,8 +112,8 @@ def _surface(surface: Surface, factor: float) -> Surface:
     if figure is not None:
         if figure.file is not None:
             raise DesignError(
-                f"the measured figure in {figure.file} cannot be scaled: give it as Zernike coefficients, or "
-                "leave it out"
+                f"the measured figure in {figure.file} cannot be scaled; give it as Zernike coefficients, or "
+                "omit it"
             )
         figure = figure.replaced(
             semi_diameter_mm=times(figure.semi_diameter_mm),

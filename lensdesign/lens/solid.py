@@ -1,9 +1,9 @@
-"""The glass bodies of a lens as exact solids about its axis: meridian, edge, closure, volume.
+"""The glass bodies of a lens as exact solids: meridian, edge, closure and volume.
 
-An element is bounded by two optical surfaces, each prolonged with its own sag, and by its edge: a cylinder,
+An element is bounded by two optical surfaces, each extended with its own sag, and by its edge: a cylinder,
 with flat rings, bevels at 45 degrees and a flange where the design has them. A surface whose conic ends
-before that edge goes on as a flat ring from its clear semi-diameter. Of a body that is none of revolution,
-flat rings and bevels follow the rim of their surface.
+inside that edge continues as a flat ring from its clear semi-diameter. If the body is not rotationally
+symmetric, flat rings and bevels follow the rim of their surface.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from lensdesign.lens.shapes.base import azimuths_rad
 from lensdesign.lens.surface import Surface, vertex_z_mm
 
 SHARP = Edge()
-"""Neither flats, bevels nor flange."""
+"""An edge without flats, bevels and flange."""
 
 
 class Surfaces(Protocol):
-    """A lens, as far as its glass bodies need it."""
+    """The attributes of a lens that define its glass bodies."""
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """Front to back."""
+        """Surfaces, front to back."""
 
     @property
     def edges(self) -> tuple[Edge, ...]:
-        """One for each glass element, or none."""
+        """One edge for each glass element, or none."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,19 @@ class Element:
 
     Attributes
     ----------
-    number
-        Position among the elements of the lens, from 0.
+    index
+        Index among the elements of the lens, from 0.
     surfaces
         Indices of its front and back surface in the lens, from 0.
     front, back
-        Meridians of the two surfaces, at one azimuth; z from the front vertex of the lens.
+        Meridians of the two surfaces, at one azimuth; z is measured from the front vertex of the lens.
     edge_mm
         Radius of the edge cylinder.
     edge
         Flats, bevels and flange.
     """
 
-    number: int
+    index: int
     surfaces: tuple[int, int]
     front: SurfaceMeridian
     back: SurfaceMeridian
@@ -65,17 +65,17 @@ class Element:
 
     @property
     def name(self) -> str:
-        """`element 1 (surfaces 1 and 2)`: people count from one."""
-        return f"element {self.number + 1} (surfaces {self.surfaces[0] + 1} and {self.surfaces[1] + 1})"
+        """Name with numbers from 1, such as `element 1 (surfaces 1 and 2)`."""
+        return f"element {self.index + 1} (surfaces {self.surfaces[0] + 1} and {self.surfaces[1] + 1})"
 
     @property
     def rotational(self) -> bool:
-        """Whether the body is one of revolution."""
+        """Whether the body is rotationally symmetric."""
         return all(m.surface.shape.ROTATIONAL for m in (self.front, self.back))
 
     @property
     def sections(self) -> tuple[Element, ...]:
-        """The body's half sections by azimuth; one stands for all of a body of revolution."""
+        """Half sections of the body by azimuth; a single one if the body is rotationally symmetric."""
         return tuple(
             replace(
                 self,
@@ -87,9 +87,10 @@ class Element:
 
     @property
     def ends(self) -> tuple[Array, Array]:
-        """From the rim of each surface to the edge cylinder: radial height, and z from that rim's.
+        """Corners of flat ring and bevel of front and back, shape (n, 2) each with n from 0 to 2.
 
-        Flat ring and bevel of front and back, shape (n, 2) with n of 0 to 2; the rim itself is left out.
+        They lead from the rim of each surface to the edge cylinder, without the rim itself. The columns are
+        the radial height, and z relative to the rim.
         """
         front, back = (
             self._end(m, bevel)
@@ -104,7 +105,7 @@ class Element:
 
     @property
     def cylinder_z_mm(self) -> tuple[float, float]:
-        """z at which the edge cylinder begins and ends; of a body not of revolution, at its narrowest."""
+        """z at which the edge cylinder begins and ends, at the azimuth where it is shortest."""
         fronts, backs = zip(*(section._cylinder_z_mm for section in self.sections), strict=True)
         return max(fronts), min(backs)
 
@@ -124,12 +125,12 @@ class Element:
 
     @property
     def outer_mm(self) -> float:
-        """Largest radius of the body: that of the flange, or of the edge cylinder."""
+        """Largest radius of the body: the radius of the flange, or of the edge cylinder."""
         return self.edge_mm if self.edge.flange is None else self.edge.flange.semi_diameter_mm
 
     @property
     def rim(self) -> Array:
-        """Corners from the rim of the front surface round the edge to that of the back surface.
+        """Corners from the rim of the front surface around the edge to the rim of the back surface.
 
         Radial height and z in mm, shape (n, 2): flat rings, bevels, edge cylinder and flange.
         """
@@ -153,14 +154,14 @@ class Element:
 
     @property
     def volume_mm3(self) -> float:
-        """Volume by Gauss-Legendre quadrature over the two meridians, and exactly round the edge."""
-        # About the axis, a body's volume is the mean of those that its half sections would turn out.
-        parts = (s.back.integral_mm3() - s.front.integral_mm3() for s in self.sections)
+        """Volume: Gauss-Legendre quadrature over the two meridians, exact sums around the edge."""
+        # The volume of any body equals the mean of the volumes of revolution of its half sections.
+        cores = (s.back.integral_mm3() - s.front.integral_mm3() for s in self.sections)
         rims = (ring_volume_mm3(s.rim) for s in self.sections)
-        return float(np.mean([part + rim for part, rim in zip(parts, rims, strict=True)]))
+        return float(np.mean([core + rim for core, rim in zip(cores, rims, strict=True)]))
 
     def profiles(self, front_t: Array, back_t: Array) -> tuple[Array, Array]:
-        """Both sides from the axis to the edge cylinder, flat ring and bevel included.
+        """Return both sides from the axis to the edge cylinder, including flat ring and bevel.
 
         Parameters
         ----------
@@ -179,7 +180,7 @@ class Element:
         return front, back
 
     def outline(self, points: int = 129) -> Array:
-        """Meridian of the body, from the front vertex round the edge to the back vertex.
+        """Return the meridian of the body, from the front vertex around the edge to the back vertex.
 
         Parameters
         ----------
@@ -203,22 +204,22 @@ def _profile(meridian: SurfaceMeridian, t: Array, end: Array) -> Array:
 
 
 def glass_fronts(lens: Surfaces) -> tuple[int, ...]:
-    """Index of the front surface of every glass element, front to back."""
+    """Return the index of the front surface of every glass element, front to back."""
     return tuple(i for i, s in enumerate(lens.surfaces[:-1]) if not is_air(s.material))
 
 
-def mechanical_semi_diameter_mm(lens: Surfaces, number: int) -> float:
-    """Radius of the edge cylinder of a glass element, counted from 0.
+def mechanical_semi_diameter_mm(lens: Surfaces, index: int) -> float:
+    """Return the radius of the edge cylinder of a glass element, given by its index from 0.
 
-    The design file's, or else the largest clear semi-diameter of all surfaces of the lens.
+    It is that of the design file, or else the largest clear semi-diameter of all surfaces of the lens.
     """
-    given = lens.edges[number].semi_diameter_mm if lens.edges else None
+    given = lens.edges[index].semi_diameter_mm if lens.edges else None
     largest = max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)
     return largest if given is None else given
 
 
 def glass_elements(lens: Surfaces) -> list[Element]:
-    """The bodies of glass in a lens, front to back.
+    """Return the glass elements of a lens, front to back.
 
     Parameters
     ----------
@@ -232,47 +233,47 @@ def glass_elements(lens: Surfaces) -> list[Element]:
     Raises
     ------
     InputError
-        If the lens holds no glass, or an element has no size (neither of its surfaces has a
+        If the lens has no glass, or an element has no size (neither of its surfaces has a
         semi_diameter_mm).
     """
     fronts = glass_fronts(lens)
     if not fronts:
-        raise InputError("the lens holds no glass: no surface but the last is followed by a material")
-    elements = [glass_element(lens, number) for number in range(len(fronts))]
+        raise InputError("the lens has no glass: give a material to a surface before the last one")
+    elements = [glass_element(lens, index) for index in range(len(fronts))]
     for element in elements:
-        _refuse_endless(element)
+        _check_size(element)
     return elements
 
 
-def glass_element(lens: Surfaces, number: int) -> Element:
-    """One body of glass, counted from 0, whether or not its size is well defined.
+def glass_element(lens: Surfaces, index: int) -> Element:
+    """Return one glass element by its index from 0, whether or not its size is well defined.
 
-    A surface whose conic ends before the edge goes on as a flat ring from its clear semi-diameter, or from
-    where it ends if it has none.
+    A surface whose conic ends inside the edge continues as a flat ring from its clear semi-diameter, or from
+    the end of the conic if it has none.
     """
-    i = glass_fronts(lens)[number]
-    radius = mechanical_semi_diameter_mm(lens, number)
-    edge = lens.edges[number] if lens.edges else SHARP
+    i = glass_fronts(lens)[index]
+    radius = mechanical_semi_diameter_mm(lens, index)
+    edge = lens.edges[index] if lens.edges else SHARP
     z = vertex_z_mm(lens.surfaces)
     front, back = (
         _meridian(lens.surfaces[j], float(z[j]), radius - bevel if flat is None else flat)
         for j, (flat, bevel) in zip((i, i + 1), edge.sides(), strict=True)
     )
-    return Element(number, (i, i + 1), front, back, radius, edge)
+    return Element(index, (i, i + 1), front, back, radius, edge)
 
 
-def _meridian(surface: Surface, z_mm: float, asked_mm: float) -> SurfaceMeridian:
+def _meridian(surface: Surface, z_mm: float, height_mm: float) -> SurfaceMeridian:
     ends = surface.shape.edge_radius_mm
-    end = asked_mm if ends >= asked_mm else surface.semi_diameter_mm or ends
+    end = height_mm if ends >= height_mm else surface.semi_diameter_mm or ends
     return SurfaceMeridian(surface, z_mm, end)
 
 
-def _refuse_endless(element: Element) -> None:
+def _check_size(element: Element) -> None:
     front, back = element.surfaces
     pair = (element.front, element.back)
     if all(m.surface.semi_diameter_mm is None for m in pair) and element.edge.semi_diameter_mm is None:
         raise InputError(
-            f"element {element.number + 1} has no size: give surface {front + 1} or {back + 1} a "
+            f"element {element.index + 1} has no size: give surface {front + 1} or {back + 1} a "
             "semi_diameter_mm"
         )
     for i, meridian in zip(element.surfaces, pair, strict=True):
@@ -285,12 +286,23 @@ def _refuse_endless(element: Element) -> None:
 
 
 def closed_elements(lens: Surfaces) -> list[Element]:
-    """As :func:`glass_elements`, for those who need solids.
+    """Return the glass elements of a lens, all of which are closed solids.
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+
+    Returns
+    -------
+    list of Element
+        Front to back; see :func:`glass_elements`.
 
     Raises
     ------
     InputError
-        Also if an element does not close: edge thickness of 0 or less, or surfaces that cross.
+        If the lens has no glass, an element has no size, its edge thickness is 0 or less, or its surfaces
+        cross.
     """
     elements = glass_elements(lens)
     for element in elements:
@@ -299,78 +311,79 @@ def closed_elements(lens: Surfaces) -> list[Element]:
 
 
 def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
-    """Where two polygonal profiles come nearest to each other along z, and how near.
+    """Return the radial height of the smallest gap between two polygonal profiles along z, and the gap.
 
     Parameters
     ----------
     front, back
-        Radial height (rising) and z in mm, shape (n, 2).
+        Radial height (increasing) and z in mm, shape (n, 2).
 
     Returns
     -------
     r_mm, gap_mm : float
-        The gap is negative where they have crossed.
+        The gap is negative where the profiles have crossed.
     """
     r = np.union1d(front[:, 0], back[:, 0])
     gap = np.interp(r, *back.T) - np.interp(r, *front.T)
-    where = int(np.argmin(gap))
-    return float(r[where]), float(gap[where])
+    smallest = int(np.argmin(gap))
+    return float(r[smallest]), float(gap[smallest])
 
 
 def validate_closed(element: Element) -> None:
-    """Refuse a body with an edge thickness of 0 or less, or with surfaces that cross.
+    """Check that an element is a closed solid.
 
     Raises
     ------
     InputError
-        Saying where.
+        If its edge thickness is 0 or less, or its surfaces cross; the message names the radial height.
     """
     t = np.linspace(0.0, 1.0, 1025)
     gaps = (smallest_gap(*section.profiles(t, t)) for section in element.sections)
     r, gap = min(gaps, key=lambda found: found[1])
     thickness = element.edge_thickness_mm
     if not (thickness > 0.0 and gap > 0.0):
-        where = (
+        fault = (
             f"its edge thickness is {thickness:.6g} mm"
             if not thickness > 0.0
             else f"its surfaces cross at a radial height of {r:.6g} mm (gap {gap:.6g} mm)"
         )
         raise InputError(
-            f"{element.name} does not close: {where}, with the edge cylinder at a radial height of "
+            f"{element.name} does not close: {fault}, with the edge cylinder at a radial height of "
             f"{element.edge_mm:g} mm; raise thickness_mm or lower semi_diameter_mm"
         )
 
 
 def validate_edge(element: Element) -> None:
-    """Refuse bevels that cut nothing off, and a flange that stands off the edge cylinder.
+    """Check the bevels and the flange of an element.
 
     Raises
     ------
     InputError
-        Saying what is allowed.
+        If a bevel removes no glass, or the flange is not on the edge cylinder; the message names the allowed
+        range.
     """
     for section in element.sections:
-        _refuse_bevels(section)
+        _check_bevels(section)
     front, back = element.cylinder_z_mm
     corners = element.flange_corners[:, 1]
     if len(corners) and not (front <= corners[0] and corners[-1] <= back):
         lead = front - element.front.vertex_z_mm
         raise InputError(
-            f"{element.name}: its flange stands off the edge cylinder, which runs from {lead:.6g} to "
+            f"{element.name}: its flange is not on the edge cylinder, which extends from {lead:.6g} to "
             f"{lead + back - front:.6g} mm behind the front vertex; allowed: distance_mm of at least "
             f"{lead:.6g}, and distance_mm + thickness_mm of at most {lead + back - front:.6g}"
         )
 
 
-def _refuse_bevels(element: Element) -> None:
-    """A bevel cuts nothing off a surface that falls away by 45 degrees or more."""
+def _check_bevels(element: Element) -> None:
+    """Refuse a bevel at a surface that slopes by 45 degrees or more, from which it removes no glass."""
     sides = zip((element.front, element.back), element.edge.sides(), (1.0, -1.0), strict=True)
     for i, (meridian, (_, bevel_mm), inward) in zip(element.surfaces, sides, strict=True):
         end = meridian.end_mm
         slope = inward * float(meridian.shape.sag_and_slopes(0.0, end)[2])
         if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
             raise InputError(
-                f"{element.name}: a bevel at 45 degrees cuts nothing off surface {i + 1}, which "
-                f"falls away by {math.degrees(math.atan(slope)):.4g} degrees there; leave the bevel out, or "
-                "end the surface in a flat ring"
+                f"{element.name}: a bevel at 45 degrees removes no glass from surface {i + 1}, whose slope "
+                f"there is {math.degrees(math.atan(slope)):.4g} degrees; leave the bevel out, or end the "
+                "surface in a flat ring"
             )

@@ -1,4 +1,4 @@
-"""One refracting surface, as the design file holds it: shape, medium behind it, aperture, measured figure."""
+"""One refracting surface, as a design file states it: shape, medium behind it, aperture, measured figure."""
 
 from __future__ import annotations
 
@@ -22,26 +22,32 @@ class Surface(Section):
     Attributes
     ----------
     radius_mm
-        Radius of curvature, positive with its centre at larger z; None is a plane.
+        Radius of curvature, positive if its centre is at larger z; None is a plane.
     conic
         Conic constant.
     asphere
-        Of an even asphere: coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...
+        Coefficients of an even asphere: of r^4, r^6, ... in mm^-3, mm^-5, ...
     shape_type
-        Name of the shape in :mod:`lensdesign.lens.shapes.registry`, `shape` in a file; None is an even
-        asphere where `asphere` is given, else a conic.
+        Name of the shape in :mod:`lensdesign.lens.shapes.registry`, `shape` in a file. None means an even
+        asphere if `asphere` is given, else a conic.
     radius_x_mm, conic_x
-        Of a biconic: radius and conic constant along x; `radius_mm` and `conic` are those along y.
+        Radius and conic constant of a biconic along x; `radius_mm` and `conic` are those along y.
     thickness_mm
-        To the next surface's vertex; the last surface has none.
+        Distance to the vertex of the next surface; None for the last surface.
     material
         Glass name or constant index of the medium behind; None is air.
     semi_diameter_mm
-        Clear semi-diameter; rays beyond it are clipped. None clips nothing.
+        Clear semi-diameter; rays outside it are clipped. None clips no ray.
     stop
         Whether this surface is the aperture stop.
     figure
-        Where the made surface was measured to depart from this shape; None is no departure.
+        Measured departure of the made surface from this shape; None is no departure.
+
+    Examples
+    --------
+    >>> surface = Surface(radius_mm=10.0, thickness_mm=3.0, material="N-BK7", semi_diameter_mm=4.0)
+    >>> surface.kind, round(float(surface.sag_mm(4.0)), 4)
+    ('sphere', 0.8348)
     """
 
     radius_mm: Finite | None = None
@@ -69,11 +75,11 @@ class Surface(Section):
     @classmethod
     def _radius(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value == 0.0:
-            raise ValueError(f"a radius of 0 is no surface; leave {info.field_name} out for a plane")
+            raise ValueError(f"a radius of 0 is not a surface; leave {info.field_name} out for a plane")
         return value
 
     @model_validator(mode="after")
-    def _of_its_shape(self) -> Surface:
+    def _keys_fit_shape(self) -> Surface:
         own = self.shape_class
         for shape in shape_classes():
             for key in shape.KEYS:
@@ -111,24 +117,24 @@ class Surface(Section):
 
     @property
     def shape(self) -> Shape:
-        """Its shape, without the figure."""
+        """Shape of the surface, without the figure."""
         return self.shape_class.of_keys(self.shape_keys)
 
     @property
     def shape_class(self) -> type[Shape]:
-        """The class of its shape."""
+        """Class of the shape."""
         return shape_class(self.shape_type or ("even asphere" if self.asphere else "conic"))
 
     @property
     def shape_keys(self) -> dict[str, Any]:
-        """What the design file says of its shape."""
+        """Values that define the shape, by their keys in a design file."""
         return {key: getattr(self, key) for key in self.shape_class.KEYS}
 
     @property
     def shape_parameters(self) -> tuple[str, ...]:
-        """Names of its shape's parameters that it has, as an optimizer and perturbations know them."""
-        held = self.shape_class.TERMS[: len(self.shape.terms)]
-        return tuple(name for name in self.shape_class.PARAMETERS if term_of(name) in held)
+        """Names of the shape parameters that an optimizer may vary or a study perturb."""
+        terms = self.shape_class.TERMS[: len(self.shape.terms)]
+        return tuple(name for name in self.shape_class.PARAMETERS if term_of(name) in terms)
 
     @property
     def curvature(self) -> float:
@@ -137,18 +143,18 @@ class Surface(Section):
 
     @property
     def kind(self) -> str:
-        """Plane, sphere, or the shape's name."""
+        """Name of the simplest shape of this form: plane, sphere, or the name of the shape."""
         return self.shape.kind
 
     def sag_mm(self, r_mm: Any) -> NDArray[np.float64]:
-        """Sag at radial heights in the y-z plane, without the figure; NaN beyond the edge."""
+        """Return the sag at radial heights in the y-z plane, without the figure; NaN beyond the edge."""
         return self.shape.sag(0.0, r_mm)
 
     def slope(self, r_mm: Any) -> NDArray[np.float64]:
-        """Slope dz/dr at radial heights in the y-z plane, without the figure."""
+        """Return the slope dz/dr at radial heights in the y-z plane, without the figure."""
         return self.shape.sag_and_slopes(0.0, r_mm)[2]
 
 
 def vertex_z_mm(surfaces: Sequence[Surface]) -> NDArray[np.float64]:
-    """z of every vertex; the front vertex is at 0."""
+    """Return z of every vertex in mm, shape (surfaces,); the front vertex is at 0."""
     return np.array(list(accumulate((s.thickness_mm or 0.0 for s in surfaces[:-1]), initial=0.0)))

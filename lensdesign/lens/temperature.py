@@ -1,15 +1,16 @@
-"""A lens at another temperature: its glass and its mount grow, its indices change, all together.
+"""A lens at another temperature: glass and mount expand and the indices change, all together.
 
-Glass grows alike in all directions: radii, thicknesses and apertures of a surface by the expansion of the
-glass that it bounds (the mean of both, where it is cemented). Air spaces are held by a mount that stands on
-the edges of surfaces, at their clear semi-diameters: of a space of length t between sags s and s', at the
-edges L = t + s' - s, the mount grows L (1 + a_m T), and the vertices follow,
+Glass expands equally in all directions. Radii, thicknesses and apertures of a surface change by the expansion
+of the glass that it bounds (the mean of both glasses at a cemented surface). Air spaces are set by a mount
+that touches the edges of surfaces, at their clear semi-diameters. A space of length t between surfaces of
+edge sags s and s' has the length L = t + s' - s at the edges. The mount expands to L (1 + a_m T), and the
+vertex distance becomes
 
     t(T) - t = (a_m L - a' s' + a s) T,
 
-with the expansions a of the surfaces before and behind it. So with the space between object and front
-surface, and with those between last surface and sensor planes, which are mounted as flat edges of their
-own.
+with the expansions a and a' of the surfaces before and behind the space. The same holds for the space between
+object and front surface, and for those between last surface and sensor planes. Object and sensor planes count
+as flat edges (s = 0).
 """
 
 from __future__ import annotations
@@ -34,18 +35,18 @@ ALUMINIUM_PER_K = 23.6e-6
 
 @dataclass(frozen=True)
 class ThermalExpansion:
-    """How a lens grows; changes in mm for each K.
+    """Changes of a lens per kelvin.
 
     Attributes
     ----------
     surfaces_per_k : ndarray, shape (surfaces,)
-        Expansion of each surface, relative.
+        Relative expansion of each surface, in 1/K.
     object_mm_per_k
-        Of the working distance.
+        Change of the working distance.
     thickness_mm_per_k : ndarray, shape (surfaces - 1,)
-        Of the spaces behind each surface but the last.
+        Changes of the spaces behind each surface except the last.
     planes_mm_per_k : ndarray, shape (planes,)
-        Of the distances of the sensor's planes.
+        Changes of the distances of the sensor planes.
     """
 
     surfaces_per_k: Array
@@ -56,14 +57,16 @@ class ThermalExpansion:
 
 @dataclass(frozen=True)
 class Expansions:
-    """Linear expansions of a lens's parts and of what holds them; in 1/K.
+    """Linear expansion coefficients of the glasses and the mount of a lens, in 1/K.
 
     Attributes
     ----------
     surfaces : ndarray, shape (surfaces,)
+        Coefficient by which radius and aperture of each surface expand.
     glasses : tuple of float or None
-        Of the glass behind each surface; None of air.
+        Coefficient of the glass behind each surface; None for air.
     mount
+        Coefficient of the mount.
     """
 
     surfaces: Array
@@ -71,18 +74,19 @@ class Expansions:
     mount: float
 
     def of_space(self, surface: int, length: Array, sags: Array) -> Array:
-        """Growth of the space behind a surface, from its length and the sags of all surfaces at their edges.
+        """Return the change per kelvin of the length of the space behind a surface.
 
-        It is linear in both, so that of their derivatives it makes the derivatives of the growth.
+        It is linear in `length` and `sags`. Applied to derivatives of both, it gives the derivatives of the
+        change.
 
         Parameters
         ----------
         surface
-            Index of the surface; -1 for the object's space.
+            Index of the surface; -1 for the object space.
         length : ndarray, shape (...)
-            On the axis, in mm.
+            Length of the space on the axis, in mm.
         sags : ndarray, shape (surfaces, ...)
-            In mm.
+            Sag of every surface at its edge, in mm.
         """
         glass = self.glasses[surface] if surface >= 0 else None
         if glass is not None:
@@ -96,35 +100,36 @@ class Expansions:
 
 
 def expansions(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Expansions:
-    """What a lens's parts expand by.
+    """Return the linear expansion coefficients of the glasses and the mount of a lens.
 
     Raises
     ------
     MaterialError
-        If a glass has no known expansion, or is at a temperature already; the message names both.
+        If the expansion of a glass is not known, or a glass is already given at a temperature. The message
+        names surface and glass.
     """
-    own = [None if glass is None else glass.thermal.expansion_per_k for glass in _media(lens)]
+    glasses = [None if glass is None else glass.thermal.expansion_per_k for glass in _media(lens)]
     surfaces = []
-    for before, behind in zip([None, *own[:-1]], own, strict=True):
-        known = [value for value in (before, behind) if value is not None]
+    for adjoining in zip([None, *glasses[:-1]], glasses, strict=True):
+        known = [value for value in adjoining if value is not None]
         surfaces.append(sum(known) / len(known) if known else mount_expansion_per_k)
-    return Expansions(np.array(surfaces), tuple(own), mount_expansion_per_k)
+    return Expansions(np.array(surfaces), tuple(glasses), mount_expansion_per_k)
 
 
 def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> ThermalExpansion:
-    """How a lens and the spaces about it grow.
+    """Return the changes per kelvin of a lens and of the spaces around it.
 
     Parameters
     ----------
     lens
-        At `REFERENCE_C`.
+        Lens at `REFERENCE_C`.
     mount_expansion_per_k
-        Linear expansion of what holds the lens, its elements, object and sensor apart.
+        Linear expansion coefficient of the mount of elements, object and sensor.
 
     Raises
     ------
     MaterialError
-        As of :func:`expansions`.
+        If the expansion of a glass is not known, or a glass is already given at a temperature.
     """
     found = expansions(lens, mount_expansion_per_k)
     sags = np.array([edge_sag_mm(s.shape, s.semi_diameter_mm) for s in lens.surfaces])
@@ -145,27 +150,48 @@ def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Therma
 def lens_at_temperature(
     lens: Lens, temperature_c: float, *, mount_expansion_per_k: float = ALUMINIUM_PER_K
 ) -> Lens:
-    """The lens as it is at another temperature, in air of that temperature.
+    """Return the lens at another temperature, in air of that temperature.
 
-    Its glasses are named with it, as in ``N-BK7@50C``, so that it can be saved, and traced in any of its
-    wavelengths, which are those in air of `REFERENCE_C`. Field and pixels stay as they are, measured figures
-    too.
+    The names of its glasses include the temperature, as in ``N-BK7@50C``, so that the lens can be saved and
+    traced. Its wavelengths are those in air of `REFERENCE_C`. Field, pixels and measured figures stay as they
+    are.
 
     Parameters
     ----------
     lens
-        As designed, at `REFERENCE_C`.
+        Lens as designed, at `REFERENCE_C`.
     temperature_c
-        Of all of it.
+        Temperature of the whole lens, its mount and the air, in degrees Celsius.
     mount_expansion_per_k
-        As of :func:`growth`.
+        Linear expansion coefficient of the mount of elements, object and sensor (default: aluminium).
+
+    Returns
+    -------
+    Lens
 
     Raises
     ------
     MaterialError
-        If of a glass it is not known how size or index change, or it is at a temperature already.
+        If the expansion or the change of index of a glass is not known, or a glass is already given at a
+        temperature.
     DesignError
-        If what comes out is no lens.
+        If the result is not a valid lens.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=10.0, thickness_mm=3.0, material="N-BK7", semi_diameter_mm=4.0),
+    ...         Surface(semi_diameter_mm=4.0),
+    ...     ),
+    ... )
+    >>> hot = lens_at_temperature(lens, 50.0)
+    >>> hot.surfaces[0].material, round(hot.surfaces[0].radius_mm, 5)
+    ('N-BK7@50C', 10.00213)
     """
     change, grown = temperature_c - REFERENCE_C, growth(lens, mount_expansion_per_k)
     surfaces = []
@@ -192,11 +218,11 @@ def lens_at_temperature(
 
 
 def heated_keys(surface: Surface, growth: float) -> dict[str, Any]:
-    """Keys of a surface's shape and aperture that it has when it has grown by a share."""
+    """Return the keys of shape, aperture and figure of a surface after a relative growth."""
     factor, semi_diameter = 1.0 + growth, surface.semi_diameter_mm
     keys = surface.shape_class.scaled_keys(surface.shape_keys, factor)
     figure = surface.figure
-    # Zernike terms are carried out to the new rim; a map in a file stays where it was measured.
+    # Zernike terms scale to the new rim; a measured grid in a file keeps its positions.
     if figure is not None and figure.semi_diameter_mm is not None:
         figure = figure.replaced(semi_diameter_mm=factor * figure.semi_diameter_mm)
     grown = None if semi_diameter is None else factor * semi_diameter
@@ -204,12 +230,12 @@ def heated_keys(surface: Surface, growth: float) -> dict[str, Any]:
 
 
 def heated_material(lens: Lens, surface: int, temperature_c: float) -> str | float | None:
-    """What stands behind a surface, at a temperature.
+    """Return the material behind a surface (index from 0) at a temperature.
 
     Raises
     ------
     MaterialError
-        If it is not known how its index changes, or it is at a temperature already.
+        If the change of its index is not known, or it is already given at a temperature.
     """
     material = lens.surfaces[surface].material
     if is_air(material):
@@ -218,24 +244,24 @@ def heated_material(lens: Lens, surface: int, temperature_c: float) -> str | flo
     assert glass is not None
     if not glass.thermal.knows_index:
         raise MaterialError(
-            f"surface {surface + 1}, {glass.name} ({glass.catalog}): no data says how its index changes with "
-            "temperature; give a glass that has it, or an AGF catalogue with a TD record"
+            f"surface {surface + 1}, {glass.name} ({glass.catalog}): the change of its index with "
+            "temperature is not known; use a glass for which it is, or an AGF catalogue with a TD record"
         )
     return at_temperature(str(material), temperature_c)
 
 
 def named_at(name: str, temperature_c: float | None) -> str:
-    """What something is called that is asked of a lens at a temperature; None is as designed."""
+    """Return the name of a quantity with the temperature at which it is required; None is as designed."""
     return name if temperature_c is None else f"{name} at {temperature_c:g} C"
 
 
 def check_heat(lens: Lens) -> None:
-    """Refuse a lens of which it is not known what heat does to it.
+    """Check that the thermal data of all glasses of a lens are known.
 
     Raises
     ------
     MaterialError
-        Which surface and glass, and what is missing.
+        If data are missing; the message names surface, glass and the missing data.
     """
     expansions(lens)
     for i in range(len(lens.surfaces)):
@@ -243,13 +269,13 @@ def check_heat(lens: Lens) -> None:
 
 
 def _media(lens: Lens) -> list[Material | None]:
-    """Glass behind each surface, or None; refuse one of unknown expansion."""
+    """Return the glass behind each surface, or None for air; refuse a glass of unknown expansion."""
     media = [_glass(lens, i) for i in range(len(lens.surfaces))]
     for number, glass in enumerate(media, start=1):
         if glass is not None and glass.thermal.expansion_per_k is None:
             raise MaterialError(
-                f"surface {number}, {glass.name} ({glass.catalog}): no data says how it expands with "
-                "temperature; give a glass that has it, or an AGF catalogue with an ED record"
+                f"surface {number}, {glass.name} ({glass.catalog}): its thermal expansion is not known; use "
+                "a glass for which it is, or an AGF catalogue with an ED record"
             )
     return media
 
@@ -259,12 +285,14 @@ def _glass(lens: Lens, surface: int) -> Material | None:
     if material is None or is_air(material):
         return None
     if isinstance(material, str) and "@" in material:
-        raise MaterialError(f"surface {surface + 1}, {material}: is at a temperature already")
+        raise MaterialError(
+            f"surface {surface + 1}, {material}: already given at a temperature; remove the part from '@' on"
+        )
     return get_material(material, lens.glass_catalogs)
 
 
 def edge_sag_mm(shape: Shape, semi_diameter_mm: float | None) -> float:
-    """Mean sag along the rim of a clear aperture, where a mount holds it; 0 without one."""
+    """Return the mean sag in mm along the rim of a clear aperture; 0 without one."""
     if semi_diameter_mm is None:
         return 0.0
     x, y = directions(shape)

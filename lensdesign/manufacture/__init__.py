@@ -1,4 +1,4 @@
-"""What a shop takes: meshes, STEP files, drawings."""
+"""Files for the manufacture of a lens: triangle meshes, STEP files and drawings after ISO 10110."""
 
 import lazy_loader
 

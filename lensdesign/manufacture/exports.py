@@ -1,4 +1,4 @@
-"""What a lens is exported as, by the suffix of the file: the one place that names all formats."""
+"""Export of a lens; the suffix of the file selects the format. This module is the registry of formats."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Exported:
-    """A file that was written.
+    """Description of an exported file.
 
     Attributes
     ----------
     sentence
-        What it is, in a few words.
+        Summary of the contents.
     figures
-        Its figures, for JSON.
+        Numbers of the export, for JSON.
     outline
-        The outline of each element in one sentence.
+        One sentence on the outline of each element.
     """
 
     sentence: str
@@ -39,42 +39,56 @@ class Exported:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """How a lens is exported.
+    """Options of an export.
 
     Attributes
     ----------
     chord_error_um
-        Of meshes: largest distance from the true optical surfaces.
+        Largest distance of a mesh's facets from the exact optical surfaces in um; meshes only.
     measured
-        Of meshes: whether surfaces have their measured figures.
-    report
-        Told in one sentence of each surface whose measured figure is left out.
+        Whether surfaces have their measured figures; meshes only.
+    warn
+        Called with one sentence for each surface whose measured figure is omitted.
     """
 
     chord_error_um: float
     measured: bool
-    report: Callable[[str], None]
+    warn: Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A kind of file, and what writes it."""
+    """A kind of file and the function that writes it."""
 
     kind: str
     write: Callable[[Lens, Path, ExportOptions], Exported]
 
 
 def export_lens(lens: Lens, path: Path, options: ExportOptions) -> Exported:
-    """Write a lens as the format that the suffix of the file names.
+    """Write a lens to a file; the suffix of the file selects the format.
 
-    Bodies of glass have the outline of :func:`lensdesign.analysis.outline.drawn_outline`, which a drawing of
-    the same lens has too. With measured figures, which end at the clear aperture, they have the edges of the
-    design alone.
+    The glass bodies have the outline of :func:`lensdesign.analysis.outline.drawn_outline`, like a drawing of
+    the same lens. Measured figures end at the clear aperture; bodies with measured figures therefore have
+    the edges of the design only.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    path
+        File to write.
+    options
+        Accuracy and contents of the export.
+
+    Returns
+    -------
+    Exported
+        Summary and numbers of the written file.
 
     Raises
     ------
     InputError
-        If no format has the suffix, or the format cannot hold the lens; no file is written then.
+        If no format has the suffix, or the format cannot represent the lens. No file is written then.
     """
     suffix = path.suffix.lower()
     if suffix not in EXPORT_FORMATS:
@@ -92,7 +106,7 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         lens if figured else outline.lens,
         path,
         options.chord_error_um,
-        report=options.report,
+        warn=options.warn,
         measured=options.measured,
         statement="; ".join(statements),
     )
@@ -119,10 +133,10 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
 
     if options.measured:
         raise InputError(
-            f"cannot write {path} with --measured: solids have nominal surfaces; a mesh takes it"
+            f"cannot write {path} with --measured: solids have nominal surfaces; write a mesh instead"
         )
     outline = drawn_outline(lens)
-    found = write_step(outline.lens, path, report=options.report, statement="; ".join(outline.statements))
+    found = write_step(outline.lens, path, warn=options.warn, statement="; ".join(outline.statements))
     figures = {
         "file": str(path),
         "bytes": found.bytes,
@@ -146,7 +160,7 @@ def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
 
 
 def _measured_outline(lens: Lens) -> tuple[str, ...]:
-    """Outline of bodies with measured figures, which end at the clear apertures."""
+    """Return one sentence on the outline of each body with measured figures."""
     return tuple(
         f"{element.name}: diameter {2.0 * element.edge_mm:g} mm, that of "
         + (
@@ -174,9 +188,9 @@ EXPORT_FORMATS = {
 
 
 def export_kinds() -> str:
-    """All kinds with their suffixes, in words: `mesh (.stl, ...), exact solid (...) or lens file (...)`."""
+    """Return all kinds with their suffixes: `mesh (.stl, ...), exact solid (...) or lens file (...)`."""
     kinds: dict[str, list[str]] = {}
-    for suffix, made in EXPORT_FORMATS.items():
-        kinds.setdefault(made.kind, []).append(suffix)
-    *some, last = (f"{kind} ({', '.join(suffixes)})" for kind, suffixes in kinds.items())
-    return f"{', '.join(some)} or {last}"
+    for suffix, export_format in EXPORT_FORMATS.items():
+        kinds.setdefault(export_format.kind, []).append(suffix)
+    *first, last = (f"{kind} ({', '.join(suffixes)})" for kind, suffixes in kinds.items())
+    return f"{', '.join(first)} or {last}"

@@ -1,4 +1,4 @@
-"""Lenses found from a specification, by nlopt."""
+"""Optimization of lenses to a specification, with nlopt."""
 
 import lazy_loader
 

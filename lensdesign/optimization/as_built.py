@@ -1,6 +1,6 @@
-"""What a search asks of tolerances: how a lens will be as built.
+"""Interface to tolerance studies: predictions of lenses as built for an optimization.
 
-Tolerance studies are read by a package above this one, which gives its reader as an entry point.
+Tolerance studies are read by a package above this one, which registers its reader as an entry point.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
 
 READERS = "lensdesign.as_built"
-"""Entry points that read a tolerance study."""
+"""Group of the entry points that read a tolerance study."""
 
 
 @dataclass(frozen=True)
 class AsBuiltValues:
-    """Predictions of a lens for a search; p object points, v variables.
+    """Predictions of a lens as built for a search: p object points, v variables.
 
     Attributes
     ----------
     rms_waves, rms_by : ndarray, shapes (p,) and (p, v)
-        Root of the mean square of the wavefront error over pupil and lenses, and its derivatives.
+        Root mean square of the wavefront error over pupil and lenses, and its derivatives.
     failing, failing_by : float, and ndarray of shape (v,)
-        Fraction of lenses that miss at least one limit of the study, of those limits that can be predicted;
-        smoothed where derivatives are asked for.
+        Fraction of lenses that violate at least one predictable limit of the study, and its derivatives; the
+        fraction is smoothed if derivatives are requested.
     """
 
     rms_waves: Array
@@ -45,14 +45,14 @@ class AsBuiltValues:
 
 @dataclass(frozen=True)
 class LossValues:
-    """Mean reconstruction losses of a lens as built; m merits `reconstruction_loss`, v variables.
+    """Mean reconstruction losses of a lens as built: m merits `reconstruction_loss`, v variables.
 
     Attributes
     ----------
     losses, losses_by : ndarray, shapes (m,) and (m, v)
-        Mean over lenses of each merit, and its derivatives.
+        Mean of each merit over lenses, and its derivatives.
     scale
-        Largest mean of the study's own lens.
+        Largest mean for the lens of the study.
     """
 
     losses: Array
@@ -67,15 +67,15 @@ class MeritLoss:
     Attributes
     ----------
     merit
-        The merit's name.
+        Name of the merit.
     conditions
-        Its object points and other settings in words.
+        Its object points and other settings as text.
     calibrated
-        Whether the reconstruction's model adapts the compensators of the study.
+        Whether the model of the reconstruction adapts the compensators of the study.
     mean, error
-        Over trials, and its standard error.
+        Mean over trials, and its standard error.
     predicted
-        The same without trials.
+        Predicted mean without trials.
     """
 
     merit: str
@@ -88,20 +88,20 @@ class MeritLoss:
 
 @dataclass(frozen=True)
 class MeritYield:
-    """Fraction of lenses that keep the limit of one merit, whatever they do to the others.
+    """Fraction of lenses that keep the limit of one merit, regardless of the other merits.
 
     Attributes
     ----------
     merit
-        The merit's name.
+        Name of the merit.
     limit
-        Its limit in words.
+        Its limit as text.
     conditions
-        Its object points and other settings in words.
+        Its object points and other settings as text.
     good, low, high
         Fraction of trials, and its 95 % interval.
     predicted
-        The same without trials; None for a merit that trials alone can score.
+        Predicted fraction without trials; None for a merit that cannot be predicted.
     """
 
     merit: str
@@ -115,16 +115,16 @@ class MeritYield:
 
 @dataclass(frozen=True)
 class AsBuiltPrediction:
-    """What is predicted of a finished lens, by the function that `tolerancing predict` prints.
+    """Prediction of a finished lens as built, as `tolerancing predict` prints it.
 
     Attributes
     ----------
     rms_waves : tuple of float
-        At each object point, over pupil and lenses.
+        Root mean square wavefront error over pupil and lenses, at each object point.
     good
-        Fraction of lenses that keep all limits that can be predicted; NaN where none can.
+        Fraction of lenses that keep all predictable limits; NaN if there are none.
     merits : dict
-        The same fraction for each of these limits alone, by the merits' names.
+        Fraction of lenses that keep each of these limits alone, by the name of the merit.
     """
 
     rms_waves: tuple[float, ...]
@@ -134,28 +134,28 @@ class AsBuiltPrediction:
 
 @dataclass(frozen=True)
 class TrialsOf:
-    """What fresh Monte Carlo trials make of a lens.
+    """Result of independent Monte Carlo trials of a lens.
 
     Attributes
     ----------
     name
-        Which lens it is.
+        Name of the lens in reports.
     trials
-        How many.
+        Number of trials.
     rms_waves : tuple of float
-        At each object point, over pupil and lenses.
+        Root mean square wavefront error over pupil and lenses, at each object point.
     rms_errors_waves : tuple of float
-        Their standard errors.
+        Standard errors of `rms_waves`.
     predicted_rms_waves : tuple of float
-        The same without trials.
+        Predicted root mean squares without trials.
     good, low, high
         Yield: the fraction of lenses that keep all limits of the study, and its 95 % interval.
     predicted_good
-        Predicted fraction of lenses that keep all limits that can be predicted; None where none can.
+        Predicted fraction of lenses that keep all predictable limits; None if there are none.
     merits : tuple of MeritYield
-        Each limit of the study by itself.
+        Yield of each limit of the study alone.
     losses : tuple of MeritLoss
-        Each merit `reconstruction_loss` of the study, where goal or constraints ask for them.
+        Means of the merits `reconstruction_loss`, if goal or constraints concern them.
     """
 
     name: str
@@ -173,22 +173,22 @@ class TrialsOf:
 
 @dataclass(frozen=True)
 class AsBuiltReport:
-    """Start and result beside each other, by trials that the search did not know.
+    """Comparison of start and result by Monte Carlo trials that the search did not use.
 
     Attributes
     ----------
     points_mm : tuple of (x, y)
-        Object points of the study's merits of the wavefront.
+        Object points of the wavefront merits of the study.
     wavelengths_um : tuple of float or None
-        At which each is judged; None: the lens's first.
+        Wavelength at each object point; None means the first of the lens.
     limits_waves : tuple of float
-        Largest root mean square of a good lens at each.
+        Largest root mean square of a good lens at each object point.
     seed
-        With which a run of the study draws the same trials.
+        Seed with which a run of the study draws the same trials.
     trials_only : tuple of str
-        Names of the merits that cannot be predicted: the search left them out, trials count them.
+        Names of the merits that cannot be predicted. The search ignores them; the trials include them.
     rows : tuple of TrialsOf
-        The result stands last, as designed and then at each temperature that is asked for.
+        Trials of each lens. The last rows are the result as designed, then at each temperature.
     """
 
     points_mm: tuple[tuple[float, float], ...]
@@ -200,7 +200,7 @@ class AsBuiltReport:
 
     @property
     def places(self) -> tuple[str, ...]:
-        """Object points in words, with the wavelength where it is not the lens's first."""
+        """Object points as text, with the wavelength if it is not the first of the lens."""
         pairs = zip(self.points_mm, self.wavelengths_um, strict=True)
         return tuple(
             f"({x:g}, {y:g}) mm" + ("" if wavelength is None else f", {wavelength:g} um")
@@ -209,55 +209,53 @@ class AsBuiltReport:
 
 
 class AsBuilt(Protocol):
-    """A tolerance study, as searches use it."""
+    """Interface of a tolerance study for searches."""
 
     @property
     def points_mm(self) -> tuple[tuple[float, float], ...]:
-        """Object points that are judged."""
+        """Object points of the wavefront merits."""
 
     @property
     def loss_merits(self) -> tuple[str, ...]:
         """Names of the study's merits `reconstruction_loss`."""
 
     def check(self, lens: Lens) -> None:
-        """Refuse, with a DesignError, tolerances of what a lens does not have."""
+        """Raise a DesignError if the tolerances do not apply to a lens."""
 
     def check_yields(self) -> None:
-        """Refuse, with a DesignError, a study of which no yield can be predicted."""
+        """Raise a DesignError if no yield of the study can be predicted."""
 
     def check_losses(self, lens: Lens) -> None:
-        """Refuse, with a DesignError, losses that a search for such a lens cannot know."""
+        """Raise a DesignError if the reconstruction losses of a lens cannot be predicted."""
 
     def evaluate(self, problem: Any, point: Array, derivatives: bool) -> AsBuiltValues:
         """Predict the lens at a point of the unit box of a `DesignProblem`.
 
-        Derivatives are by the variables' own values.
+        Derivatives are with respect to the values of the variables, not of the unit box.
         """
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
-        """Predict a finished lens without trials, as reports show it."""
+        """Predict a finished lens without trials."""
 
     def losses(self, problem: Any, point: Array, derivatives: bool) -> LossValues:
         """Predict mean reconstruction losses of the lens at a point of the unit box."""
 
     def scaled(self, factor: float) -> AsBuilt:
-        """The study with all tolerances multiplied."""
+        """Return the study with all tolerances multiplied."""
 
     def priced(self, costs: Path | None, cost: float | None) -> AsBuilt:
-        """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""
+        """Return the study with a table of costs, and with tolerances multiplied to a cost if one is "
+        "given."""
 
     def cost(self, lens: Lens) -> float:
-        """What the tolerances of a lens cost, its elements included.
-
-        Refuse, with an InputError, a table without a price for one of them.
-        """
+        """Return the cost of a lens and its tolerances; raise an InputError if a price is missing."""
 
     @property
     def reference(self) -> Lens:
-        """The lens that the study was written for."""
+        """The lens of the study."""
 
     def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
-        """Try named lenses by so many fresh trials each."""
+        """Run a number of independent trials of each named lens."""
 
 
 def read_as_built(tolerances: Tolerances) -> AsBuilt:
@@ -266,7 +264,7 @@ def read_as_built(tolerances: Tolerances) -> AsBuilt:
     Raises
     ------
     DesignError
-        If there is no such file, it is no study, or no package that reads one is installed.
+        If the file does not exist or is not a study, or no package that reads studies is installed.
     """
     study = Path(tolerances.study)
     if not study.is_file():
@@ -289,11 +287,11 @@ def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances) -> AsBu
 
 
 def untraceable(points: int, variables: int) -> AsBuiltValues:
-    """Values of a lens that has no wavefronts."""
-    nowhere = np.full(points, np.inf)
-    return AsBuiltValues(nowhere, np.zeros((points, variables)), np.inf, np.zeros(variables))
+    """Return the values of a lens without wavefronts."""
+    infinite = np.full(points, np.inf)
+    return AsBuiltValues(infinite, np.zeros((points, variables)), np.inf, np.zeros(variables))
 
 
 def without_losses(merits: int, variables: int) -> LossValues:
-    """Values of a lens that has no reconstruction."""
+    """Return the values of a lens without a reconstruction."""
     return LossValues(np.full(merits, np.inf), np.zeros((merits, variables)), 1.0)

@@ -1,7 +1,7 @@
-"""The constraints of a specification, held against a lens by other means than the search's own.
+"""Check of a lens against the constraints of a specification, independent of the search.
 
-The search judges a lens by the rays of its working set; here worst rays are followed as `lensdesign
-check` does it, through the lens as it was written.
+The search evaluates a lens by the rays of its working set. This check refines the worst rays of the lens as
+it is saved, in the same way as `lensdesign check`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.specification.sections import LOSS_GOAL, Constraints
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.raytrace.compiled import compile_system
-from lensdesign.raytrace.extremes import extremes
+from lensdesign.raytrace.extremes import find_extremes
 
 
 def check_against(
@@ -34,25 +34,25 @@ def check_against(
 ) -> CheckReport:
     """Check a lens against the constraints of a specification.
 
-    Field, numerical aperture, wavelengths and sensor are those of the specification, whatever the lens was
-    written with; its surfaces, edges and working distance are its own. What is asked of it as built is judged
-    by Monte Carlo trials, whose statistical error speaks for the lens. At each temperature that is asked for,
-    spread, footprint, throughput and lenses as built are judged again.
+    Field, numerical aperture, wavelengths and sensor are those of the specification; surfaces, edges and
+    working distance are those of the lens. Constraints on lenses as built are checked by Monte Carlo trials
+    and are violated only beyond the statistical error. Spread, footprint, throughput and lenses as built are
+    checked at each temperature of the specification, too.
 
     Parameters
     ----------
     lens
-        What is checked.
+        Lens to check.
     specification
-        What is asked.
+        Specification with the constraints.
     built
-        Trials of the lens, where they are known; its rows at temperatures stand last.
+        Trials of the lens, with rows at the temperatures last (default: trials are made if needed).
 
     Returns
     -------
     CheckReport
-        Figures as :func:`lensdesign.check_design` has them; `constraints`, `feasible` and `violations` are
-        those of the specification.
+        The report of :func:`lensdesign.check_design`, with `constraints`, `feasible` and `violations` of the
+        specification.
 
     Raises
     ------
@@ -82,22 +82,22 @@ def check_against(
 
 
 def _light(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
-    """Where light may go, and how much of it passes."""
+    """Return the constraints on spread, footprint and throughput."""
     spread, footprints = _spread(lens, specification, report), _footprints(lens, specification, report)
     return [*spread, *footprints, _throughput(specification, report)]
 
 
 def _light_in_heat(lens: Lens, specification: Specification) -> list[Constraint]:
-    """The same at each temperature that is asked for."""
+    """Return the constraints on spread, footprint and throughput at each temperature."""
     return [
-        _told_at(temperature_c, one)
+        _named_constraint(temperature_c, one)
         for temperature_c, hot in at_temperatures(lens, specification)
         for one in _light(hot, specification, check_design(hot))
     ]
 
 
-def _told_at(temperature_c: float | None, one: Constraint) -> Constraint:
-    """A demand on the lens as a demand at a temperature."""
+def _named_constraint(temperature_c: float | None, one: Constraint) -> Constraint:
+    """Return a constraint with the temperature in its name and message."""
     if temperature_c is None:
         return one
     name = named_at(one.name, temperature_c)
@@ -105,22 +105,24 @@ def _told_at(temperature_c: float | None, one: Constraint) -> Constraint:
 
 
 def at_temperatures(lens: Lens, specification: Specification) -> list[tuple[float, Lens]]:
-    """The lens as it is at each temperature that is asked for.
+    """Return the temperatures of the specification, each with the lens at this temperature.
 
     Raises
     ------
     MaterialError
-        If it is not known what heat does to one of its glasses.
+        If thermal data of a glass are not known.
     """
-    asked = specification.environment
-    if asked is None:
+    environment = specification.environment
+    if environment is None:
         return []
-    mount = asked.mount_expansion_per_k
-    return [(t, lens_at_temperature(lens, t, mount_expansion_per_k=mount)) for t in asked.temperatures_c]
+    mount = environment.mount_expansion_per_k
+    return [
+        (t, lens_at_temperature(lens, t, mount_expansion_per_k=mount)) for t in environment.temperatures_c
+    ]
 
 
 def _spread(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
-    """Of each wavelength: over the whole field, along x and y, at single field heights."""
+    """Return the spread constraints at each wavelength: over the field, along x and y, at field heights."""
     limits, rows = specification.constraints, []
     for found in report.wavelengths:
         at = f"at {found.wavelength_um:g} um"
@@ -132,7 +134,7 @@ def _spread(lens: Lens, specification: Specification, report: CheckReport) -> li
             system = compile_system(lens, found.wavelength_um)
             heights = np.linspace(0.0, lens.half_field_mm, 13)
             metrics = [partial(_along, axis) for axis in (0, 1)]
-            widest = extremes(lens, system, metrics, heights, symmetric=False, between_heights=True)
+            widest = find_extremes(lens, system, metrics, heights, symmetric=False, between_heights=True)
             for axis, end, limit in zip("xy", widest, limits.max_spread_xy_deg, strict=True):
                 rows.append(_angle(f"spread along {axis} {at}", math.degrees(end.value), limit))
         for own in limits.field_spread:
@@ -144,21 +146,21 @@ def _spread(lens: Lens, specification: Specification, report: CheckReport) -> li
 
 
 def _along(axis: int, _position: Array, direction: Array) -> Array:
-    """Angle to the plane through the axis: arcsine of a direction cosine."""
+    """Return the angle to the plane through the axis: the arcsine of a direction cosine."""
     return np.arcsin(np.clip(np.abs(direction[..., axis]), 0.0, 1.0))
 
 
 def _footprints(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
-    """On each sensor plane, named as designed, at the wavelength at which light reaches farthest."""
+    """Return the footprint constraint on each sensor plane at the wavelength with the largest footprint."""
     distances_mm = specification.sensor.plane_distances_mm
     if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
-        # Asked for as the check did, whose worst rays are kept.
+        # The same arguments as in check_design, so that cached results are used.
         planes_mm = (0.0, *lens.sensor.plane_distances_mm)
         found = [spread_and_footprints(lens, w, planes_mm)[1] for w in lens.wavelengths_um]
-        parts = [min(same, key=lambda f: f.margin_mm) for same in zip(*found, strict=True)][1:]
+        tightest = [min(same, key=lambda f: f.margin_mm) for same in zip(*found, strict=True)][1:]
         return [
             _at_least(f"margin of the footprint at {distance:g} mm", f.margin_mm, 0.0, "mm")
-            for distance, f in zip(distances_mm, parts, strict=True)
+            for distance, f in zip(distances_mm, tightest, strict=True)
         ]
     return [
         _at_most(f"footprint radius at {distance:g} mm", radius, limit, "mm")
@@ -177,15 +179,18 @@ def _throughput(specification: Specification, report: CheckReport) -> Constraint
 
 
 def _aperture(lens: Lens, specification: Specification, report: CheckReport) -> Constraint:
-    """What the search keeps: the stop's size where it is fixed, else the numerical aperture."""
+    """Return the constraint on the stop's size if it is fixed, else on the numerical aperture."""
     if specification.optimize.stop == "fixed":
-        asked = specification.stop_semi_diameter_mm
-        return _at_least("semi-diameter of the stop", lens.stop_semi_diameter_mm, asked, "mm")
+        required = specification.stop_semi_diameter_mm
+        return _at_least("semi-diameter of the stop", lens.stop_semi_diameter_mm, required, "mm")
     return next(c for c in report.constraints if c.name.startswith("numerical aperture"))
 
 
 def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
-    """Of glass at the ground diameter drawn, of air at the largest clear height, of both on the axis."""
+    """Return the constraints on thicknesses of glass and air on the axis and at the edge.
+
+    The edge of glass is the ground diameter of the drawing, that of air the largest clear height.
+    """
     limits, rows = specification.constraints, []
     clear = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
     edges = dict(zip(lens.glass_fronts, drawn_edge_thicknesses_mm(lens), strict=True))
@@ -201,7 +206,7 @@ def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
                 ),
             ]
         else:
-            x, y = (clear * part for part in directions(front.shape, back.shape))
+            x, y = (clear * component for component in directions(front.shape, back.shape))
             gap = min(axis, axis + float(np.min(back.shape.sag(x, y) - front.shape.sag(x, y))))
             rows.append(_at_least(f"air gap behind surface {i + 1}", gap, limits.min_air_gap_mm, "mm"))
     return rows
@@ -210,24 +215,24 @@ def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
 def _lengths(lens: Lens, specification: Specification) -> list[Constraint]:
     limits, rows = specification.constraints, []
     widest = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
-    # Semi-diameters are written rounded up.
-    for name, value, most, room in (
+    # Semi-diameters are rounded up in the saved lens.
+    for name, value, most, slack in (
         ("lens thickness", lens.exit_vertex_z_mm, limits.max_lens_thickness_mm, 0.0),
         ("track", lens.track_mm, limits.max_track_mm, 0.0),
         ("largest semi-diameter", widest, limits.max_semi_diameter_mm, SEMI_DIAMETER_STEP_MM),
     ):
         if most is not None:
-            rows.append(_at_most(name, value, most + room, "mm"))
+            rows.append(_at_most(name, value, most + slack, "mm"))
     return rows
 
 
 def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
-    """Of each surface at its clear edge, where it has one."""
+    """Return the constraint on the slope of each surface at its clear edge."""
     rows = []
     for number, surface in enumerate(lens.surfaces, start=1):
         if surface.semi_diameter_mm is None:
             continue
-        x, y = (surface.semi_diameter_mm * part for part in directions(surface.shape))
+        x, y = (surface.semi_diameter_mm * component for component in directions(surface.shape))
         _, *slopes = surface.shape.sag_and_slopes(x, y)
         steepest = math.degrees(math.atan(float(np.max(np.hypot(*slopes)))))
         limit = specification.constraints.max_edge_slope_deg
@@ -237,24 +242,24 @@ def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
 
 def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | None) -> list[Constraint]:
     limits, tolerances = specification.constraints, specification.tolerances
-    asked = (limits.min_yield, limits.max_as_built_rms_waves, limits.max_as_built_reconstruction_loss)
-    if all(limit is None for limit in asked) or tolerances is None:
+    given = (limits.min_yield, limits.max_as_built_rms_waves, limits.max_as_built_reconstruction_loss)
+    if all(limit is None for limit in given) or tolerances is None:
         return []
     hot = at_temperatures(lens, specification)
     if built is None:
         lenses = [("", lens), *((named_at("", t), one) for t, one in hot)]
         built = read_as_built(tolerances).trials(lenses, tolerances.trials)
     tried = zip([None, *(t for t, _ in hot)], built.rows[-1 - len(hot) :], strict=True)
-    return [_told_at(t, one) for t, row in tried for one in _as_tried(limits, row, built.places)]
+    return [_named_constraint(t, one) for t, row in tried for one in _as_tried(limits, row, built.places)]
 
 
 def _as_tried(limits: Constraints, found: TrialsOf, places: Sequence[str]) -> list[Constraint]:
-    """What is asked of a lens as built, by its trials."""
+    """Return the constraints on a lens as built by its trials."""
     rows = []
     if limits.min_yield is not None:
         met = found.high >= limits.min_yield
-        words = f"yield: {found.good:.3f} ({found.low:.3f} to {found.high:.3f}) of {found.trials} trials"
-        miss = f"{words} is less than the {limits.min_yield:g} that the specification asks for"
+        text = f"yield: {found.good:.3f} ({found.low:.3f} to {found.high:.3f}) of {found.trials} trials"
+        miss = f"{text} is less than the {limits.min_yield:g} that the specification asks for"
         rows.append(constraint("yield", found.good, ">=", limits.min_yield, "", met, miss))
     if limits.max_as_built_rms_waves is not None:
         most = limits.max_as_built_rms_waves
@@ -274,7 +279,7 @@ def _as_tried(limits: Constraints, found: TrialsOf, places: Sequence[str]) -> li
 
 
 def _angle(name: str, value_deg: float, limit_deg: float) -> Constraint:
-    """An angle; by how much it is too large is told of its sine, which Eq. 2 limits."""
+    """Return the constraint on an angle; the message states the excess of its sine, which Eq. 2 limits."""
     load = capped_sine(value_deg) / capped_sine(limit_deg)
     met = load <= 1.0 + ROUNDING and value_deg < 90.0
     miss = (

@@ -1,7 +1,8 @@
 """The lens of a search at another temperature, with derivatives by the variables of the lens as designed.
 
-All that heat changes follows from the lens as designed: terms of its shapes are multiplied, spaces grow with
-their lengths and with the sags at the edges on which a mount stands (:mod:`lensdesign.lens.temperature`).
+All thermal changes follow from the lens as designed: terms of its shapes are multiplied by factors, and
+spaces grow with their lengths and with the sags at the edges that the mount touches
+(:mod:`lensdesign.lens.temperature`).
 """
 
 from __future__ import annotations
@@ -18,44 +19,47 @@ from lensdesign.lens.surface import Surface
 from lensdesign.lens.temperature import expansions, heated_keys, heated_material
 from lensdesign.optimization.operands.glass import edge_sag
 from lensdesign.optimization.operands.operand import State
-from lensdesign.raytrace.gradients import Chain, Variable
+from lensdesign.raytrace.gradients import ChainRule, Variable
 
 
 @dataclass(frozen=True)
 class Heated:
-    """A lens at a temperature; v variables of the lens as designed.
+    """A lens at a temperature.
 
     Attributes
     ----------
     lens
-        Not validated.
+        The lens, not validated.
     stop_semi_diameter_mm
-        Of the stop, grown.
+        Semi-diameter of the expanded stop.
     chain
-        How the variables of :attr:`Heat.own`, the stop and the sensor's planes follow those of the search.
+        Derivatives of the variables of :attr:`Heat.own`, the stop and the sensor planes with respect to the
+        variables of the search.
     """
 
     lens: Lens
     stop_semi_diameter_mm: float
-    chain: Chain
+    chain: ChainRule
 
 
 class Heat:
-    """A temperature at which lenses of a search are looked at.
+    """A temperature at which lenses of a search are evaluated.
 
     Parameters
     ----------
     base
-        A lens with the glasses of them all.
+        A lens with the glasses of the search.
     variables
-        Of the search.
-    temperature_c, mount_expansion_per_k
-        As of :func:`lensdesign.lens.lens_at_temperature`.
+        Variables of the search.
+    temperature_c
+        Temperature of lens, mount and air.
+    mount_expansion_per_k
+        Linear expansion coefficient of the mount.
 
     Raises
     ------
     MaterialError
-        If of a glass it is not known how size or index change.
+        If the thermal data of a glass are not known.
     """
 
     def __init__(
@@ -66,24 +70,26 @@ class Heat:
         self.expansions = expansions(base, mount_expansion_per_k)
         self.sizes = 1.0 + self.change_k * self.expansions.surfaces
         self.materials = [heated_material(base, i, temperature_c) for i in range(len(base.surfaces))]
-        self.shares = np.array(
+        self.factors = np.array(
             [
-                _share(base.surfaces[v.surface], v.kind, float(self.sizes[v.surface])) if v.of_shape else 0.0
+                _scale_factor(base.surfaces[v.surface], v.kind, float(self.sizes[v.surface]))
+                if v.is_shape_term
+                else 0.0
                 for v in variables
             ]
         )
         spaces = (Variable("thickness", i) for i in range(len(base.surfaces) - 1))
-        self.own = (*(v for v in variables if v.of_shape), Variable("working_distance"), *spaces)
+        self.own = (*(v for v in variables if v.is_shape_term), Variable("working_distance"), *spaces)
 
     def with_glasses(self, base: Lens) -> Lens:
-        """A lens with its glasses at the temperature, everything else as it is."""
+        """Return a lens with its glasses at the temperature and everything else unchanged."""
         surfaces = [
             s.model_copy(update={"material": m}) for s, m in zip(base.surfaces, self.materials, strict=True)
         ]
         return base.model_copy(update={"surfaces": tuple(surfaces)})
 
     def at(self, cold: State) -> Heated:
-        """The lens of a state, which is that of the lens as designed, with rays through the stop's rim."""
+        """Return the heated lens from the state of the lens as designed, with rays through the stop's rim."""
         lens, last = cold.lens, len(cold.lens.surfaces) - 1
         found = [edge_sag(cold, i) for i in range(last + 1)]
         sags, sags_by = np.array([value for value, _ in found]), np.array([by for _, by in found])
@@ -96,7 +102,7 @@ class Heat:
         return Heated(
             self._lens(lens, np.array(spaces), planes),
             float(self.sizes[stop]) * grown.stop_semi_diameter_mm,
-            Chain(
+            ChainRule(
                 self._chained(cold.variables, lengths_by, sags_by),
                 self.sizes[stop] * grown.stop_semi_diameter_by,
                 self._grown(last, np.zeros((len(planes), len(cold.variables))), sags_by[:, None]),
@@ -104,14 +110,14 @@ class Heat:
         )
 
     def _grown(self, surface: int, length: Array, sags: Array) -> Array:
-        """The space behind a surface, or how it follows a variable."""
+        """Return the expanded space behind a surface, or its derivatives."""
         return length + self.change_k * self.expansions.of_space(surface, length, sags)
 
     def _chained(self, variables: tuple[Variable, ...], lengths_by: Array, sags_by: Array) -> Array:
-        """How each variable of its own follows those of the search, shape (own, v)."""
+        """Return the derivatives of the own variables by those of the search, shape (own, v)."""
         if not variables:
             return np.zeros((len(self.own), 0))
-        shapes = np.diag(self.shares)[[v.of_shape for v in variables]]
+        shapes = np.diag(self.factors)[[v.is_shape_term for v in variables]]
         spaces = [self._grown(i - 1, by, sags_by) for i, by in enumerate(lengths_by)]
         return np.vstack([shapes, *spaces])
 
@@ -131,14 +137,14 @@ class Heat:
 
 
 def _is_space(variable: Variable, surface: int) -> bool:
-    """Whether a variable is the length behind a surface, or that before the first (-1)."""
+    """Return whether a variable is the space behind a surface, or the working distance for -1."""
     if surface < 0:
         return variable.kind == "working_distance"
     return variable.kind == "thickness" and variable.surface == surface
 
 
-def _share(surface: Surface, term: str, factor: float) -> float:
-    """By which a term is multiplied where all lengths are."""
+def _scale_factor(surface: Surface, term: str, factor: float) -> float:
+    """Return the factor of a term when all lengths are scaled by `factor`."""
     shape = class_with(term)
     keys = {key: getattr(surface, key) for key in shape.KEYS}
     keys |= shape.changed_keys(keys, term, 1.0)

@@ -1,4 +1,4 @@
-"""One start of a search: a local search over a working set of rays, to which worse rays are added."""
+"""One start of an optimization: a local search over a working set of rays, to which worse rays are added."""
 
 from __future__ import annotations
 
@@ -26,34 +26,35 @@ from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.optimization.worst_rays import worse_rays
 
 EXCHANGES = 12
-"""Most times that rays found to be worse on the dense check are added and the search goes on."""
+"""Largest number of times that worse rays of the dense check are added to the working set."""
 
 LOCAL_EVALUATIONS = 200
-"""Most evaluations of one algorithm of a chain; what takes longer is better left to the next."""
+"""Largest number of evaluations of one algorithm of a chain before the next one continues."""
 
 LONE_EVALUATIONS = 2000
-"""The same of an algorithm that has no next, or that searches the whole box."""
+"""Largest number of evaluations of a single algorithm, or of a global one."""
 
 STATIONARY = 2e-3
-"""First-order error at which a start counts as converged, whatever ended it."""
+"""First-order error below which a start counts as converged."""
 
 Improved = Callable[[float, float, int], None]
 
 
 @dataclass
 class Budget:
-    """What is left for one choice of glasses; it shrinks as the search spends it.
+    """Remaining evaluations and time of one choice of glasses.
 
-    Evaluations do not depend on the machine; time counts where it is asked for.
+    The number of evaluations does not depend on the machine. Time is limited only if the specification says
+    so.
 
     Attributes
     ----------
     evaluations
-        Evaluations of a lens that are left.
+        Remaining evaluations of a lens.
     deadline
-        Of :func:`lensdesign.common.deadlines.now`.
+        End on the clock of :func:`lensdesign.common.deadlines.now`.
     spent
-        Evaluations that were made.
+        Number of evaluations made.
     """
 
     evaluations: int
@@ -61,18 +62,18 @@ class Budget:
     spent: int = 0
 
     def spend(self, evaluations: int) -> None:
-        """Take some off."""
+        """Subtract evaluations."""
         self.evaluations -= evaluations
         self.spent += evaluations
 
     @property
     def seconds(self) -> float:
-        """Time that is left."""
+        """Remaining time in seconds."""
         return self.deadline - now()
 
     @property
     def used_up(self) -> str:
-        """The limit that has been reached, by its name in a specification; empty where none has."""
+        """Name of the reached limit in a specification; empty if none is reached."""
         if self.evaluations <= 0:
             return "max_evaluations"
         return "max_seconds" if self.seconds <= 0.0 else ""
@@ -80,18 +81,18 @@ class Budget:
 
 @dataclass(frozen=True)
 class Found:
-    """The end of one start.
+    """Result of one start.
 
     Attributes
     ----------
     problem, rays
-        What was searched, and the dense set of rays by which its end is judged.
+        The problem, and the dense set of rays by which the result is evaluated.
     outcome
-        The end: over these rays, and with all evaluations of the start.
+        Best point over these rays, with the evaluations of the whole start.
     converged
-        Whether it fulfils the conditions of first order, so that no small change makes it better.
+        Whether the first-order optimality conditions are met.
     limit
-        The limit of the whole search that cut it; empty where none did.
+        Limit of the whole search that stopped the start; empty if there was none.
     """
 
     problem: DesignProblem
@@ -102,7 +103,7 @@ class Found:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """What the least of is the best: violation, then goal."""
+        """Key of the order of results, smallest is best: violation, then goal."""
         violation = self.outcome.violation if self.outcome.violation > KEPT else 0.0
         return violation, self.outcome.objective
 
@@ -116,29 +117,29 @@ def search_from(
     only_feasible: bool = False,
     on_point: Callable[[Array], None] | None = None,
 ) -> Found:
-    """Search, look densely, add what is worse, search on.
+    """Search from a start point; add worse rays of a dense check to the working set and repeat.
 
     Parameters
     ----------
     problem
-        What is asked.
+        The problem.
     start
-        A point of its unit box.
+        Start point in its unit box.
     budget
-        What the search may cost; what it takes comes off.
+        Remaining evaluations and time, from which the search subtracts.
     seed
-        For algorithms that draw random numbers.
+        Seed of stochastic algorithms.
     on_improvement
-        As :func:`lensdesign.optimization.nlopt_driver.minimize` calls it.
+        Progress callback of :func:`lensdesign.optimization.nlopt_driver.minimize`.
     only_feasible
-        Whether it is enough to keep every constraint, those of the final lens included.
+        Whether the search ends as soon as every constraint is met, including those of the final lens.
     on_point
-        Called with each point that is the best of the running step; what an interrupt leaves.
+        Called with each new best point (default: none).
     """
     specification = problem.specification
     rays, dense = problem.sample_rays(3, 5, 1, _heights(problem)), dense_rays(problem)
     chain = _chain("slsqp" if only_feasible else specification.optimize.algorithm)
-    point, before, limit = start, budget.spent, ""
+    point, spent_before, limit = start, budget.spent, ""
     for _ in range(EXCHANGES):
         outcome = _solve(problem, rays, point, chain, budget, seed, on_improvement, only_feasible, on_point)
         point, limit = outcome.point, budget.used_up
@@ -151,37 +152,34 @@ def search_from(
     final = problem.evaluate(point, dense)
     if only_feasible or final.violation > KEPT:
         final = _constraints_alone(problem.evaluate(point, dense, final=only_feasible))
-        ended = Outcome(point, 0.0, final.objective, budget.spent - before, outcome.stopped_because)
+        ended = Outcome(point, 0.0, final.objective, budget.spent - spent_before, outcome.stopped_because)
     else:
         ended = Outcome(
-            point, final.objective, final.violation, budget.spent - before, outcome.stopped_because
+            point, final.objective, final.violation, budget.spent - spent_before, outcome.stopped_because
         )
     converged = worse is None and _stationary(lambda _: final, point)
     return Found(problem, dense, ended, converged, "" if converged else limit)
 
 
-MOST_JUDGED = 30
-"""Points of a stopped start that are judged over dense rays."""
-
-
 def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int, limit: str) -> Found:
-    """Find the last of the points of a stopped start that keeps every constraint over dense rays.
+    """Return the last point of a stopped start that meets every constraint over dense rays.
 
-    The last point of all need not: it was judged by the working set of rays alone.
+    The very last point need not meet them, since it was evaluated with the working set of rays only.
 
     Parameters
     ----------
     problem, points
-        What was searched, and points of its unit box, each the best so far when it was reached.
+        The problem, and the successive best points in its unit box.
     evaluations
-        What the start took.
+        Evaluations of the start.
     limit
-        What stopped it.
+        Limit that stopped the start.
     """
+    most = 30  # points that are evaluated
     dense = dense_rays(problem)
     newest = list(reversed(points))
-    every = max(1, math.ceil(2 * len(newest) / MOST_JUDGED))
-    chosen = [*newest[: MOST_JUDGED // 2], *newest[MOST_JUDGED // 2 :: every]]
+    every = max(1, math.ceil(2 * len(newest) / most))
+    chosen = [*newest[: most // 2], *newest[most // 2 :: every]]
     found: list[Found] = []
     for point in chosen:
         found.append(_judged(problem, point, dense, evaluations, limit))
@@ -191,7 +189,7 @@ def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int
 
 
 def _judged(problem: DesignProblem, point: Array, dense: Rays, evaluations: int, limit: str) -> Found:
-    """A point over dense rays, without derivatives."""
+    """Evaluate a point over dense rays, without derivatives."""
     goals, constraints = problem.rows(point, dense, derivatives=False)
     violation = max((float(np.max(row.values, initial=0.0)) for row in constraints), default=0.0)
     objective = max(float(np.max(row.values)) for row in goals)
@@ -201,7 +199,7 @@ def _judged(problem: DesignProblem, point: Array, dense: Rays, evaluations: int,
 
 
 def dense_rays(problem: DesignProblem) -> Rays:
-    """Return the rays by which the end of a start is judged."""
+    """Return the rays by which the result of a start is evaluated."""
     return problem.sample_rays(16, 97, 12, _heights(problem))
 
 
@@ -210,10 +208,10 @@ def _heights(problem: DesignProblem) -> tuple[float, ...]:
 
 
 def _chain(algorithm: str) -> tuple[str, ...]:
-    """What to run, each from where the one before ended, until one converges.
+    """Return the algorithms to run one after the other, each from the last point, until one converges.
 
-    SLSQP is the fastest, but at times loses its way in narrow valleys. COBYLA does not, and leaves SLSQP
-    the last step.
+    SLSQP is the fastest but may stall in narrow valleys. COBYLA does not stall, and SLSQP makes the last
+    step.
     """
     if ALGORITHMS[algorithm].everywhere:
         return (algorithm, "slsqp", "cobyla", "slsqp")
@@ -221,7 +219,7 @@ def _chain(algorithm: str) -> tuple[str, ...]:
 
 
 def _constraints_alone(e: Evaluation) -> Evaluation:
-    """With the largest constraint as the goal, and none left."""
+    """Return an evaluation with the constraints as goals and without constraints."""
     return Evaluation(e.constraints, e.constraints_by, e.constraints[:0], e.constraints_by[:0])
 
 
@@ -236,7 +234,7 @@ def _solve(
     only_feasible: bool,
     on_point: Callable[[Array], None] | None,
 ) -> Outcome:
-    """Best lens for one working set of rays; a start outside the constraints is first led back inside."""
+    """Return the best lens for one working set of rays; an infeasible start is first made feasible."""
 
     def evaluate(point: Array) -> Evaluation:
         return problem.evaluate(point, rays)
@@ -274,7 +272,7 @@ def _in_turn(
     run: Callable[[Callable[[Array], Evaluation], Array, str, int], Outcome],
     enough: float = -math.inf,
 ) -> Outcome:
-    """The algorithms of a chain until one comes to an end, or down to what is enough."""
+    """Run the algorithms of a chain until one converges or the objective is small enough."""
     for algorithm in chain:
         everywhere = ALGORITHMS[algorithm].everywhere
         lone = everywhere or len(chain) == 1
@@ -286,13 +284,14 @@ def _in_turn(
 
 
 def _stationary(what: Callable[[Array], Evaluation], point: Array) -> bool:
-    """Whether a point is an end: nlopt calls some ends so that are none."""
+    """Return whether a point meets the first-order conditions, since nlopt may stop too early."""
     e = what(point)
     return max(e.objective, e.violation) < 0.5 * UNTRACEABLE and stationarity(e, point) <= STATIONARY
 
 
 def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
-    """Points of the unit box to start from; random ones only where all can be worked out."""
+    """Yield start points in the unit box; random ones only if goals and constraints can be evaluated "
+    "there."""
     settings = problem.specification.optimize
     rng = np.random.default_rng(seed)
     rays = problem.sample_rays(3, 9, 4)
@@ -312,11 +311,11 @@ def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
 
 
 def _plate(problem: DesignProblem) -> Lens:
-    """The start with its variable curvatures, conics and aspheres at zero."""
+    """Return the start lens with its variable curvatures, conics and aspheres set to zero."""
     lens = problem.base
     for variable in problem.variables:
         i = variable.surface
-        if variable.of_shape:
+        if variable.is_shape_term:
             surface = lens.surfaces[i]
             values = {key: getattr(surface, key) for key in class_with(variable.kind).KEYS}
             lens = lens.with_surface(i, **class_with(variable.kind).changed_keys(values, variable.kind, 0.0))

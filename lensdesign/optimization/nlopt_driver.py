@@ -1,7 +1,7 @@
-"""nlopt behind a wrapper that does not lose the best point, exceptions, or time.
+"""Wrapper of nlopt that keeps the best point, exceptions and the time limit.
 
-The problem is a minimax one: make the largest of several goals as small as possible while no constraint
-is above zero, with every variable scaled to [0, 1].
+The problem is a minimax problem: minimize the largest of several goals subject to constraints that must not
+be above zero, with every variable scaled to [0, 1].
 """
 
 from __future__ import annotations
@@ -18,27 +18,29 @@ from lensdesign.common.deadlines import OutOfTime, now
 from lensdesign.errors import InputError
 
 FEASIBLE = 1e-8
-"""A point whose constraints, which are scaled to about 1, stay below this counts as feasible."""
+"""Largest scaled constraint of a feasible point; constraints are scaled to about 1."""
 
 ACTIVE = 1e-4
-"""Goals within this of the largest, constraints and bounds within this of their limit, count as reached."""
+"""Largest distance of active goals from the largest goal, and of active constraints from their limit."""
 
 UNTRACEABLE = 1e3
-"""Stands in for a value that is not finite; far above any scaled goal, yet not so far as to blind a model."""
+"""Replacement of a value that is not finite: far above any scaled goal, but without spoiling local models."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Goals and constraints at a point, with their derivatives; k goals, m constraints, n variables.
+    """Goals and constraints at a point with their derivatives: k goals, m constraints, n variables.
 
     Attributes
     ----------
     goals : ndarray, shape (k,)
-        The largest is to be made small.
+        Scaled goals, the largest of which is minimized.
     goals_by : ndarray, shape (k, n)
+        Derivatives of the goals.
     constraints : ndarray, shape (m,)
-        Must not be above zero.
+        Scaled constraints, which must not be above zero.
     constraints_by : ndarray, shape (m, n)
+        Derivatives of the constraints.
     """
 
     goals: Array
@@ -59,19 +61,19 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Algorithm:
-    """How nlopt knows an algorithm, and what it can take.
+    """An algorithm of nlopt and its properties.
 
     Attributes
     ----------
     code
         Name of nlopt's constant.
     inner
-        Constant of the algorithm that AUGLAG drives; None where constraints are taken as they are.
+        Constant of the subsidiary algorithm of AUGLAG; None if the algorithm handles constraints itself.
     bounded
-        Whether the largest goal is bounded by an extra variable (and each goal a constraint): smooth, as
-        local searches want it. Otherwise the largest goal itself is the objective.
+        Whether an extra variable bounds all goals, each of which is then a constraint. This is smooth, as
+        local searches require. Otherwise the largest goal itself is the objective.
     everywhere
-        Whether it searches the whole box.
+        Whether the algorithm is global.
     """
 
     code: str
@@ -95,18 +97,18 @@ ALGORITHMS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """Best point that a search saw.
+    """Best point of a search.
 
     Attributes
     ----------
     point : ndarray, shape (n,)
-        The best feasible point; the least infeasible one where there was none.
+        The best feasible point, or the point with the smallest violation if none is feasible.
     objective, violation
-        Largest goal and largest constraint there.
+        Largest goal and largest constraint at this point.
     evaluations
-        Number of different points that were tried.
+        Number of different points that were evaluated.
     stopped_because
-        What ended the search.
+        Reason why the search ended.
     """
 
     point: Array
@@ -117,7 +119,7 @@ class Outcome:
 
 
 class _Search:
-    """Calls the problem, remembers the best point, and keeps exceptions from getting lost."""
+    """Evaluates the problem for nlopt, and keeps the best point and exceptions."""
 
     def __init__(
         self,
@@ -148,11 +150,11 @@ class _Search:
         return self._last[1]
 
     def _finite(self, e: Evaluation) -> Evaluation:
-        parts = (e.goals, e.goals_by, e.constraints, e.constraints_by)
-        if all(np.all(np.isfinite(p)) for p in parts):
+        arrays = (e.goals, e.goals_by, e.constraints, e.constraints_by)
+        if all(np.all(np.isfinite(a)) for a in arrays):
             return e
         fill = (UNTRACEABLE, 0.0, UNTRACEABLE, 0.0)
-        return Evaluation(*(np.where(np.isfinite(p), p, f) for p, f in zip(parts, fill, strict=True)))
+        return Evaluation(*(np.where(np.isfinite(a), a, f) for a, f in zip(arrays, fill, strict=True)))
 
     def _remember(self, x: Array, e: Evaluation) -> None:
         excess = e.violation if e.violation > FEASIBLE else 0.0
@@ -164,7 +166,7 @@ class _Search:
                 self.on_improvement(e.objective, e.violation, self.evaluations)
 
     def objective(self, x: Array, gradient: Array) -> float:
-        """For nlopt: the bound on the goals, or the largest of them."""
+        """Return the objective for nlopt: the bound on the goals, or the largest goal."""
         try:
             e = self.at(x)
             worst = int(np.argmax(e.goals))
@@ -179,7 +181,7 @@ class _Search:
             return self._stop(error)
 
     def constraints(self, result: Array, x: Array, gradient: Array) -> None:
-        """For nlopt: all constraints, and the goals below their bound."""
+        """Compute the constraints for nlopt: those of the problem, and the goals minus their bound."""
         try:
             e = self.at(x)
             m = len(e.constraints)
@@ -203,15 +205,15 @@ class _Search:
 
 
 def stationarity(e: Evaluation, point: Array) -> float:
-    """How far a point is from the conditions of first order (Karush, Kuhn, Tucker) of the minimax problem.
+    """Return the residual of the first-order conditions (Karush, Kuhn, Tucker) of the minimax problem.
 
-    Of all weights, none below zero, that sum to 1 over the goals that are largest, those are taken that best
-    balance the derivatives of goals, of constraints that are reached, and of bounds of the unit box.
+    The multipliers are not negative and sum to 1 over the active goals. They minimize the norm of the
+    weighted sum of the gradients of active goals, active constraints and active bounds of the unit box.
 
     Returns
     -------
     float
-        Length of what remains: by so much the goal could fall, to first order, for a step of length 1.
+        Norm of that sum: the decrease of the goal, to first order, for a step of length 1.
     """
     from scipy.optimize import nnls
 
@@ -224,8 +226,8 @@ def stationarity(e: Evaluation, point: Array) -> float:
         return math.inf
     heavy = 1e3 * max(1.0, float(np.max(np.abs(by))))
     sums = heavy * (np.arange(len(by)) < np.sum(goals))
-    wanted = np.append(np.zeros(len(point)), heavy)
-    weights, _ = nnls(np.vstack([by.T, sums]), wanted)
+    target = np.append(np.zeros(len(point)), heavy)
+    weights, _ = nnls(np.vstack([by.T, sums]), target)
     return float(np.linalg.norm(by.T @ weights))
 
 
@@ -246,17 +248,17 @@ def minimize(
     evaluate
         Goals and constraints at a point of the unit box.
     start
-        Shape (n,), within the unit box.
+        Start point in the unit box, shape (n,).
     algorithm
         A key of :data:`ALGORITHMS`.
     max_seconds, max_evaluations
-        Both always hold; a deadline around the call does, too.
+        Limits of time and evaluations. A deadline around the call applies, too.
     seed
-        For the algorithms that draw random numbers.
+        Seed of stochastic algorithms.
     on_improvement
-        Called with objective, violation and number of evaluations at each new best point.
+        Called with objective, violation and number of evaluations at each new best point (default: none).
     on_point
-        Called with each new best point, before `on_improvement`; the start is the first.
+        Called with each new best point, including the start, before `on_improvement` (default: none).
 
     Returns
     -------
@@ -265,9 +267,9 @@ def minimize(
     Raises
     ------
     InputError
-        If the algorithm is unknown or the start does not lie in the unit box.
+        If the algorithm is unknown or the start is outside the unit box.
     BaseException
-        Whatever `evaluate` raised, a keyboard interrupt included.
+        If `evaluate` raised it, including a keyboard interrupt.
     """
     import nlopt
 
@@ -290,7 +292,7 @@ def minimize(
     reason = _run(nlopt, opt, search, x0)
     if search.error is not None and not isinstance(search.error, OutOfTime):
         raise search.error
-    assert search.point is not None  # the start at least was remembered
+    assert search.point is not None  # at least the start was evaluated
     return Outcome(search.point, search.best[1], search.best[0], search.evaluations, reason)
 
 
@@ -316,7 +318,7 @@ def _prepared(
 
 
 def _limited(opt: Any, limits: tuple[float, int], tolerance: float) -> Any:
-    opt.set_maxtime(limits[0] if math.isfinite(limits[0]) else 0.0)  # which is no limit
+    opt.set_maxtime(limits[0] if math.isfinite(limits[0]) else 0.0)  # 0 means no limit
     opt.set_maxeval(limits[1])
     opt.set_xtol_rel(tolerance)
     opt.set_xtol_abs(tolerance)

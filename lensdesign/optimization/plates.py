@@ -1,4 +1,4 @@
-"""Test plates that a shop has: spheres get their radii one by one, and the rest is optimized again."""
+"""Fit to test plates: spheres take radii of plates one by one, and the other variables are reoptimized."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class FittedSurface:
-    """A surface whose radius is that of a plate.
+    """A surface whose radius is that of a test plate.
 
     Attributes
     ----------
     surface
-        Counted from 1.
+        Number of the surface, from 1.
     radius_mm
-        That the search had found last.
+        Radius before the fit.
     plate_mm
-        Radius of the plate, with the surface's sign.
+        Radius of the plate, with the sign of the surface.
     """
 
     surface: int
@@ -50,15 +50,16 @@ class PlateFit:
     Attributes
     ----------
     lens
-        What was found.
+        The fitted lens.
     fitted
-        Surfaces, in the order in which they were fitted.
+        Fitted surfaces, in the order of the fits.
     before, after
-        The searches before the first and after the last fit; the latter None where no variable was left.
+        Results of the searches before the first and after the last fit; the latter is None if no variable was
+        left.
     check
-        The lens held against its specification.
+        Check of the lens against its specification.
     unfinished
-        A sentence for each thing that a limit cut short in one of the searches.
+        A sentence for each step that a limit has shortened in one of the searches.
     """
 
     lens: Lens
@@ -69,7 +70,7 @@ class PlateFit:
     unfinished: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """As plain data, without the lens."""
+        """Return plain data for JSON, without the lens."""
         return {
             "fitted": [vars(one) for one in self.fitted],
             "goal": self.before.goal,
@@ -83,80 +84,94 @@ class PlateFit:
 
 
 def load_plates(path: str | os.PathLike[str]) -> tuple[float, ...]:
-    """Radii of test plates in mm, from a TOML file (``radii_mm = [...]``) or a list, one a line, of another.
+    """Read the radii of test plates in mm.
 
-    Signs do not count, a pair has both. In a list a remark may follow a number, after a comma, semicolon or
-    #; lines with two numbers or a decimal comma are refused.
+    Parameters
+    ----------
+    path
+        A TOML file (``radii_mm = [...]``), or a text file with one radius per line. Signs are ignored, since
+        test plates come in pairs. In a text file, a remark may follow a number after a comma, semicolon or #.
+
+    Returns
+    -------
+    tuple of float
+        The radii without signs, in increasing order.
 
     Raises
     ------
     InputError
-        If it cannot be read, or holds something else than radii above 0.
+        If the file cannot be read, or contains anything other than finite radii that are not 0.
     """
     file = Path(path)
     if file.suffix == ".toml":
-        held = read_toml(file)
-        listed = held.get("radii_mm")
-        if not isinstance(listed, list) or set(held) != {"radii_mm"}:
+        tables = read_toml(file)
+        listed = tables.get("radii_mm")
+        if not isinstance(listed, list) or set(tables) != {"radii_mm"}:
             raise DesignError(f"{file}: must hold radii_mm, a list of radii, and nothing else")
-        places = [f"{file}, radii_mm, number {n}" for n in range(1, len(listed) + 1)]
+        locations = [f"{file}, radii_mm, number {n}" for n in range(1, len(listed) + 1)]
         items = [
-            (read_number(str(item), where, "radius"), where)
-            for item, where in zip(listed, places, strict=True)
+            (read_number(str(item), location, "radius"), location)
+            for item, location in zip(listed, locations, strict=True)
         ]
     else:
         items = read_list(file, "radius", TOML_BYTES)
     if not items:
-        raise InputError(f"{file}: holds no radius")
-    return tuple(sorted({_magnitude(value, where) for value, where in items}))
+        raise InputError(f"{file}: holds no radius; give at least one")
+    return tuple(sorted({_magnitude(value, location) for value, location in items}))
 
 
-def _magnitude(value: float, where: str) -> float:
+def _magnitude(value: float, location: str) -> float:
     if not 0.0 < abs(value) < math.inf:
-        raise InputError(f"{where}: {value:g}: must be a radius in mm, finite and not 0")
+        raise InputError(f"{location}: {value:g}: must be a radius in mm, finite and not 0")
     return abs(value)
 
 
 def fit_plates(
     specification: Specification, plates_mm: Sequence[float], report: Report | None = None, seed: int = 0
 ) -> PlateFit:
-    """The lens that a specification asks for, its spheres of radii that test plates have.
+    """Optimize a lens to a specification with spheres that have the radii of test plates.
 
-    The lens is searched for; then of the spheres whose radius may vary that is fitted whose rim moves
-    least, and all that is left is searched again from there, until none is left to fit. Conics and aspheres
-    have no plates and stay variable, planes need none.
+    First the lens is optimized. Then the variable sphere whose rim moves least takes the radius of its
+    nearest plate, and the remaining variables are optimized again, until all spheres are fitted. Conics and
+    aspheres have no plates and stay variable. Planes need no plate.
 
     Parameters
     ----------
     specification
-        What is asked.
+        Start lens, variables, goal and constraints.
     plates_mm
-        Radii, without signs.
-    report, seed
-        As of :func:`lensdesign.optimization.optimize`.
+        Radii of the plates; signs are ignored.
+    report
+        Progress callback, called with a line of text at each improvement (default: none).
+    seed
+        Seed of the random starts.
+
+    Returns
+    -------
+    PlateFit
 
     Raises
     ------
     InputError
-        If there is no plate, or no sphere whose radius may vary.
+        If there is no plate, or no sphere with a variable radius.
     DesignError
-        As of :func:`lensdesign.optimization.optimize`; or if a surface with its plate is no lens's.
+        If an optimization fails, or a surface with the radius of its plate is not valid.
     """
     plates = sorted(abs(radius) for radius in plates_mm)
     if not plates:
-        raise InputError("plates: there is none")
+        raise InputError("plates: there is none; give at least one radius")
     waiting = [v for v in specification.variables if _is_sphere(specification, v)]
     if not waiting:
         raise InputError("no sphere has a radius that may vary: conics and aspheres have no test plates")
     before = optimize(specification, report, seed)
     lens, fitted = before.lens, list[FittedSurface]()
-    left = [v for v in specification.variables if v.parameter != "material"]
+    remaining = [v for v in specification.variables if v.parameter != "material"]
     result: OptimizationResult | None = before
     unfinished = list(before.unfinished)
     while waiting:
         moves = [(_move_mm(lens, v, plates), n) for n, v in enumerate(waiting)]
         variable = waiting.pop(min(moves)[1])
-        left.remove(variable)
+        remaining.remove(variable)
         i = (variable.surface or 1) - 1
         radius = lens.surfaces[i].radius_mm
         if radius is None:
@@ -165,8 +180,8 @@ def fit_plates(
         fitted.append(FittedSurface(i + 1, radius, plate))
         lens = lens.with_surface(i, radius_mm=plate)
         result = None
-        if left:
-            result = optimize(_rest(specification, lens, left), report, seed)
+        if remaining:
+            result = optimize(_remaining_specification(specification, lens, remaining), report, seed)
             lens = result.lens
             unfinished += result.unfinished
     check = check_against(lens, specification)
@@ -174,12 +189,12 @@ def fit_plates(
 
 
 def nearest_plate_mm(radius_mm: float, plates_mm: Sequence[float]) -> float:
-    """The plate whose curvature is nearest to that of a radius; without a sign."""
+    """Return the radius of the plate whose curvature is nearest to that of a radius, without a sign."""
     return min(plates_mm, key=lambda plate: abs(1.0 / plate - 1.0 / abs(radius_mm)))
 
 
 def _is_sphere(specification: Specification, variable: VariableRange) -> bool:
-    """Whether it is the radius of a surface that is a sphere and stays one."""
+    """Return whether a variable is the radius of a surface that is and stays a sphere."""
     if variable.parameter != "radius_mm" or variable.surface is None:
         return False
     surface = specification.surfaces[variable.surface - 1]
@@ -189,7 +204,7 @@ def _is_sphere(specification: Specification, variable: VariableRange) -> bool:
 
 
 def _move_mm(lens: Lens, variable: VariableRange, plates: Sequence[float]) -> float:
-    """How far the rim of a surface moves if it takes its nearest plate; a plane's does not."""
+    """Return the displacement of the rim of a surface that takes its nearest plate; 0 for a plane."""
     surface = lens.surfaces[(variable.surface or 1) - 1]
     if surface.radius_mm is None:
         return 0.0
@@ -197,15 +212,17 @@ def _move_mm(lens: Lens, variable: VariableRange, plates: Sequence[float]) -> fl
     return 0.5 * away * (surface.semi_diameter_mm or 1.0) ** 2
 
 
-def _rest(specification: Specification, lens: Lens, left: Sequence[VariableRange]) -> Specification:
-    """What remains to be searched, from a lens on; apertures are worked out anew where they were."""
+def _remaining_specification(
+    specification: Specification, lens: Lens, remaining: Sequence[VariableRange]
+) -> Specification:
+    """Return the specification of the next search; free semi-diameters stay free."""
     surfaces = tuple(
-        found.replaced(semi_diameter_mm=asked.semi_diameter_mm)
-        for found, asked in zip(lens.surfaces, specification.surfaces, strict=True)
+        found.replaced(semi_diameter_mm=specified.semi_diameter_mm)
+        for found, specified in zip(lens.surfaces, specification.surfaces, strict=True)
     )
     return specification.replaced(
         surfaces=surfaces,
         object=lens.object,
-        variables=tuple(left),
+        variables=tuple(remaining),
         optimize=specification.optimize.replaced(start="design", starts=1),
     )

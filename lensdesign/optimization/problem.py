@@ -1,4 +1,4 @@
-"""A specification as goals and constraints on a unit box, with exact gradients."""
+"""A specification as goals and constraints over a unit box of variables, with exact gradients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_
 from lensdesign.optimization.heated import Heat, Heated
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
-from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Row, State
+from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
 from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import VariableRange
@@ -30,13 +30,21 @@ from lensdesign.raytrace.gradients import GradientTrace, Variable, gradient_trac
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays by which a lens is judged: object point, and stop point as a share of its semi-diameter."""
+    """Rays by which a lens is evaluated.
+
+    Attributes
+    ----------
+    fields_mm : ndarray, shape (n, 2)
+        Object point of each ray.
+    pupil : ndarray, shape (n, 2)
+        Stop point of each ray, relative to the semi-diameter.
+    """
 
     fields_mm: Array
     pupil: Array
 
     def with_rays(self, other: Rays) -> Rays:
-        """Both sets, each ray once."""
+        """Return the union of both sets."""
         both = np.concatenate(
             [np.hstack([self.fields_mm, self.pupil]), np.hstack([other.fields_mm, other.pupil])]
         )
@@ -45,7 +53,8 @@ class Rays:
         return Rays(kept[:, :2], kept[:, 2:])
 
     def all_round(self) -> Rays:
-        """These rays with their mirror images at x = 0, in eight azimuths: for what has no symmetry."""
+        """Return these rays and their mirror images at x = 0, in eight azimuths, for lenses without "
+        "symmetry."""
         mirrored = Rays(self.fields_mm * [-1.0, 1.0], self.pupil * [-1.0, 1.0])
         both, result = self.with_rays(mirrored), self
         for azimuth in 0.25 * math.pi * np.arange(8):
@@ -53,17 +62,17 @@ class Rays:
             result = result.with_rays(Rays(both.fields_mm @ turn, both.pupil @ turn))
         return result
 
-    def take(self, which: NDArray[np.int64]) -> Rays:
-        """Some of the rays."""
-        return Rays(self.fields_mm[which], self.pupil[which])
+    def select(self, indices: NDArray[np.int64]) -> Rays:
+        """Return the rays with the given indices."""
+        return Rays(self.fields_mm[indices], self.pupil[indices])
 
 
 def sample_rays(
     half_field_mm: float, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()
 ) -> Rays:
-    """Field heights along y, each with a meridional fan and rays over half of the stop beside it.
+    """Return rays from field heights along y: a meridional fan, and skew rays over half of the stop.
 
-    The other half, and fields along other azimuths, are the same by symmetry where the lens has it.
+    The other half of the stop, and fields at other azimuths, follow from the symmetry of the lens.
 
     Parameters
     ----------
@@ -74,7 +83,7 @@ def sample_rays(
     skew
         Number of azimuths, and of rings, of the skew rays.
     heights
-        More field heights.
+        Additional field heights.
     """
     y = np.union1d(np.linspace(0.0, half_field_mm, fields), heights)
     azimuth = np.pi * np.arange(1, skew + 1) / (skew + 1) - 0.5 * np.pi
@@ -94,17 +103,17 @@ class DesignProblem:
     Parameters
     ----------
     specification
-        What is asked.
+        Variables, goal and constraints.
     base
-        The lens whose fixed values count (the specification's own, perhaps with another glass).
+        The lens with the fixed values: that of the specification, possibly with another glass.
     temperature_c
-        The problem of the lens at this temperature alone, on the same unit box. None is that of the lens as
-        designed, and with it those of the specification's temperatures, as `heated`.
+        Temperature of the lens, on the same unit box. With None (the default), the problem is that of the
+        lens as designed, and `heated` has the problems at the temperatures of the specification.
 
     Raises
     ------
     MaterialError
-        If of a glass it is not known what heat does to it, where temperatures are asked for.
+        If the specification has temperatures and thermal data of a glass are not known.
     """
 
     def __init__(self, specification: Specification, base: Lens, temperature_c: float | None = None) -> None:
@@ -121,7 +130,7 @@ class DesignProblem:
         self.heat, self.heated = self._temperatures(temperature_c)
 
     def _temperatures(self, temperature_c: float | None) -> tuple[Heat | None, tuple[DesignProblem, ...]]:
-        """The temperature of this problem, or the problems at those that are asked for."""
+        """Return the temperature of this problem, or the problems at all temperatures."""
         asked = self.specification.environment
         if asked is None:
             return None, ()
@@ -131,45 +140,46 @@ class DesignProblem:
         return None, tuple(others)
 
     def sample_rays(self, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()) -> Rays:
-        """As :func:`sample_rays`, all round where a surface is none of revolution."""
+        """Return the rays of :func:`sample_rays`, at all azimuths if the lens is not rotationally "
+        "symmetric."""
         rays = sample_rays(self.base.half_field_mm, fields, fan, skew, heights)
         return rays if self.rotational else rays.all_round()
 
     @cached_property
     def compiled(self) -> tuple[CompiledSystem, ...]:
-        """The fixed values, at each wavelength."""
+        """Compiled base lens at each wavelength."""
         base = self.base if self.heat is None else self.heat.with_glasses(self.base)
         return tuple(compile_system(base, w) for w in base.wavelengths_um)
 
     def to_unit(self, lens: Lens) -> Array:
-        """Point of the unit box nearest to a lens."""
+        """Return the point of the unit box that is nearest to a lens."""
         values = np.array([_value(lens, v) for v in self.variables])
         return np.clip((values - self.lower) / self.width, 0.0, 1.0)
 
     def lens_at(self, point: Array) -> Lens:
-        """The lens at a point of the unit box, with semi-diameters as given; not validated."""
+        """Return the lens at a point of the unit box, with semi-diameters as given, not validated."""
         return self._designed(point) if self.heat is None else self._heated(point, False).lens
 
     def _designed(self, point: Array) -> Lens:
         changes: dict[int, dict[str, object]] = {}
         scene = self.base.object
         for variable, value in zip(self.variables, self.lower + self.width * point, strict=True):
-            mine = changes.setdefault(variable.surface, {})
+            own = changes.setdefault(variable.surface, {})
             if variable.kind == "working_distance":
                 scene = ObjectSpace(**(scene.model_dump() | {"working_distance_mm": float(value)}))
             elif variable.kind == "thickness":
-                mine["thickness_mm"] = float(value)
+                own["thickness_mm"] = float(value)
             else:
                 shape = class_with(variable.kind)
                 surface = self.base.surfaces[variable.surface]
-                values = {key: getattr(surface, key) for key in shape.KEYS} | mine
-                mine |= shape.changed_keys(values, variable.kind, value)
+                values = {key: getattr(surface, key) for key in shape.KEYS} | own
+                own |= shape.changed_keys(values, variable.kind, value)
         surfaces = [s.model_copy(update=changes.get(i, {})) for i, s in enumerate(self.base.surfaces)]
         return self.base.model_copy(update={"surfaces": tuple(surfaces), "object": scene})
 
     def _heated(self, point: Array, derivatives: bool) -> Heated:
-        """The lens at the temperature, which follows from that as designed, rim rays of the stop and all."""
-        assert self.heat is not None  # whoever asks looks
+        """Return the lens at the temperature, derived from the lens as designed and its rim rays."""
+        assert self.heat is not None  # callers check this
         key = point.tobytes(), derivatives
         if self._hot is None or self._hot[0] != key:
             self._hot = key, self.heat.at(self._cold.state(point, self._rim, derivatives))
@@ -185,7 +195,7 @@ class DesignProblem:
         return self.sample_rays(3, 3, 4)
 
     def state(self, point: Array, rays: Rays, derivatives: bool = True) -> State:
-        """Trace rays through the lens at a point of the unit box, with derivatives or none."""
+        """Trace rays through the lens at a point of the unit box, with or without derivatives."""
         heat = self.heat
         return State(
             self.lens_at(point),
@@ -202,9 +212,9 @@ class DesignProblem:
     def trace(
         self, point: Array, rays: Rays, derivatives: bool, planes_mm: Array | None, wavelength: int
     ) -> GradientTrace:
-        """Trace rays at a wavelength of that number to other planes, which heat does not move.
+        """Trace rays at a wavelength (by index) to planes at fixed distances.
 
-        None are the sensor's planes, which it does move.
+        With None, the planes are those of the sensor, which move with the temperature.
         """
         return self._trace(point, self.compiled[wavelength], rays, derivatives, planes_mm)
 
@@ -216,7 +226,7 @@ class DesignProblem:
         derivatives: bool,
         planes_mm: Array | None = None,
     ) -> GradientTrace:
-        """To some planes, or to those of the sensor."""
+        """Trace rays to some planes, or to those of the sensor."""
         check_time()
         lens, chain = self.lens_at(point), None
         stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
@@ -226,7 +236,7 @@ class DesignProblem:
             stop = hot.stop_semi_diameter_mm
             if derivatives:
                 variables = self.heat.own
-                chain = hot.chain if planes_mm is None else hot.chain.to_still_planes(len(planes_mm))
+                chain = hot.chain if planes_mm is None else hot.chain.with_fixed_planes(len(planes_mm))
         return gradient_trace(
             _shaped(base, lens),
             lens.object_z_mm,
@@ -241,45 +251,44 @@ class DesignProblem:
         )
 
     def placed(self, point: Array, variable: int, step: complex) -> tuple[list[Shape], Array, complex]:
-        """Shapes, vertices and the object's z, a step of a variable away, complex for derivatives."""
+        """Return shapes, vertices and object z after a step of a variable, complex for derivatives."""
         lens = self.lens_at(point)
         shapes = [surface.shape for surface in lens.surfaces]
         own, by = self.variables, np.eye(len(self.variables))[:, variable]
         if self.heat is not None:
             own, by = self.heat.own, self._heated(point, True).chain.variables[:, variable]
         vertices, object_z = lens.vertex_z_mm.astype(complex), complex(lens.object_z_mm)
-        for one, share in zip(own, step * by, strict=True):
-            if one.of_shape and share:
-                shapes[one.surface] = shapes[one.surface].moved(one.kind, share)
+        for one, change in zip(own, step * by, strict=True):
+            if one.is_shape_term and change:
+                shapes[one.surface] = shapes[one.surface].moved(one.kind, change)
             elif one.kind == "thickness":
-                vertices += share * (np.arange(len(vertices)) > one.surface)
+                vertices += change * (np.arange(len(vertices)) > one.surface)
             elif one.kind == "working_distance":
-                object_z -= share
+                object_z -= change
         return shapes, vertices, object_z
 
     def planes_by(self, point: Array, variable: int) -> Array:
-        """Derivatives of the sensor planes' distances by a variable: heat moves them with the lens."""
+        """Return the derivatives of the sensor distances by a variable, due to the temperature."""
         if self.heat is None:
             return np.zeros(len(self.base.sensor.plane_distances_mm))
         return np.asarray(self._heated(point, True).chain.planes[:, variable])
 
     def predicted(self, point: Array, lens: Lens | None = None) -> tuple[AsBuiltValues, ...]:
-        """What the specification's tolerances make of the lens at a point, whether or not that is asked for.
+        """Predict the lens as built at a point, as designed and at each temperature.
 
-        As designed, and at each temperature; by the function that predicts finished lenses, which goes to
-        second order, and not by the values of the search.
+        The prediction is that of finished lenses, which is of second order, and not that of the search.
 
         Parameters
         ----------
         point
-            Of the unit box.
+            Point of the unit box.
         lens
-            The finished lens of the point; default: finished by a few rays.
+            The finished lens of the point (default: finished with a few rays).
 
         Raises
         ------
         DesignError
-            If the specification names no tolerances, or the lens cannot be finished.
+            If the specification has no tolerances, or the lens cannot be finished.
         """
         tolerances = self.specification.tolerances
         if tolerances is None:
@@ -295,7 +304,7 @@ class DesignProblem:
         )
 
     def _at_temperatures(self, lens: Lens) -> list[Lens]:
-        """A finished lens at each temperature that is asked for."""
+        """Return a finished lens at each temperature of the specification."""
         asked = self.specification.environment
         if asked is None:
             return []
@@ -303,7 +312,7 @@ class DesignProblem:
         return [lens_at_temperature(lens, t, mount_expansion_per_k=mount) for t in asked.temperatures_c]
 
     def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
-        """What is predicted of the lens at a point of the unit box; None where nothing asks for it."""
+        """Return predictions of the lens as built at a point of the unit box; None if not needed."""
         if self._tolerances is None or not self.specification.asks_yields:
             return None
         key = point.tobytes(), derivatives
@@ -312,7 +321,7 @@ class DesignProblem:
         return self._as_built[1]
 
     def losses(self, point: Array, derivatives: bool = True) -> LossValues | None:
-        """Reconstruction losses of the lens at a point of the unit box; None where nothing asks for them."""
+        """Return reconstruction losses of the lens at a point of the unit box; None if not needed."""
         if self._tolerances is None or not self.specification.asks_losses:
             return None
         key = point.tobytes(), derivatives
@@ -322,13 +331,13 @@ class DesignProblem:
 
     def rows(
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True
-    ) -> tuple[list[Row], list[Row]]:
-        """Goals and constraints by name, with derivatives by the variables' own values."""
+    ) -> tuple[list[Operand], list[Operand]]:
+        """Return goals and constraints with derivatives by the values of the variables."""
         state = self.state(point, rays, derivatives)
         return goal_operands(self.specification, state), constraint_operands(self.specification, state, final)
 
     def evaluate(self, point: Array, rays: Rays, final: bool = False) -> Evaluation:
-        """Goals and constraints for nlopt, with derivatives by the unit variables."""
+        """Return goals and constraints for nlopt, with derivatives by the variables of the unit box."""
         goals, constraints = self.rows(point, rays, final)
         return Evaluation(
             np.concatenate([r.values for r in goals]),
@@ -339,15 +348,15 @@ class DesignProblem:
 
 
 def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
-    """The lens at a point with every semi-diameter filled in, validated.
+    """Return the validated lens at a point with all semi-diameters.
 
-    A surface without one gets what its rays need, rounded up; the stop, where it follows the
-    numerical aperture, gets the size that this takes.
+    A surface without a semi-diameter gets that of its rays, rounded up. A stop that follows the numerical
+    aperture gets the corresponding size.
 
     Raises
     ------
     DesignError
-        If that is no lens: surfaces cross, say, or no ray passes.
+        If the result is not a valid lens, for example because surfaces cross or no ray passes.
     """
     state = problem.state(point, rays, derivatives=False)
     lens = state.lens
@@ -373,7 +382,7 @@ def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
 
 
 def _heights_mm(state: State, surface: int) -> Array:
-    """Radial heights of all rays on a surface, those at other temperatures on it as it is when it is cold."""
+    """Return the radial heights of all rays on a surface, scaled to the size of the surface as designed."""
     heights = [
         np.linalg.norm(trace.heights[trace.ok, surface], axis=-1)
         / (1.0 if one.sizes is None else one.sizes[surface])
@@ -397,7 +406,7 @@ def _value(lens: Lens, variable: Variable) -> float:
 
 
 def _shaped(base: CompiledSystem, lens: Lens) -> CompiledSystem:
-    """The base system with the shape of a lens; indices and apertures stay."""
+    """Return the base system with the shapes and vertices of a lens; indices and apertures stay."""
     vertex = np.zeros_like(base.vertex)
     vertex[0, :, 2] = lens.vertex_z_mm
     return replace(base, vertex=vertex, shapes=tuple(s.shape for s in lens.surfaces))

@@ -1,4 +1,4 @@
-"""What a search found, how surely, and what it left undone."""
+"""Result of an optimization, its reliability, and unfinished steps."""
 
 from __future__ import annotations
 
@@ -24,25 +24,36 @@ from lensdesign.optimization.limits.feasibility import (
 )
 from lensdesign.optimization.limits.search import LimitsInterrupted, binding
 from lensdesign.optimization.local_search import Found
-from lensdesign.optimization.operands.operand import Row
+from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import finished_lens
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.stop_rules import Ending
 
 BINDING = 1e-4
-"""A constraint binds where its scaled value is within this of zero."""
+"""A constraint is active if the absolute value of its scaled value is smaller than this."""
 
 AGREE = 1e-3
-"""Starts agree whose goals (or, where no lens was found, largest violations) differ by at most this share."""
+"""Starts agree if their goals (or, without a feasible lens, largest violations) differ by at most this "
+"fraction."""
 
 INTERRUPT = "interrupt"
-"""The limit of a search that its user stopped."""
+"""Limit of a search that the user has stopped."""
 
 
 @dataclass(frozen=True)
 class WavelengthSpread:
-    """What the lens does at one wavelength: largest angle, sensor's limit, share of the limit (of sines)."""
+    """Spread of the lens at one wavelength.
+
+    Attributes
+    ----------
+    wavelength_um
+        Vacuum wavelength.
+    spread_deg, limit_deg
+        Largest spread angle, and the limit of the sensor.
+    share
+        Sine of the spread divided by the sine of the limit.
+    """
 
     wavelength_um: float
     spread_deg: float
@@ -52,16 +63,16 @@ class WavelengthSpread:
 
 @dataclass(frozen=True)
 class GlassChoiceResult:
-    """What became of one choice of glasses.
+    """Result of one choice of glasses.
 
     Attributes
     ----------
     glasses
-        By name, front to back.
+        Names of the glasses, front to back.
     found
-        The ends of its starts.
+        Results of its starts.
     limit
-        The limit that ended its starts before they agreed; empty where none did.
+        Limit that ended the starts before they agreed; empty if there was none.
     """
 
     glasses: str
@@ -70,63 +81,68 @@ class GlassChoiceResult:
 
     @property
     def best(self) -> Found:
-        """The end of the best start; of those that are as good, one that converged."""
+        """Result of the best start; of equally good ones, one that has converged."""
         first = min(self.found, key=lambda f: f.rank)
         alike = [f for f in self.found if f.converged and agree(f, first, 1e-6)]
         return min(alike, key=lambda f: f.rank, default=first)
 
     @property
     def at_best(self) -> int:
-        """How many starts came to the best."""
+        """Number of starts that led to the best result."""
         return sum(agree(f, self.best) for f in self.found)
 
 
-def agree(one: Found, other: Found, share: float = AGREE) -> bool:
-    """Whether two starts came to lenses that are as good."""
-    (missed, goal), (others_missed, others_goal) = one.rank, other.rank
-    if missed or others_missed:
-        return abs(missed - others_missed) <= share * (1.0 + others_missed) and bool(missed and others_missed)
-    return abs(goal - others_goal) <= share * abs(others_goal)
+def agree(one: Found, other: Found, tolerance: float = AGREE) -> bool:
+    """Return whether the results of two starts are equally good within a relative tolerance."""
+    (violation, goal), (other_violation, other_goal) = one.rank, other.rank
+    if violation or other_violation:
+        close = abs(violation - other_violation) <= tolerance * (1.0 + other_violation)
+        return close and bool(violation and other_violation)
+    return abs(goal - other_goal) <= tolerance * abs(other_goal)
 
 
 @dataclass(frozen=True, repr=False)
 class OptimizationResult:
-    """What a search found.
+    """Result of an optimization.
 
     Attributes
     ----------
     lens
-        The best lens; feasible if `feasible` says so, else the one that violates least.
+        The best lens: feasible if `feasible` is true, else the one with the smallest violation.
     variables
-        Value of each variable by name, in the units of its name.
+        Value of each variable by name, in the unit of its name.
     goal, goal_value, goal_unit
-        What was made small, what it came to, and in which unit: ``deg``, ``mm``, or ``%`` where the smallest
-        spread is that of several wavelengths, each as a share of its own limit.
+        Minimized (or maximized) quantity, its value, and its unit: ``deg``, ``mm``, ``waves``, or ``%``. The
+        smallest spread of several wavelengths is given in % of their limits.
     spreads
-        Spread of each wavelength.
+        Spread at each wavelength.
     feasible, violations
-        Whether the lens, as it would be written, passes `check`, and each miss in a sentence. What could not
-        be checked, for want of time or because of an interrupt, counts as missed.
+        Whether the lens, as it would be saved, passes `check`, and a sentence for each violation. Constraints
+        that could not be checked, for lack of time or because of an interrupt, count as violated.
     check
-        The lens held against the specification, as :func:`lensdesign.optimization.check_against` does it.
+        Check of the lens against the specification by :func:`lensdesign.optimization.check_against`.
     binding
-        Constraints that are reached, and bounds, which stop it from getting better; none that is violated.
+        Active constraints and bounds, which prevent a better lens; without violated ones.
     unfinished
-        A sentence for each thing that a limit cut short; empty where the search ended by itself.
+        A sentence for each step that a limit has shortened; empty if the search ended by itself.
     not_tried
-        Choices of glasses that no start was made with.
+        Choices of glasses without any start.
     as_built
-        Where goal or constraints are about lenses as built: the start, the tolerance study's lens and the
-        result, by trials that the search did not know. None elsewhere.
+        Independent Monte Carlo trials of the start, of the lens of the tolerance study and of the result;
+        None if neither goal nor constraints concern lenses as built.
     reach
-        Where the specification could not be met: the largest field and aperture that can. None elsewhere.
+        Largest feasible field and aperture, if the specification could not be met; else None.
     evaluations, seconds
-        What it cost.
+        Number of evaluations of a lens, and time.
     algorithm, stopped_because
-        How starts were searched, and what ended them: ``agreement``, or the limit that did.
+        Algorithm of the starts, and the reason why they ended: ``agreement``, or a limit.
     glasses, starts, starts_at_best
-        The choice of glasses, how many starts were made with it, and how many of them came to the best
-        goal (within 0.1 %).
+        Choice of glasses, number of its starts, and number of starts that led to the best goal (within 0.1
+        %).
+
+    Examples
+    --------
+    See :func:`lensdesign.optimize`.
     """
 
     lens: Lens
@@ -153,7 +169,7 @@ class OptimizationResult:
 
     @property
     def agreed(self) -> bool:
-        """Whether more than one start came to this lens."""
+        """True if more than one start led to this lens."""
         return self.starts_at_best > 1
 
     def __repr__(self) -> str:
@@ -178,7 +194,7 @@ class OptimizationResult:
         return html_table("Optimization", rows) + self.lens._repr_html_()
 
     def as_dict(self) -> dict[str, Any]:
-        """As plain data, without the lens."""
+        """Return plain data for JSON, without the lens."""
         plain = {
             k: v for k, v in vars(self).items() if k not in ("lens", "check", "spreads", "reach", "as_built")
         }
@@ -196,21 +212,21 @@ class OptimizationResult:
 def result_of(
     specification: Specification, tried: list[GlassChoiceResult], ending: Ending
 ) -> OptimizationResult:
-    """The best of all choices of glasses, held against its specification.
+    """Return the best of all choices of glasses, checked against its specification.
 
     Parameters
     ----------
     specification
-        What was asked.
+        Specification of the search.
     tried
-        All choices of glasses; at least one with the end of a start.
+        All choices of glasses, at least one of them with a completed start.
     ending
-        When the search must end. An interrupt from here on shortens what follows, too.
+        End of the search. An interrupt from here on also shortens the remaining steps.
 
     Raises
     ------
     DesignError
-        If the best is no lens.
+        If the best point is not a valid lens.
     """
     try:
         return _result(specification, tried, ending)
@@ -293,18 +309,18 @@ def _result(
 
 
 def _unchecked(specification: Specification, why: str) -> list[str]:
-    """What is asked of lenses as built and takes trials, a sentence each."""
+    """Return a sentence for each constraint on lenses as built, which needs trials."""
     limits = specification.constraints
-    asked = {
+    required = {
         "yield": limits.min_yield,
         "as-built rms": limits.max_as_built_rms_waves,
         LOSS_GOAL: limits.max_as_built_reconstruction_loss,
     }
-    return [f"{name}: not checked, as {why}" for name, limit in asked.items() if limit is not None]
+    return [f"{name}: not checked, as {why}" for name, limit in required.items() if limit is not None]
 
 
 def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
-    """Start, where it is a lens that was asked about, the study's own lens, and what was found, by trials."""
+    """Return trials of the start (if it is a design), of the lens of the study, and of the result."""
     tolerances, study = specification.tolerances, specification.as_built
     if tolerances is None or study is None:
         return None
@@ -319,7 +335,7 @@ def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
 
 
 def _rows_if_possible(study: AsBuilt, named: tuple[str, Lens], trials: int) -> tuple[TrialsOf, ...]:
-    """Trials of a lens that stands beside the result; none where they cannot be made."""
+    """Return trials of a lens for comparison; none if they are not possible."""
     try:
         return study.trials([named], trials).rows
     except TransferLensError:
@@ -329,7 +345,7 @@ def _rows_if_possible(study: AsBuilt, named: tuple[str, Lens], trials: int) -> t
 def _unfinished(
     specification: Specification, tried: list[GlassChoiceResult], chosen: GlassChoiceResult
 ) -> list[str]:
-    """What limits cut short, a sentence each."""
+    """Return a sentence for each step that a limit has shortened."""
     settings, best = specification.optimize, chosen.best
     sentences = []
     for limit in ("max_evaluations", "max_seconds"):
@@ -354,7 +370,7 @@ def _unfinished(
 
 
 def _end(specification: Specification, chosen: GlassChoiceResult) -> str:
-    """What ended the starts."""
+    """Return the reason why the starts ended."""
     if chosen.limit:
         return chosen.limit
     settings = specification.optimize
@@ -378,8 +394,8 @@ def _variables(specification: Specification, lens: Lens) -> dict[str, float | st
     return values
 
 
-def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
-    """The goal in the unit that people use."""
+def _goal(specification: Specification, goals: list[Operand]) -> tuple[float, str]:
+    """Return the goal in its usual unit."""
     largest = max(float(np.max(row.values)) for row in goals)
     goal, waves = specification.optimize.goal, specification.wavelengths_um
     if goal == "smallest spread" and len(waves) > 1:
@@ -393,9 +409,9 @@ def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
 
 
 def _shown_goal(
-    specification: Specification, lens: Lens, goals: list[Row], built: AsBuiltReport | None
+    specification: Specification, lens: Lens, goals: list[Operand], built: AsBuiltReport | None
 ) -> tuple[float, str]:
-    """The goal of the finished lens; where no trials were made, goals of lenses as built are predicted."""
+    """Return the goal of the finished lens; without trials, goals of lenses as built are predicted."""
     goal, study = specification.optimize.goal, specification.as_built
     if built is not None:
         return _built_goal(specification, goals, built)
@@ -407,8 +423,10 @@ def _shown_goal(
     return (max(predicted.rms_waves), "waves") if goal == "as-built rms" else (100.0 * predicted.good, "%")
 
 
-def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltReport) -> tuple[float, str]:
-    """A goal of lenses as built: what is predicted of the finished lens, at all temperatures."""
+def _built_goal(
+    specification: Specification, goals: list[Operand], built: AsBuiltReport
+) -> tuple[float, str]:
+    """Return the predicted goal of lenses as built, at all temperatures."""
     environment = specification.environment
     own = built.rows[-1 - (0 if environment is None else len(environment.temperatures_c)) :]
     if specification.optimize.goal == "as-built rms":

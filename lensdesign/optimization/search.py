@@ -21,12 +21,12 @@ Report = Callable[[str], None]
 
 
 class SearchInterrupted(KeyboardInterrupt):
-    """An interrupt that leaves a result.
+    """An interrupt of an optimization that has a result.
 
     Attributes
     ----------
     result
-        The best lens so far, held against its specification.
+        The best lens so far, checked against its specification.
     """
 
     def __init__(self, result: OptimizationResult) -> None:
@@ -35,25 +35,25 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 def optimize(specification: Specification, report: Report | None = None, seed: int = 0) -> OptimizationResult:
-    """Search for the lens that a specification asks for.
+    """Optimize a lens to a specification.
 
-    Every start is a local search over a working set of rays, to which the worst rays of a dense check
-    are added until none is worse (an exchange method). Each choice of glasses is searched from as many
-    starts as it takes until several agree, at most those of the specification, and has a share of its own
-    of every limit. What was found is held against the specification by other means in the end.
+    Every start is a local search over a working set of rays. The worst rays of a dense check are added to the
+    set until no ray is worse (an exchange method). Each choice of glasses is searched from several starts
+    until enough of them agree, and has its own fraction of every limit. Finally, the result is checked
+    against the specification independently of the search.
 
-    A time limit covers everything: the search, the check of the result, the trials of lenses as built and the
-    search for what can be met in place of an infeasible specification. What does not fit is left out, and the
-    result says so.
+    A time limit covers the search, the check of the result, the trials of lenses as built and the search for
+    the feasibility limit of an infeasible specification. The result lists the steps for which no time was
+    left.
 
     Parameters
     ----------
     specification
-        What is asked.
+        Start lens, variables, goal and constraints.
     report
-        Called with a line of text at each improvement.
+        Progress callback, called with a line of text at each improvement (default: none).
     seed
-        For the random starts, and for the algorithms that draw random numbers.
+        Seed of the random starts and of the stochastic algorithms.
 
     Returns
     -------
@@ -62,10 +62,17 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     Raises
     ------
     DesignError
-        If no start can be traced, or the etendue bound forbids the specification.
+        If no start can be traced, or the etendue bound excludes the specification.
     SearchInterrupted
-        If it is interrupted; the best lens so far is in its `result`. A plain KeyboardInterrupt where there
-        is none yet.
+        If the search is interrupted; its `result` has the best lens so far. Without a lens, a plain
+        KeyboardInterrupt is raised.
+
+    Examples
+    --------
+    >>> from lensdesign import load_specification
+    >>> result = optimize(load_specification("designs/thinnest_singlet_spec.toml"))  # doctest: +SKIP
+    >>> result.feasible  # doctest: +SKIP
+    True
     """
     validate_possible(specification)
     settings = specification.optimize
@@ -100,14 +107,15 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
 def _nothing_tried(tried: list[GlassChoiceResult]) -> str:
     limits = {t.limit for t in tried} - {""}
     if limits:
-        return f"no start was made: {' and '.join(sorted(limits))} left no room for one; raise it"
-    return "no start can be traced: no drawn lens lets all rays through; narrow the bounds"
+        return f"no start was made: {' and '.join(sorted(limits))} left no time or evaluations for one; "
+        "raise it"
+    return "no start can be traced: no random lens transmits all rays; narrow the bounds"
 
 
 def _try(
     glasses: str, problem: DesignProblem, budget: Budget, seed: int, progress: _Progress
 ) -> GlassChoiceResult:
-    """One choice of glasses: starts until several agree, or until time or user stop it."""
+    """Search with one choice of glasses until enough starts agree, or a limit or the user stops it."""
     settings = problem.specification.optimize
     tried = GlassChoiceResult(glasses, (), "")
     try:
@@ -132,7 +140,7 @@ def _try(
 def _kept(
     tried: GlassChoiceResult, problem: DesignProblem, progress: _Progress, limit: str
 ) -> GlassChoiceResult:
-    """What a stopped choice of glasses leaves: its finished starts, and the best point of the running one."""
+    """Return the finished starts of a stopped choice of glasses, and the best point of the running start."""
     found: tuple[Found, ...] = tried.found
     if progress.points:
         with no_deadline():
@@ -142,16 +150,16 @@ def _kept(
 
 @dataclass
 class _Progress:
-    """Follows the starts of one choice of glasses, and turns improvements into lines of text.
+    """Progress of the starts of one choice of glasses, reported as lines of text.
 
     Attributes
     ----------
     choice
-        Number of this choice of glasses, from 0, and of all.
+        Index of this choice of glasses, from 0, and the number of all.
     points
-        Best points of the running start, in the order in which they were reached; empty between starts.
+        Successive best points of the running start; empty between starts.
     evaluations
-        Of the running start.
+        Evaluations of the running start.
     """
 
     specification: Specification
@@ -168,16 +176,16 @@ class _Progress:
     last: float = -math.inf
 
     def begin(self, number: int, tried: GlassChoiceResult) -> None:
-        """A start begins."""
+        """Note the begin of a start."""
         self.number, self.points, self.evaluations = number, [], 0
         self.agreeing = tried.at_best if tried.found else 0
 
     def reached(self, point: Array) -> None:
-        """The running step has a new best point."""
+        """Note a new best point of the running start."""
         self.points.append(point)
 
     def improved(self, objective: float, violation: float, evaluations: int) -> None:
-        """The goal has improved; at most ten lines a second."""
+        """Report an improvement of the goal, at most ten times a second."""
         self.evaluations = max(self.evaluations, evaluations)
         time = now()
         if self.report is None or time - self.last < 0.1:
@@ -198,11 +206,11 @@ class _Progress:
         return f"{most} ({agree}usually stops early)"
 
     def _estimate(self, time: float) -> str:
-        """What remains at most, from the starts that ended; those that agree end the search before."""
+        """Return the longest remaining time as text, estimated from the completed starts."""
         settings, (choice, choices) = self.specification.optimize, self.choice
-        left = math.inf if settings.max_seconds is None else self.began + settings.max_seconds - time
+        remaining = math.inf if settings.max_seconds is None else self.began + settings.max_seconds - time
         if self.number:
             each = (time - self.first) / (self.number + 0.5)
             starts = settings.starts - self.number + (choices - choice - 1) * settings.starts
-            left = min(left, starts * each)
-        return f", at most {left:.0f} s more" if math.isfinite(left) else ""
+            remaining = min(remaining, starts * each)
+        return f", at most {remaining:.0f} s more" if math.isfinite(remaining) else ""

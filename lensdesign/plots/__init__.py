@@ -1,4 +1,4 @@
-"""What people look at: layout, spots, charts, the lens in 3D."""
+"""Pictures of a lens: layout, spot diagrams, charts, and views in 3D."""
 
 import lazy_loader
 

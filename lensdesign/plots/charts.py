@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, BEYOND = "#333333", "#C1121F"
-"""Of what has no field height, and of what breaks a limit: colours of field heights mean these alone."""
+"""Colours of items without a field height, and of values beyond a limit; they differ from field colours."""
 
 MARKERS = "os^Dv"
 TITLE_POINTS = 10.0
 
 
 def spread_figure(lens: Lens) -> Figure:
-    """Largest spread angle of each field height over the whole stop, and the sensor's limit (Eq. 2).
+    """Plot the largest spread angle of each field height over the whole stop, and the sensor's limit (Eq. 2).
 
-    A solid line and a dashed limit in one colour for each wavelength, the longest first. What breaks a limit
-    is ringed. Where the pixels resolve every angle there is no limit to draw.
+    Each wavelength has a solid line and a dashed limit in one colour, the longest wavelength first. Values
+    beyond a limit are ringed. No limit is drawn if the pixels resolve every angle.
 
     Parameters
     ----------
     lens
-        Any lens.
+        The lens.
 
     Raises
     ------
@@ -43,13 +43,13 @@ def spread_figure(lens: Lens) -> Figure:
     axes = figure.add_subplot()
     wavelengths = sorted(lens.wavelengths_um, reverse=True)
     largest, beyond = 0.0, []
-    for number, (wavelength, color) in enumerate(zip(wavelengths, _colors(len(wavelengths)), strict=True)):
+    for index, (wavelength, color) in enumerate(zip(wavelengths, _colors(len(wavelengths)), strict=True)):
         spread = largest_spread(lens, wavelength)
         sine = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
         axes.plot(
             spread.field_heights_mm,
             spread.per_field_deg,
-            marker=MARKERS[number % len(MARKERS)],
+            marker=MARKERS[index % len(MARKERS)],
             color=color,
             zorder=3,
             ms=3.5,
@@ -61,7 +61,7 @@ def spread_figure(lens: Lens) -> Figure:
         if sine < 1.0:
             axes.axhline(limit, color=color, ls="--", lw=1.2, label=f"limit {limit:.3f}°")
             heights = zip(spread.field_heights_mm, spread.per_field_deg, strict=True)
-            beyond += [at for at in heights if at[1] > limit]
+            beyond += [point for point in heights if point[1] > limit]
     if beyond:
         rings: dict[str, Any] = {"color": BEYOND, "ms": 9.0, "mew": 1.4, "mfc": "none", "zorder": 4}
         axes.plot(*zip(*beyond, strict=True), "o", label="beyond the limit", **rings)
@@ -76,14 +76,14 @@ def spread_figure(lens: Lens) -> Figure:
 
 
 def white_figure(size_inches: tuple[float, float]) -> Figure:
-    """An empty figure that lays itself out."""
+    """Return an empty white figure with automatic layout."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=size_inches, layout="constrained", facecolor="white")
 
 
 def lens_name(lens: Lens, inches: float) -> str:
-    """A lens's title on one line, cut where it would be longer than so much."""
+    """Return a lens's title on one line, truncated to a width in inches."""
     name = visible(lens.title or "Lens")
     while text_inches(name, TITLE_POINTS)[0] > inches - 0.3 and len(name) > 1:
         name = f"{name.removesuffix('…')[:-1]}…"
@@ -91,7 +91,7 @@ def lens_name(lens: Lens, inches: float) -> str:
 
 
 def title_figure(figure: Figure, lens: Lens, text: str = "") -> None:
-    """Which lens it is, and below it what is shown."""
+    """Set the title of a figure: the title of the lens, and a text below it."""
     title = f"{lens_name(lens, figure.get_figwidth())}\n{text}".strip()
     figure.suptitle(title, fontsize=TITLE_POINTS, parse_math=False)
 
@@ -104,7 +104,7 @@ def _renderer() -> Any:
 
 
 def text_inches(text: str, points: float, is_math: bool = False) -> tuple[float, float]:
-    """Width and height of one line of text."""
+    """Return width and height of one line of text in inches."""
     from matplotlib.font_manager import FontProperties
 
     width, height, _ = _renderer().get_text_width_height_descent(text, FontProperties(size=points), is_math)
@@ -112,14 +112,14 @@ def text_inches(text: str, points: float, is_math: bool = False) -> tuple[float,
 
 
 def label_axes(axes: Axes, x: str, y: str) -> None:
-    """Names of both axes, and ticks that point inside."""
+    """Label both axes, and let ticks point inside."""
     axes.set_xlabel(x, fontsize=9)
     axes.set_ylabel(y, fontsize=9)
     axes.tick_params(labelsize=8, direction="in")
 
 
 def _colors(count: int) -> Sequence[str | tuple[float, ...]]:
-    """One scale from red to blue, in none of the colours of field heights."""
+    """Return colours of one scale from red to blue that differ from those of field heights."""
     if count == 1:
         return [INK]
     from matplotlib import colormaps

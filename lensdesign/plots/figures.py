@@ -20,14 +20,14 @@ SAMPLES = 401
 
 
 def figure_map(lens: Lens, surface: int) -> Figure:
-    """Sag-error map of a measured surface, piston and tilt removed, with PV and RMS (Fig. 2g).
+    """Plot the sag-error map of a measured surface without piston and tilt, with PV and RMS (Fig. 2g).
 
     Parameters
     ----------
     lens
         The lens.
     surface
-        Index from 0.
+        Index of the surface, from 0.
 
     Raises
     ------
@@ -38,18 +38,18 @@ def figure_map(lens: Lens, surface: int) -> Figure:
     figure, semi = surface_figure(own), own.semi_diameter_mm
     if figure is None or semi is None:
         raise InputError(f"surface {surface + 1} has no measured figure")
-    at = np.linspace(-1.0, 1.0, SAMPLES)
-    x, y = np.meshgrid(at, at)
+    axis = np.linspace(-1.0, 1.0, SAMPLES)
+    x, y = np.meshgrid(axis, axis)
     inside = np.hypot(x, y) <= 1.0
     points = np.stack([x[inside], y[inside]], axis=-1)
     waves = 1e3 / TEST_WAVELENGTH_UM * figure.sag(*(semi * points.T))
     weights = np.full(len(waves), 1.0 / len(waves))
-    shown = np.full(x.shape, np.nan)
-    shown[inside] = waves - fitted(waves, points, weights, "tilt") @ terms(points, "tilt")
+    values = np.full(x.shape, np.nan)
+    values[inside] = waves - fitted(waves, points, weights, "tilt") @ terms(points, "tilt")
     pv, rms = pv_rms_waves(figure, semi, "tilt")
     picture = white_figure((5.6, 4.6))
     axes = picture.add_subplot()
-    image = axes.imshow(shown, origin="lower", extent=(-semi, semi, -semi, semi), cmap="turbo")
+    image = axes.imshow(values, origin="lower", extent=(-semi, semi, -semi, semi), cmap="turbo")
     bar = picture.colorbar(image, ax=axes, shrink=0.9)
     bar.set_label(rf"sag error (waves, $\lambda$ = {1e3 * TEST_WAVELENGTH_UM:.1f} nm)", fontsize=9)
     bar.ax.tick_params(labelsize=8)

@@ -1,7 +1,7 @@
-"""The whole optical system as one GLB scene: glass, stop, object, sensor planes and rays, each a named node.
+"""The whole optical system as a GLB scene with named nodes: glass, stop, object, sensor planes and rays.
 
-glTF counts in metres, so that all lengths are divided by 1000 from mm. Its y points up as that of the lens
-does, and light runs along its z; the front vertex is at the origin.
+glTF uses metres, so all lengths in mm are divided by 1000. Its y points up like that of the lens, and light
+travels along its z; the front vertex is at the origin.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Faces = NDArray[np.int64]
 
 SCENE_CHORD_ERROR_UM = 1.0
 _TUBE_SIDES = 8
-_TUBE_SHARE = 0.006
-"""Radius of the tubes that stand for rays, as a share of the stop's semi-diameter."""
+_TUBE_FRACTION = 0.006
+"""Radius of the tubes that represent rays, as a fraction of the stop's semi-diameter."""
 
 
 def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
@@ -37,7 +37,7 @@ def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     Parameters
     ----------
     lens
-        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
+        A lens whose elements close. Surfaces without a semi-diameter have the size of their footprint.
     path
         File to write, with the suffix .glb.
 
@@ -50,15 +50,15 @@ def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        If the suffix is another, an element does not close, or the file cannot be written.
+        If the suffix is not .glb, an element does not close, or the file cannot be written.
     """
     import trimesh
 
     if Path(path).suffix.lower() != ".glb":
-        raise InputError(f"cannot write {path}: a scene is written as .glb alone")
+        raise InputError(f"cannot write {path}: the name of a scene must end in .glb")
     scene = trimesh.Scene()
     for part in scene_parts(lens, SCENE_CHORD_ERROR_UM):
-        mesh = _mesh(part, _TUBE_SHARE * lens.stop_semi_diameter_mm)
+        mesh = _mesh(part, _TUBE_FRACTION * lens.stop_semi_diameter_mm)
         mesh.apply_scale(1e-3)
         scene.add_geometry(mesh, geom_name=part.name, node_name=part.name)
     data = bytes(scene.export(file_type="glb"))
@@ -77,13 +77,13 @@ def _mesh(part: ScenePart, tube_mm: float) -> trimesh.Trimesh:
 
 
 def _tubes(paths: Array, radius_mm: float) -> tuple[Array, Faces]:
-    """Tubes about polylines, shape (rays, corners, 3), cut across z so that they end on their planes."""
+    """Return tubes around polylines, shape (rays, corners, 3), whose ends are perpendicular to z."""
     x, y = radius_mm * circle(_TUBE_SIDES)
     ring = np.stack([x, y, np.zeros(_TUBE_SIDES)], axis=-1)
     rays, corners, _ = paths.shape
     vertices = (paths[:, :, None] + ring).reshape(-1, 3)
     first = _TUBE_SIDES * np.arange(rays * corners).reshape(rays, corners)[:, :-1]
-    # A failed ray's last corners coincide; nothing is drawn between these.
+    # The last corners of a failed ray coincide; nothing is drawn between them.
     first = first[np.any(np.diff(paths, axis=1) != 0.0, axis=-1)][:, None]
     here = np.arange(_TUBE_SIDES)
     after = (here + 1) % _TUBE_SIDES

@@ -1,8 +1,8 @@
-"""The layout of a lens: meridional section with rays, object, stop, sensor planes and scale (Fig. 2b).
+"""Layout of a lens: meridional section with rays, object, stop, sensor planes and scale (Fig. 2b).
 
-The scale, in mm to the inch, is chosen first, so that labels can be laid out before anything is drawn: those
-of stop and sensor planes in rows above the lens, those of the glass below it, pushed apart until none touches
-another, each with a dotted line to what it names.
+The scale in mm per inch is chosen first, so that labels can be placed before anything is drawn. Labels of
+stop and sensor planes are in rows above the lens, those of glasses below it. They are moved apart until none
+overlaps another, and a dotted line connects each with its object.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, glass_elements
 from lensdesign.plots.charts import TITLE_POINTS, lens_name, text_inches
 from lensdesign.raytrace.bundles import pupil_fan
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths, sized_lens
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 
 RAYS_PER_FIELD = 11
 THIN, THICK = 0.8, 2.0
-"""Line widths in points: outlines and rays; planes, ground edges and the scale bar."""
+"""Line widths in points of outlines and rays, and of planes, ground edges and scale bar."""
 
 LABEL_POINTS = 8.0
 _GLASS, _INK, _FAINT, _PAPER = "#CFE3F1", "#333333", "#8A8A8A", "#FFFFFF"
 
-_MOST_INCHES = (9.3, 7.0)
-"""Largest width and height of what is drawn; labels come on top."""
-_LEAST_INCHES = (6.4, 1.2)
+_MAX_INCHES = (9.3, 7.0)
+"""Largest width and height of the drawing without labels."""
+_MIN_INCHES = (6.4, 1.2)
 _MARGINS_INCHES = {"left": 0.38, "right": 0.08, "bottom": 0.86, "top": 0.34}
-"""Room for the names of the axes, legend and title; on the left, that for the numbers comes on top."""
+"""Margins for axis labels, legend and title; on the left, tick labels need additional space."""
 _ROW_INCHES = 0.17
 _GAP_INCHES = 0.1
-_LONGEST_NAME = 24
+_MAX_NAME_LENGTH = 24
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """What of the plane is shown, in mm, and how many mm go to the inch."""
+    """Visible region of the plane in mm, and the scale in mm per inch."""
 
     left: float
     right: float
@@ -55,7 +55,7 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _Label:
-    """Text about a place on the lens: where (z, y) its dotted line starts."""
+    """A text and the point (z, y) on the lens where its dotted line starts."""
 
     text: str
     z: float
@@ -64,25 +64,25 @@ class _Label:
 
 
 def layout_figure(lens: Lens) -> Figure:
-    """Meridional section with rays of three fields, object and sensor planes, stop and scale (Fig. 2b).
+    """Plot the meridional section with rays of three fields, object, sensor planes, stop, scale (Fig. 2b).
 
-    Surfaces without a semi-diameter are drawn as large as their footprint. Failed rays end where they
-    failed. An object too small to be seen is drawn 2 points high.
+    Surfaces without a semi-diameter are drawn with the size of their footprint. Failed rays end where they
+    fail. An object too small to be visible is drawn 2 points high.
 
     Raises
     ------
     InputError
-        If a surface's size is neither given nor can be had from rays.
+        If a surface's size is neither given nor can be determined from rays.
     """
     lens = sized_lens(lens)
     elements = glass_elements(lens)
     fans = [
-        ray_paths(lens, (0.0, share * lens.half_field_mm), pupil_fan(RAYS_PER_FIELD).points)
-        for share in FIELD_SHARES
+        ray_paths(lens, (0.0, fraction * lens.half_field_mm), pupil_fan(RAYS_PER_FIELD).points)
+        for fraction in FIELD_FRACTIONS
     ]
     frame = _frame(lens, elements, fans)
     above, below = _rows(_labels_above(lens), frame), _rows(_labels_below(lens, elements), frame)
-    # One row more below, for the scale bar.
+    # The additional row below is for the scale bar.
     figure, axes = _figure(frame, len(above) + 0.4, len(below) + 1.6)
     _draw_glass(axes, elements)
     _draw_rays(axes, lens, fans, frame)
@@ -95,7 +95,7 @@ def layout_figure(lens: Lens) -> Figure:
     figure.legend(
         loc="lower center",
         bbox_to_anchor=(0.5, 0.04 / figure.get_figheight()),
-        ncols=len(FIELD_SHARES),
+        ncols=len(FIELD_FRACTIONS),
         frameon=False,
         fontsize=9,
     )
@@ -103,12 +103,12 @@ def layout_figure(lens: Lens) -> Figure:
 
 
 def _figure(frame: _Frame, rows_above: float, rows_below: float) -> tuple[Figure, Axes]:
-    """An empty figure of the frame's scale, with room for rows of labels, and its axes."""
+    """Return an empty figure of the frame's scale, with space for rows of labels, and its axes."""
     from matplotlib.figure import Figure
 
     bands = np.array([rows_below, rows_above]) * _ROW_INCHES + _GAP_INCHES
     inner = np.array([frame.right - frame.left, 2.0 * frame.reach]) / frame.scale + [0.0, bands.sum()]
-    # Numbers keep clear of the corners, where those of the two axes would meet.
+    # Tick labels of the two axes would overlap in the corners.
     at_z = _ticks(frame.left + 0.2 * frame.scale, frame.right - 0.25 * frame.scale)
     at_y = _ticks(-frame.reach, frame.reach)
     m = _MARGINS_INCHES
@@ -134,22 +134,25 @@ def _frame(lens: Lens, elements: Sequence[Element], fans: Sequence[Array]) -> _F
         max(s.semi_diameter_mm or 0.0 for s in lens.surfaces),
         lens.half_field_mm,
     )
-    # Rays that fly far beyond everything are cut off.
+    # Rays far outside of all bodies are clipped.
     rays = max(float(np.max(np.abs(paths[..., 1]))) for paths in fans)
     reach = 1.04 * min(max(solid, rays), 1.4 * solid)
     first, last = _ends(lens, elements)
-    # Names of planes close to the last one spread to both sides of it.
+    # Labels of planes close to the last one extend to both sides of it.
     crowd = sum(z > last - 0.1 * (last - first) for z in lens.sensor_z_mm)
-    room = text_inches(_object_name(lens).split("\n")[1], LABEL_POINTS)[0] + 0.3, 0.5 * min(max(crowd, 1), 4)
-    width, height = _MOST_INCHES
-    scale = max((last - first) / (width - sum(room)), 2.0 * reach / height)
-    left, right = first - scale * room[0], last + scale * room[1]
-    spare = 0.5 * max(0.0, scale * _LEAST_INCHES[0] - (right - left))
-    return _Frame(left - spare, right + spare, max(reach, 0.5 * scale * _LEAST_INCHES[1]), scale)
+    margins = (
+        text_inches(_object_name(lens).split("\n")[1], LABEL_POINTS)[0] + 0.3,
+        0.5 * min(max(crowd, 1), 4),
+    )
+    width, height = _MAX_INCHES
+    scale = max((last - first) / (width - sum(margins)), 2.0 * reach / height)
+    left, right = first - scale * margins[0], last + scale * margins[1]
+    spare = 0.5 * max(0.0, scale * _MIN_INCHES[0] - (right - left))
+    return _Frame(left - spare, right + spare, max(reach, 0.5 * scale * _MIN_INCHES[1]), scale)
 
 
 def _ticks(low: float, high: float) -> dict[float, str]:
-    """Round numbers from `low` to `high`, and how they are written."""
+    """Return round numbers from `low` to `high` and their texts."""
     from matplotlib.ticker import MaxNLocator
 
     values = np.asarray(MaxNLocator(7, steps=[1, 2, 5, 10]).tick_values(low, high))
@@ -166,23 +169,23 @@ def _object_name(lens: Lens) -> str:
 
 
 def _labels_above(lens: Lens) -> list[_Label]:
-    """Of the stop and the sensor planes, by z."""
+    """Return the labels of the stop and the sensor planes, ordered by z."""
     half = 0.5 * lens.sensor.size_mm[1]
     z, rim = _stop_rim(lens)
     found = [_Label("stop", z, rim)]
-    for number, distance in enumerate(lens.sensor.plane_distances_mm, start=1):
+    for index, distance in enumerate(lens.sensor.plane_distances_mm, start=1):
         z = lens.exit_vertex_z_mm + distance
-        found.append(_Label(f"$H_{{{number}}}$ = {distance:g} mm", z, half, is_math=True))
+        found.append(_Label(f"$H_{{{index}}}$ = {distance:g} mm", z, half, is_math=True))
     return sorted(found, key=lambda label: label.z)
 
 
 def _labels_below(lens: Lens, elements: Sequence[Element]) -> list[_Label]:
-    """Of the glasses, by z."""
+    """Return the labels of the glasses, ordered by z."""
     found = []
     for element in elements:
         name = " ".join(str(lens.surfaces[element.surfaces[0]].material).split())
-        if len(name) > _LONGEST_NAME:
-            name = name[: _LONGEST_NAME - 1] + "…"
+        if len(name) > _MAX_NAME_LENGTH:
+            name = name[: _MAX_NAME_LENGTH - 1] + "…"
         outline = element.outline()
         widest = float(outline[:, 0].max())
         edge = outline[outline[:, 0] >= widest * (1.0 - 1e-9), 1]
@@ -191,32 +194,34 @@ def _labels_below(lens: Lens, elements: Sequence[Element]) -> list[_Label]:
 
 
 def _rows(labels: Sequence[_Label], frame: _Frame) -> list[list[tuple[_Label, float]]]:
-    """Labels with the z of their middles, in as few rows as hold them; those of each row do not touch."""
+    """Distribute labels to as few rows as possible; return them with the z of their middles."""
     widths = np.array(
         [text_inches(label.text, LABEL_POINTS, label.is_math)[0] + _GAP_INCHES for label in labels]
     )
-    room = (frame.right - frame.left) / frame.scale - _GAP_INCHES
+    margins = (frame.right - frame.left) / frame.scale - _GAP_INCHES
     count = 1
-    while max(widths[row::count].sum() for row in range(count)) > room and count < len(labels):
+    while max(widths[row::count].sum() for row in range(count)) > margins and count < len(labels):
         count += 1
     rows = []
     for row in range(count):
         own, half = labels[row::count], 0.5 * widths[row::count]
-        asked = np.array([(label.z - frame.left) / frame.scale for label in own])
-        middles = frame.left + frame.scale * _spread(asked, half, 0.5 * _GAP_INCHES, room + 0.5 * _GAP_INCHES)
+        desired = np.array([(label.z - frame.left) / frame.scale for label in own])
+        middles = frame.left + frame.scale * _spread(
+            desired, half, 0.5 * _GAP_INCHES, margins + 0.5 * _GAP_INCHES
+        )
         rows.append(list(zip(own, middles.tolist(), strict=True)))
     return rows
 
 
-def _spread(asked: Array, half: Array, low: float, high: float) -> Array:
-    """Middles of intervals of given half widths, near where they are asked for, that do not overlap.
+def _spread(desired: Array, half: Array, low: float, high: float) -> Array:
+    """Return middles of non-overlapping intervals of given half widths, close to the desired ones.
 
-    Groups that touch are moved together to the mean of what their members ask for, as regression with an
-    order among the values does (pool adjacent violators); `asked` rises.
+    Groups that touch are moved together to the mean of the desired positions, as in isotonic regression (pool
+    adjacent violators). `desired` must increase.
     """
     offsets = np.concatenate([[0.0], np.cumsum(half[:-1] + half[1:])])
     groups: list[tuple[float, int]] = []
-    for value in asked - offsets:
+    for value in desired - offsets:
         group = (float(value), 1)
         while groups and groups[-1][0] > group[0]:
             mean, count = groups.pop()
@@ -243,7 +248,7 @@ def _draw_glass(axes: Axes, elements: Sequence[Element]) -> None:
 
 
 def _mirrored(outline: Array) -> Array:
-    """A meridian (r, z) and its mirror image as one closed polygon (z, y)."""
+    """Return a meridian (r, z) and its mirror image as one closed polygon (z, y)."""
     upper = outline[:, ::-1]
     return np.concatenate([upper, upper[::-1] * [1.0, -1.0]])
 
@@ -255,8 +260,8 @@ def _draw_rays(axes: Axes, lens: Lens, fans: Sequence[Array], frame: _Frame) -> 
     window = Rectangle(
         (frame.left, -frame.reach), frame.right - frame.left, 2.0 * frame.reach, transform=axes.transData
     )
-    for share, color, paths in zip(FIELD_SHARES, FIELD_COLORS, fans, strict=True):
-        label = f"field height {share * lens.half_field_mm:.3g} mm"
+    for fraction, color, paths in zip(FIELD_FRACTIONS, FIELD_COLORS, fans, strict=True):
+        label = f"field height {fraction * lens.half_field_mm:.3g} mm"
         lines = LineCollection(
             [p[:, [2, 1]] for p in paths], colors=color, linewidths=THIN, zorder=3, label=label
         )
@@ -265,7 +270,7 @@ def _draw_rays(axes: Axes, lens: Lens, fans: Sequence[Array], frame: _Frame) -> 
 
 
 def _draw_stop(axes: Axes, lens: Lens, frame: _Frame) -> None:
-    """Two wedges that point at the rim of the stop."""
+    """Draw two wedges that point at the rim of the stop."""
     z, radius = _stop_rim(lens)
     half, length = 0.05 * frame.scale, 0.16 * frame.scale
     for sign in (1.0, -1.0):
@@ -278,7 +283,7 @@ def _draw_stop(axes: Axes, lens: Lens, frame: _Frame) -> None:
 
 
 def _draw_planes(axes: Axes, lens: Lens, frame: _Frame) -> None:
-    """Object and sensor planes as far as they reach."""
+    """Draw the object, the sensor planes and the axis."""
     line: dict[str, Any] = {"color": _INK, "lw": THICK, "solid_capstyle": "butt", "zorder": 4}
     half = max(lens.half_field_mm, frame.scale / 72.0)
     axes.plot([lens.object_z_mm] * 2, [-half, half], **line)
@@ -298,10 +303,10 @@ def _draw_planes(axes: Axes, lens: Lens, frame: _Frame) -> None:
 
 
 def _draw_labels(axes: Axes, rows: Sequence[Any], frame: _Frame, sign: float) -> None:
-    """Rows of labels outwards from the lens, above it (sign 1) or below (-1), with their dotted lines."""
+    """Draw rows of labels with their dotted lines, above the lens (sign 1) or below it (-1)."""
     near = sign * (frame.reach + frame.scale * _GAP_INCHES)
-    for number, row in enumerate(rows):
-        y = near + sign * frame.scale * _ROW_INCHES * (number + 0.5)
+    for index, row in enumerate(rows):
+        y = near + sign * frame.scale * _ROW_INCHES * (index + 0.5)
         for label, middle in row:
             ends = [label.y, sign * frame.reach, near, y]
             axes.plot([label.z, label.z, middle, middle], ends, ":", color=_FAINT, lw=THIN, zorder=1)
@@ -319,7 +324,7 @@ def _draw_labels(axes: Axes, rows: Sequence[Any], frame: _Frame, sign: float) ->
 
 
 def _draw_title(figure: Figure, lens: Lens) -> None:
-    """Which lens it is and whose light, cut where there is no room for all of its title."""
+    """Draw the title of the lens, truncated to the width of the figure, and the wavelength."""
     light = f"; light of {lens.wavelengths_um[0]:.4g} µm"
     title = lens_name(lens, figure.get_figwidth() - text_inches(light, TITLE_POINTS)[0]) + light
     y = 1.0 - 0.5 * _MARGINS_INCHES["top"] / figure.get_figheight()
@@ -327,9 +332,9 @@ def _draw_title(figure: Figure, lens: Lens) -> None:
 
 
 def _draw_scale_bar(axes: Axes, frame: _Frame) -> None:
-    asked = 1.4 * frame.scale
-    exponent = 10.0 ** math.floor(math.log10(asked))
-    bar = max(s * exponent for s in (1.0, 2.0, 5.0) if s * exponent <= asked)
+    desired = 1.4 * frame.scale
+    exponent = 10.0 ** math.floor(math.log10(desired))
+    bar = max(s * exponent for s in (1.0, 2.0, 5.0) if s * exponent <= desired)
     left, y = frame.left + 0.15 * frame.scale, axes.get_ylim()[0] + 0.1 * frame.scale
     axes.plot([left, left + bar], [y, y], color=_INK, lw=THICK, solid_capstyle="butt")
     axes.annotate(

@@ -1,7 +1,7 @@
-"""The lens in 3D as one page for a browser, which needs nothing beside itself.
+"""The lens in 3D as a self-contained page for a browser.
 
-The page draws with WebGL 2 by a small script of its own: lines of constant width, glass that darkens at its
-rim, and a parallel projection, in which a scale bar holds.
+The page draws with WebGL 2 by a small script: lines of constant width, glass that darkens at its rim, and a
+parallel projection, in which a scale bar is valid everywhere.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lensdesign.analysis.check import check_design
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.scene import SHARP_DEG, ScenePart, scene_parts
-from lensdesign.plots.scene3d import VIEW_CHORD_SHARE
+from lensdesign.plots.scene3d import VIEW_CHORD_FRACTION
 
 EDGE_COLORS = {"glass": "#4A7FA5", "plane": "#404040"}
 """Colours of the edges of bodies."""
@@ -30,14 +30,14 @@ EDGE_COLORS = {"glass": "#4A7FA5", "plane": "#404040"}
 
 @dataclass(frozen=True)
 class PageSummary:
-    """What a page holds.
+    """Contents of a page.
 
     Attributes
     ----------
     bodies, rays, triangles
-        Numbers of glass elements, rays, and triangles in all.
+        Number of glass elements, of rays, and of all triangles.
     bytes
-        Size of the file.
+        Size of the file in bytes.
     """
 
     bodies: int
@@ -46,29 +46,35 @@ class PageSummary:
     bytes: int
 
     def as_dict(self) -> dict[str, int]:
-        """For JSON."""
+        """Return the summary as a dictionary for JSON."""
         return asdict(self)
 
 
 def write_view(lens: Lens, path: str | os.PathLike[str]) -> PageSummary:
-    """Write a page that shows the lens in a browser, turns it, and loads nothing from anywhere.
+    """Write a self-contained HTML page that shows the lens in 3D and rotates it.
 
     Parameters
     ----------
     lens
-        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
+        A lens whose elements close. Surfaces without a semi-diameter have the size of their footprint.
     path
         File to write, with the suffix .html.
+
+    Returns
+    -------
+    PageSummary
+        Contents and size of the page.
 
     Raises
     ------
     InputError
-        If the suffix is another, an element does not close, no light passes, or the file cannot be written.
+        If the suffix is not .html, an element does not close, no light passes, or the file cannot be
+        written.
     """
     if Path(path).suffix.lower() != ".html":
-        raise InputError(f"cannot write {path}: a view is written as .html alone")
+        raise InputError(f"cannot write {path}: the name of a view must end in .html")
     chord_error_um = (
-        1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm * max(1.0, 0.5 * len(lens.glass_fronts))
+        1e3 * VIEW_CHORD_FRACTION * lens.stop_semi_diameter_mm * max(1.0, 0.5 * len(lens.glass_fronts))
     )
     parts = scene_parts(lens, chord_error_um)
     data = _page(lens, parts, chord_error_um).encode()
@@ -103,7 +109,7 @@ def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_um: float) -> str:
 
 
 def _packed(part: ScenePart) -> dict[str, Any]:
-    """A part as the page takes it: floats and whole numbers of 32 bits, little endian, in base 64."""
+    """Return a part for the page's script: 32-bit floats and integers, little endian, in base 64."""
     return {
         "kind": part.kind,
         "label": part.label,
@@ -118,14 +124,14 @@ def _packed(part: ScenePart) -> dict[str, Any]:
     }
 
 
-def _base64(numbers: ArrayLike, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(numbers, kind).tobytes()).decode("ascii")
+def _base64(values: ArrayLike, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode("ascii")
 
 
 def _figures(lens: Lens) -> list[tuple[str, str, bool]]:
-    """Name, value and whether it misses its limit, of what a reader asks first."""
+    """Return name, value, and whether a limit is violated, of the main figures of the lens."""
     report, sensor = check_design(lens), lens.sensor
-    (across, down), (width, height) = sensor.pixels, sensor.size_mm
+    (columns, rows), (width, height) = sensor.pixels, sensor.size_mm
     beyond = any(not c.met for c in report.constraints if "(Eq. 2)" in c.name)
     light = ", ".join(f"{1e3 * w:.5g}" for w in lens.wavelengths_um)
     return [
@@ -135,6 +141,6 @@ def _figures(lens: Lens) -> list[tuple[str, str, bool]]:
         ("resolution", f"{report.resolution_um:.3g} µm", False),
         ("working distance", f"{lens.object.working_distance_mm:g} mm", False),
         ("spread", f"{report.max_spread_deg:.3f}° (limit {report.spread_limit_deg:.3f}°)", beyond),
-        ("sensor", f"{across} × {down} pixels of {sensor.pixel_pitch_um:g} µm", False),
+        ("sensor", f"{columns} × {rows} pixels of {sensor.pixel_pitch_um:g} µm", False),
         ("", f"{width:.4g} × {height:.4g} mm", False),
     ]

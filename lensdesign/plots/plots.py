@@ -1,6 +1,6 @@
 """Pictures of a lens: layout, spot diagrams, arrival angles (Figs. 2b to 2d), and all of them as files.
 
-Figures are built with matplotlib's object-oriented interface alone: no pyplot, no global settings.
+Figures use only matplotlib's object-oriented interface: no pyplot, no global settings.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.saving import save_figure
 from lensdesign.plots.scene3d import RenderingError, render_lens
 from lensdesign.raytrace.bundles import launch, pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
 from lensdesign.raytrace.rays import trace
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 PICTURE_FORMATS = ("png", "svg")
 DOTS_PER_INCH = 200
-SENSOR_SHARES = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
-"""Points of Fig. 2d, as shares of half of the sensor's shorter side."""
+SENSOR_FRACTIONS = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
+"""Points of Fig. 2d, as fractions of half of the sensor's shorter side."""
 
 _WITHIN = "#7A8793"
 
@@ -45,20 +45,21 @@ def draw_all(
     lens: Lens,
     folder: str | os.PathLike[str],
     formats: Sequence[str] = ("png",),
-    report: Callable[[str], None] = warnings.warn,
+    warn: Callable[[str], None] = warnings.warn,
 ) -> list[Path]:
     """Write every picture of a lens: layout, spots, incidence, spread, measured figures, and a 3D view.
 
     Parameters
     ----------
     lens
-        Any lens.
+        The lens.
     folder
-        Where the files go; made if needed.
+        Folder of the files; created if necessary.
     formats
-        "png", "svg" or both; the 3D view is always PNG.
-    report
-        Told in one sentence if the 3D view was left out, and why: no rendering here, or no closed solid.
+        "png" (default), "svg" or both; the 3D view is always PNG.
+    warn
+        Called with one sentence if the 3D view is omitted, because rendering is not available or an element
+        does not close (default: a Python warning).
 
     Returns
     -------
@@ -68,7 +69,7 @@ def draw_all(
     Raises
     ------
     InputError
-        If a format is unknown, a file cannot be written, or the lens lets no light pass.
+        If a format is unknown, a file cannot be written, or no light passes the lens.
     """
     unknown = [f for f in formats if f not in PICTURE_FORMATS]
     if unknown or not formats:
@@ -92,14 +93,14 @@ def draw_all(
     try:
         render_lens(lens, path)
     except (RenderingError, InputError) as error:
-        report(f"3D view left out: {error}")
+        warn(f"3D view left out: {error}")
     else:
         paths.append(path)
     return paths
 
 
 def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG or SVG, by suffix; the same figure gives the same file.
+    """Write a figure as PNG or SVG, by suffix; the same figure yields identical files.
 
     Text in SVG stays text, so that a journal can set it in its own font.
     """
@@ -113,14 +114,15 @@ def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -> Figure:
-    """Where the light of three field heights lands on the sensor, whose outline is drawn (Fig. 2c).
+    """Plot spot diagrams of three field heights, with the outline of the sensor (Fig. 2c).
 
     Parameters
     ----------
     lens
-        Any lens.
+        The lens.
     plane_distances_mm
-        Planes, from the exit vertex, a row for each; None takes the first and the last sensor plane.
+        Distances of planes from the exit vertex in mm, one row for each (default: the first and the last
+        sensor plane).
 
     Raises
     ------
@@ -135,8 +137,8 @@ def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
     reach = np.array([0.5 * width, 0.5 * height])
     for row, distance_mm in zip(panels, plane_distances_mm, strict=True):
-        for axes, share, color in zip(row, FIELD_SHARES, FIELD_COLORS, strict=True):
-            reach = np.maximum(reach, _draw_spot(axes, lens, share, color, distance_mm))
+        for axes, fraction, color in zip(row, FIELD_FRACTIONS, FIELD_COLORS, strict=True):
+            reach = np.maximum(reach, _draw_spot(axes, lens, fraction, color, distance_mm))
         row[0].set_ylabel(f"{distance_mm:g} mm behind the exit vertex\ny (mm)", fontsize=9)
     for axes in panels.ravel():
         axes.set_aspect("equal")
@@ -147,11 +149,11 @@ def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -
     return figure
 
 
-def _draw_spot(axes: Axes, lens: Lens, share: float, color: str, distance_mm: float) -> Array:
-    """Rays of a field height on a plane, about the sensor's outline; how far they reach along x and y."""
+def _draw_spot(axes: Axes, lens: Lens, fraction: float, color: str, distance_mm: float) -> Array:
+    """Draw rays of a field height on a plane and the sensor's outline; return the largest |x| and |y|."""
     from matplotlib.patches import Rectangle
 
-    wavelength_um, field_mm = lens.wavelengths_um[0], share * lens.half_field_mm
+    wavelength_um, field_mm = lens.wavelengths_um[0], fraction * lens.half_field_mm
     spot = rms_spot_diameter(lens, wavelength_um, field_mm, distance_mm)
     origins, directions = launch(lens, [(0.0, field_mm)], pupil_hexapolar(14).points, wavelength_um)
     plane_z_mm = lens.exit_vertex_z_mm + distance_mm
@@ -173,20 +175,20 @@ def incidence_figure(
     lens: Lens,
     sensor_points_mm: Sequence[tuple[float, float]] | None = None,
 ) -> Figure:
-    """Angles in which light of the whole object disc arrives at points of the sensor (Fig. 2d).
+    """Plot the angles of incidence of light from the whole object at points of the sensor (Fig. 2d).
 
     Parameters
     ----------
     lens
-        Any lens.
+        The lens.
     sensor_points_mm
-        x and y of the points, in the first sensor plane; None takes four along y, in the paper's proportions
-        to the sensor.
+        x and y of points in the first sensor plane in mm (default: four points along y, in the paper's
+        proportions to the sensor).
     """
     plane_distance_mm = lens.sensor.plane_distances_mm[0]
     if sensor_points_mm is None:
         half_mm = 0.5 * min(lens.sensor.size_mm)
-        sensor_points_mm = [(0.0, float(f"{half_mm * share:.3g}")) for share in SENSOR_SHARES]
+        sensor_points_mm = [(0.0, float(f"{half_mm * fraction:.3g}")) for fraction in SENSOR_FRACTIONS]
     wavelength_um = lens.wavelengths_um[0]
     limit_sine = spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um)
     arrivals = [arrival_angles(lens, p, plane_distance_mm, wavelength_um) for p in sensor_points_mm]
@@ -235,7 +237,7 @@ def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> Non
     x, y = arrival.sensor_point_mm
     note = "no light arrives"
     if np.any(arrival.ok):
-        note = f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.share:.0f} % of the field"
+        note = f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.fraction:.0f} % of the field"
     axes.set_title(f"({x:g}, {y:g}) mm\n{note}", fontsize=9)
 
 

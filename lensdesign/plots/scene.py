@@ -1,6 +1,6 @@
-"""What stands in a picture of the whole system: glass, stop, object, sensor planes, rays.
+"""Scene of the whole system: glass, stop, object, sensor planes and rays.
 
-The one description that the rendered view, the window, the page for browsers and the GLB scene all show.
+The rendered view, the window, the page for browsers and the GLB file all show this scene.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lensdesign.lens.solid import closed_elements
 from lensdesign.manufacture.mesh.mesh import lens_mesh
 from lensdesign.manufacture.mesh.rings import circle
 from lensdesign.raytrace.bundles import pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths, sized_lens
 
 if TYPE_CHECKING:
     import trimesh
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 Faces = NDArray[np.int64]
 
 PUPIL_RINGS = 2
-"""Rings of stop points from which each field's rays come."""
+"""Number of rings of stop points that the rays of each field pass."""
 
 SHARP_DEG = 15.0
-"""Where the faces of a body meet at a larger angle than this, there is an edge to draw."""
+"""Angle between faces of a body in degrees above which their common edge is drawn."""
 
-_RIM_SHARE = 0.012
-"""Radius of the ring's wire that stands for the stop, as a share of the stop's semi-diameter."""
+_STOP_WIRE_FRACTION = 0.012
+"""Wire radius of the ring that represents the stop, as a fraction of the stop's semi-diameter."""
 
 _NO_VERTICES, _NO_FACES = np.empty((0, 3)), np.empty((0, 3), np.int64)
 _NO_LINES = np.empty((0, 2, 3))
@@ -42,24 +42,24 @@ _NO_LINES = np.empty((0, 2, 3))
 
 @dataclass(frozen=True)
 class ScenePart:
-    """One thing in the scene.
+    """One object of the scene.
 
     Attributes
     ----------
     name
-        Such as ``element_1_N-BK7`` or ``sensor_plane_2``.
+        Identifier, such as ``element_1_N-BK7`` or ``sensor_plane_2``.
     kind
         ``glass``, ``stop``, ``object``, ``plane`` or ``rays``.
     label
-        Name for readers.
+        Label for the reader.
     color, opacity
-        Of its faces, and of lines whose kind has no edge colour of its own.
+        Colour and opacity of the faces, and of lines whose kind has no edge colour.
     vertices, faces
-        Triangles, in mm; none for rays.
+        Triangles, in mm; empty for rays.
     lines
         Polylines in mm, shape (lines, points, 3): rays, or the edges of a body.
     glass
-        Name of the material; empty for all but glass.
+        Name of the material; empty for other kinds than glass.
     """
 
     name: str
@@ -74,20 +74,20 @@ class ScenePart:
 
     @property
     def label_below(self) -> bool:
-        """Whether the label stands below the part rather than above it."""
+        """Whether the label is placed below the object instead of above it."""
         return self.kind in ("glass", "object")
 
 
 def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
-    """Glass, stop, object, sensor planes and rays of three fields, in this order.
+    """Return glass, stop, object, sensor planes and rays of three fields, in this order.
 
     Parameters
     ----------
     lens
-        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint. Its
+        A lens whose elements close. Surfaces without a semi-diameter have the size of their footprint. The
         glass has the outline of :func:`lensdesign.analysis.outline.drawn_outline`.
     chord_error_um
-        Of the glass, as :func:`lensdesign.manufacture.mesh.mesh.lens_mesh` takes it.
+        Chord error of the glass in um; see :func:`lensdesign.manufacture.mesh.mesh.lens_mesh`.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
     return [
         *_glass(drawn_outline(lens).lens, chord_error_um),
         _stop(lens),
-        _object(lens),
+        _object_disc(lens),
         *_planes(lens),
         *_rays(lens),
     ]
@@ -106,12 +106,12 @@ def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
 
 def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
     for element in closed_elements(lens):
-        glass, number = str(lens.surfaces[element.surfaces[0]].material), element.number + 1
-        mesh = lens_mesh(lens, chord_error_um, element.number).mesh
+        glass, index = str(lens.surfaces[element.surfaces[0]].material), element.index + 1
+        mesh = lens_mesh(lens, chord_error_um, element.index).mesh
         yield ScenePart(
-            f"element_{number}_{glass}",
+            f"element_{index}_{glass}",
             "glass",
-            f"element {number}: {glass}",
+            f"element {index}: {glass}",
             "#A9D3EE",
             0.4,
             mesh.vertices,
@@ -127,25 +127,25 @@ def _sharp_edges(mesh: trimesh.Trimesh) -> Array:
 
 
 def _stop(lens: Lens) -> ScenePart:
-    """A torus round the rim of the stop surface."""
+    """Return a torus around the rim of the stop surface."""
     import trimesh
 
     semi = lens.stop_semi_diameter_mm
     z = float(lens.vertex_z_mm[lens.stop_index] + lens.surfaces[lens.stop_index].sag_mm(semi))
-    wire = _RIM_SHARE * semi
+    wire = _STOP_WIRE_FRACTION * semi
     torus = trimesh.creation.torus(semi + wire, wire, major_sections=96, minor_sections=12)
     vertices = torus.vertices + np.array([0.0, 0.0, z])
     label = f"stop Ø {2.0 * semi:.4g} mm"
     return ScenePart("stop_ring", "stop", label, "#333333", 1.0, vertices, torus.faces, _NO_LINES)
 
 
-def _object(lens: Lens) -> ScenePart:
+def _object_disc(lens: Lens) -> ScenePart:
     count, radius, z = 96, lens.half_field_mm, lens.object_z_mm
     x, y = radius * circle(count)
     vertices = np.concatenate([[[0.0, 0.0, z]], np.stack([x, y, np.full(count, z)], axis=-1)])
-    here = 1 + np.arange(count)
-    faces = np.stack([np.zeros_like(here), here, np.roll(here, -1)], axis=-1)
-    rim = vertices[[*here.tolist(), 1]][None]
+    corners = 1 + np.arange(count)
+    faces = np.stack([np.zeros_like(corners), corners, np.roll(corners, -1)], axis=-1)
+    rim = vertices[[*corners.tolist(), 1]][None]
     label = f"object Ø {lens.object.field_diameter_mm:g} mm"
     return ScenePart("object_disc", "object", label, "#E6B800", 1.0, vertices, faces, rim)
 
@@ -154,19 +154,19 @@ def _planes(lens: Lens) -> Iterator[ScenePart]:
     half_x, half_y = (0.5 * side for side in lens.sensor.size_mm)
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     pairs = zip(lens.sensor_z_mm, lens.sensor.plane_distances_mm, strict=True)
-    for number, (z, distance) in enumerate(pairs, start=1):
+    for index, (z, distance) in enumerate(pairs, start=1):
         corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
         vertices = np.array([(x, y, z) for x, y in corners])
         border = vertices[[[0, 1, 2, 3, 0]]]
-        label = f"H{number} = {distance:g} mm"
-        name = f"sensor_plane_{number}"
+        label = f"H{index} = {distance:g} mm"
+        name = f"sensor_plane_{index}"
         yield ScenePart(name, "plane", label, "#707070", 0.25, vertices, faces, border)
 
 
 def _rays(lens: Lens) -> Iterator[ScenePart]:
     pupil = pupil_hexapolar(PUPIL_RINGS).points
-    for share, color in zip(FIELD_SHARES, FIELD_COLORS, strict=True):
-        height = share * lens.half_field_mm
+    for fraction, color in zip(FIELD_FRACTIONS, FIELD_COLORS, strict=True):
+        height = fraction * lens.half_field_mm
         paths = ray_paths(lens, (0.0, height), pupil)
         name, label = f"rays_{height:g}_mm", f"field height {height:.3g} mm"
         yield ScenePart(name, "rays", label, color, 1.0, _NO_VERTICES, _NO_FACES, paths)

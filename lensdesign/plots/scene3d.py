@@ -1,7 +1,7 @@
-"""The lens with its rays, object and sensor planes in 3D: as a picture, and in a window that turns.
+"""The lens with its rays, object and sensor planes in 3D: as a picture, and in an interactive window.
 
-Off-screen rendering needs OpenGL libraries, and a window a display; where they are missing, the library that
-renders brings the whole process down. So a child process renders first, or opens the window.
+Off-screen rendering needs OpenGL libraries, and a window needs a display. Without them, VTK terminates the
+whole process; therefore a child process tests rendering first, or opens the window.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ raise SystemExit(0 if image.std() > 1.0 else 1)
 """
 PROBE_SECONDS = 60.0
 
-VIEW_CHORD_SHARE = 2e-4
-"""Chord error of the glass in pictures, as a share of the stop's semi-diameter."""
+VIEW_CHORD_FRACTION = 2e-4
+"""Chord error of the glass in pictures, as a fraction of the stop's semi-diameter."""
 
 GLASS_OPACITY = 0.3
 
 
 class RenderingError(TransferLensError):
-    """No 3D view can be rendered on this machine."""
+    """Raised if no 3D view can be rendered on this machine."""
 
 
 @cache
 def rendering_available() -> bool:
-    """Whether this machine renders off-screen: a child process draws a cube, once per process."""
+    """Return whether this machine can render off-screen; tested once per process in a child process."""
     try:
         child = subprocess.run(
             [sys.executable, "-c", PROBE], timeout=PROBE_SECONDS, capture_output=True, check=False
@@ -60,16 +60,16 @@ def rendering_available() -> bool:
 def render_lens(
     lens: Lens, path: str | os.PathLike[str], window_size_px: tuple[int, int] = (1800, 1200)
 ) -> None:
-    """Render the translucent lens with rays of three fields, object disc and sensor planes, as PNG.
+    """Render the translucent lens with rays of three fields, object disc and sensor planes to a PNG file.
 
     Parameters
     ----------
     lens
-        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
+        A lens whose elements close. Surfaces without a semi-diameter have the size of their footprint.
     path
         PNG file to write.
     window_size_px
-        Width and height of the picture.
+        Width and height of the picture in pixels (default: 1800 x 1200).
 
     Raises
     ------
@@ -78,7 +78,7 @@ def render_lens(
     InputError
         If an element does not close, or the file cannot be written.
     """
-    parts = scene_parts(lens, 1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    parts = scene_parts(lens, 1e3 * VIEW_CHORD_FRACTION * lens.stop_semi_diameter_mm)
     if not rendering_available():
         raise RenderingError("no off-screen rendering on this machine (OpenGL libraries missing?)")
     with _quiet_vtk():
@@ -86,24 +86,24 @@ def render_lens(
         try:
             with atomic_path(path) as temporary:
                 plotter.screenshot(str(temporary))
-                if not temporary.stat().st_size:  # VTK says nothing where it cannot write
+                if not temporary.stat().st_size:  # VTK does not report write errors
                     raise InputError(f"cannot write {path}: the picture is empty; is the disk full?")
         finally:
             plotter.close()
 
 
 def show_lens(lens: Lens) -> None:
-    """Open a window with what :func:`render_lens` renders, and return when it is closed.
+    """Open a window with the scene of :func:`render_lens`; return when the window is closed.
 
-    Without a display this ends the process on some machines; :func:`lensdesign.plots.window.open_window`
-    is safe.
+    Without a display this terminates the process on some machines;
+    :func:`lensdesign.plots.window.open_window` is safe.
 
     Raises
     ------
     InputError
         If an element does not close.
     """
-    parts = scene_parts(lens, 1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    parts = scene_parts(lens, 1e3 * VIEW_CHORD_FRACTION * lens.stop_semi_diameter_mm)
     plotter = _plotter(parts, (1200, 800), off_screen=False)
     plotter.add_axes(xlabel="x", ylabel="y", zlabel="z")
     plotter.show(title=lens.title or "Lens")
@@ -111,15 +111,15 @@ def show_lens(lens: Lens) -> None:
 
 @contextmanager
 def _quiet_vtk() -> Iterator[None]:
-    """VTK says on standard error that there is no X server, and then renders without one."""
+    """Suppress VTK's message on standard error that there is no X server."""
     from vtkmodules.vtkCommonCore import vtkLogger
 
-    before = vtkLogger.GetCurrentVerbosityCutoff()
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     try:
         yield
     finally:
-        vtkLogger.SetStderrVerbosity(before)
+        vtkLogger.SetStderrVerbosity(verbosity)
 
 
 def _plotter(
@@ -145,13 +145,13 @@ def _plotter(
     return plotter
 
 
-_ROOM = 1.14
-"""Of the picture, over what the scene takes: labels stand about it."""
+_MARGIN_FACTOR = 1.14
+"""Size of the picture relative to the scene; the margin holds the labels."""
 
 _LEADER = {"color": "#8A8A8A", "line_width": 2.0, "lighting": False}
 
 _LINES = {"glass": ("#4A7FA5", 4.0), "plane": ("#404040", 4.0)}
-"""Colour and width of the edges of bodies; rays have their own colour."""
+"""Colour and width of the edges of bodies; rays have individual colours."""
 
 
 def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
@@ -174,7 +174,7 @@ def _add_labels(plotter: pyvista.Plotter, labels: Sequence[PlacedLabel]) -> None
     for below in (False, True):
         plotter.add_point_labels(
             [label.end for label in labels if label.part.label_below == below],
-            # VTK would take what stands between dollar signs for mathematics.
+            # VTK would interpret text between dollar signs as mathematics.
             [label.part.label.replace("$", "") for label in labels if label.part.label_below == below],
             show_points=False,
             always_visible=True,
@@ -204,22 +204,22 @@ def _polylines(lines: NDArray[np.float64]) -> pyvista.PolyData:
 
 
 def _place_camera(plotter: pyvista.Plotter, parts: Sequence[ScenePart]) -> tuple[Array, float]:
-    """Light runs from left to right, y is up, seen from the side, the front and above; all in view.
+    """Place the camera: light travels from left to right, y is up, and the whole scene is visible.
 
-    Returns what of the scene lies to the right and up on the screen, and the size of type in mm.
+    Return the directions to the right and up on the screen, and the type size in mm.
     """
     towards = np.array([-0.80, 0.34, -0.50])
     towards /= np.linalg.norm(towards)
     right = np.cross([0.0, 1.0, 0.0], towards)
     right /= np.linalg.norm(right)
     up = np.cross(towards, right)
-    points = [at.reshape(-1, 3) for part in parts for at in (part.vertices, part.lines)]
-    across = np.concatenate(points) @ np.stack([right, up, towards], axis=-1)
-    middle, half = 0.5 * (across.max(axis=0) + across.min(axis=0)), 0.5 * np.ptp(across, axis=0)
+    points = [xyz.reshape(-1, 3) for part in parts for xyz in (part.vertices, part.lines)]
+    screen = np.concatenate(points) @ np.stack([right, up, towards], axis=-1)
+    middle, half = 0.5 * (screen.max(axis=0) + screen.min(axis=0)), 0.5 * np.ptp(screen, axis=0)
     focus = middle @ np.stack([right, up, towards])
     plotter.enable_parallel_projection()
     plotter.camera_position = [focus + 4.0 * np.linalg.norm(half) * towards, focus, up]
     width, height = plotter.window_size
-    plotter.camera.parallel_scale = _ROOM * max(half[1], half[0] * height / width)
+    plotter.camera.parallel_scale = _MARGIN_FACTOR * max(half[1], half[0] * height / width)
     plotter.reset_camera_clipping_range()
     return np.stack([right, up]), 2.0 * plotter.camera.parallel_scale / height * _type_pixels(plotter)

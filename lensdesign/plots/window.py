@@ -1,4 +1,4 @@
-"""A window that shows the lens in 3D, opened by a child process: what kills it leaves its parent alive."""
+"""Window that shows the lens in 3D, in a child process, whose crash does not affect the parent."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ with files_from(sys.argv[2]):
     show_lens(load_design(sys.argv[1]))
 os._exit(0)  # some drivers crash when they are unloaded
 """
-"""VTK falls back to drawing unseen where the display does not answer, and waits for ever: so ask first."""
+"""Script of the child. It tests the display first: without one, VTK renders invisibly and never returns."""
 
 
 def open_window(design: str | os.PathLike[str]) -> None:
-    """Show a design in a window, and return when it is closed.
+    """Show a design in a window; return when the window is closed.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ def open_window(design: str | os.PathLike[str]) -> None:
         If there is no display, or no window can be opened on it.
     """
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise InputError(_refusal("there is no display"))
+        raise InputError(_message("there is no display"))
     path = Path(design).resolve()
     command = [sys.executable, "-P", "-c", CHILD, str(path), str(allowed_folder() or path.parent)]
     child = subprocess.run(command, check=False, capture_output=True, text=True)
     if child.returncode == NO_DISPLAY_STATUS:
-        raise InputError(_refusal("the display does not answer"))
+        raise InputError(_message("the display does not answer"))
     if child.returncode != 0:
-        said = child.stderr.strip().splitlines()
-        raise InputError(_refusal(f"the window could not be opened ({said[-1] if said else 'it crashed'})"))
+        lines = child.stderr.strip().splitlines()
+        raise InputError(_message(f"the window could not be opened ({lines[-1] if lines else 'it crashed'})"))
 
 
-def _refusal(reason: str) -> str:
+def _message(reason: str) -> str:
     return f"{reason}; write a page for a browser instead with -o view.html"

@@ -1,4 +1,4 @@
-"""Where rays go: the compiled lens, bundles, the trace, its derivatives and its extremes."""
+"""Sequential ray tracing: the compiled lens, bundles, traces, their derivatives and extreme rays."""
 
 import lazy_loader
 

@@ -1,8 +1,7 @@
 """Ray bundles: from field points through the aperture stop.
 
-Bundles are launched at the stop surface itself: a ray is named by its field point and by the point on
-the stop through which it goes. No entrance pupil stands in between, so a perturbed lens is filled as
-its own stop demands.
+Bundles are aimed at the stop surface itself: a ray is identified by its field point and by its point on the
+stop. No entrance pupil is assumed, so the stop of a perturbed lens is filled correctly.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from lensdesign.raytrace.rays import trace_compiled
 
 @dataclass(frozen=True)
 class PupilSamples:
-    """Points on the stop, as shares of its semi-diameter, with quadrature weights.
+    """Points on the stop, relative to its semi-diameter, with quadrature weights.
 
     Attributes
     ----------
     points : ndarray, shape (n, 2)
-        x and y within the unit disc.
+        x and y inside the unit disc.
     weights : ndarray, shape (n,)
-        Sum to 1; means over an evenly filled stop are ``sum(weights * values)``.
+        Quadrature weights with the sum 1. The mean over a uniformly filled stop is ``sum(weights * values)``.
     """
 
     points: Array
@@ -38,14 +37,19 @@ class PupilSamples:
 
 
 def pupil_rings(rings: int = 6, arms: int = 24, edge: bool = False) -> PupilSamples:
-    """Rings for exact means over the evenly filled stop (Gauss-Legendre in r^2, Forbes 1988).
+    """Return rings for means over a uniformly filled stop (Gauss-Legendre in r^2).
 
     Parameters
     ----------
     rings, arms
-        Number of rings, and of points on each.
+        Number of rings, and number of points on each ring.
     edge
-        Add a last ring on the rim, of weight 0, for largest and smallest values.
+        Whether to add a ring on the rim with weight 0, for largest and smallest values.
+
+    References
+    ----------
+    G. W. Forbes, "Optical system assessment for design: numerical ray tracing in the Gaussian pupil",
+    J. Opt. Soc. Am. A 5, 1943 (1988).
     """
     nodes, weights = np.polynomial.legendre.leggauss(rings)
     radii = np.sqrt(0.5 * (nodes + 1.0))
@@ -58,13 +62,24 @@ def pupil_rings(rings: int = 6, arms: int = 24, edge: bool = False) -> PupilSamp
 
 
 def pupil_fan(rays: int) -> PupilSamples:
-    """A meridional fan along y, rim to rim."""
+    """Return a meridional fan along y, from rim to rim."""
     y = np.linspace(-1.0, 1.0, rays)
     return PupilSamples(np.stack([np.zeros(rays), y], axis=-1), np.full(rays, 1.0 / rays))
 
 
 def pupil_hexapolar(rings: int = 6) -> PupilSamples:
-    """The centre and rings of 6, 12, 18, ... points: an even filling, as spot diagrams use."""
+    """Return the centre and rings of 6, 12, 18, ... points: the uniform filling of spot diagrams.
+
+    Parameters
+    ----------
+    rings
+        Number of rings around the centre.
+
+    Examples
+    --------
+    >>> pupil_hexapolar(2).points.shape
+    (19, 2)
+    """
     points = [np.zeros((1, 2))]
     for ring in range(1, rings + 1):
         angle = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
@@ -81,23 +96,46 @@ def launch(
     pose: Pose = Pose(),
     surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
 ) -> tuple[Array, Array]:
-    """Rays from object points through points of the stop.
+    """Return rays from object points through points of the stop.
 
     Parameters
     ----------
     lens
         The nominal lens.
     field_points_mm
-        Object points, shape (fields, 2): x and y on the object plane.
+        x and y of object points on the object plane, shape (fields, 2).
     pupil_points
-        Points on the stop as shares of its semi-diameter, shape (points, 2).
-    wavelength_um, pose, surface_perturbations
-        As in :func:`lensdesign.raytrace.rays.trace`; the stop moves with its surface.
+        Points on the stop relative to its semi-diameter, shape (points, 2).
+    wavelength_um
+        Vacuum wavelength.
+    pose
+        Pose of the whole lens (default: nominal).
+    surface_perturbations
+        Perturbations of single surfaces by index from 0 (default: none). The stop moves with its surface.
 
     Returns
     -------
     origins, directions : ndarray, shape (fields * points, 3) or (trials, fields * points, 3)
-        Field by field. A ray that cannot reach its stop point is aimed as closely as it goes.
+        Origins in mm and direction cosines, field by field. A ray that cannot reach its stop point is aimed
+        as closely as possible.
+
+    Raises
+    ------
+    InputError
+        If points are not finite or not of shape (n, 2), or a perturbation is not valid.
+
+    Examples
+    --------
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(Surface(semi_diameter_mm=4.0),),
+    ... )
+    >>> origins, directions = launch(lens, [(0.0, 1.0)], [(0.0, 0.0), (0.0, 1.0)], 0.55)
+    >>> origins.shape, [round(float(y), 4) for y in directions[:, 1]]
+    ((2, 3), [-0.0499, 0.1483])
     """
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     return launch_compiled(
@@ -113,7 +151,7 @@ def launch_compiled(
     stop_index: int,
     stop_semi_diameter_mm: float,
 ) -> tuple[Array, Array]:
-    """As :func:`launch`, for a system that was compiled before."""
+    """Return the rays of :func:`launch` for a compiled system: every field point with every stop point."""
     fields, pupil = _points(field_points_mm, "field_points_mm"), _points(pupil_points, "pupil_points")
     return launch_pairs(
         system,
@@ -133,14 +171,14 @@ def launch_pairs(
     stop_index: int,
     stop_semi_diameter_mm: float,
 ) -> tuple[Array, Array]:
-    """As :func:`launch_compiled`, one ray from each field point through the stop point beside it."""
+    """Return rays for a compiled system, one from each field point through the stop point of equal index."""
     origins = np.empty((len(field_points_mm), 3))
     origins[:, :2] = field_points_mm
     origins[:, 2] = object_z_mm
     xy = stop_semi_diameter_mm * pupil_points
     targets = _stop_points(system, stop_index, xy)
     directions = targets - origins
-    dx, dy, dz = np.moveaxis(directions, -1, 0)  # a sum over an axis of three takes four times as long
+    dx, dy, dz = np.moveaxis(directions, -1, 0)  # np.sum over an axis of length 3 is slow
     directions /= np.sqrt(dx * dx + dy * dy + dz * dz)[..., None]
     if stop_index > 0:
         directions = _aim(system, stop_index, origins, directions, xy)
@@ -150,12 +188,12 @@ def launch_pairs(
 def _points(values: ArrayLike, name: str) -> Array:
     array = np.atleast_2d(np.asarray(values, float))
     if array.ndim != 2 or array.shape[1] != 2 or not np.all(np.isfinite(array)):
-        raise InputError(f"{name} has shape {array.shape}: must be finite and of shape (n, 2)")
+        raise InputError(f"{name} has shape {array.shape}: must be finite values of shape (n, 2)")
     return array
 
 
 def _stop_points(system: CompiledSystem, stop: int, xy: Array) -> Array:
-    """Points of the stop surface in the fixed frame, shape (trials or 1, n, 3)."""
+    """Return points of the stop surface in the fixed frame, shape (trials or 1, n, 3)."""
     sag = np.atleast_2d(system.shapes[stop].sag(xy[:, 0], xy[:, 1]))
     for figure in system.figures[stop]:
         sag = sag + figure.sag(xy[:, 0], xy[:, 1])
@@ -168,39 +206,39 @@ def _stop_points(system: CompiledSystem, stop: int, xy: Array) -> Array:
 
 
 def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, xy: Array) -> Array:
-    """Turn rays by Newton's method until they go through given points of an inner stop."""
-    part = slice(0, stop + 1)
+    """Correct directions by Newton's method until the rays hit the given points of an inner stop."""
+    until_stop = slice(0, stop + 1)
     front = replace(
         system,
-        rotation=np.ascontiguousarray(system.rotation[:, part]),
-        vertex=np.ascontiguousarray(system.vertex[:, part]),
-        shapes=system.shapes[part],
+        rotation=np.ascontiguousarray(system.rotation[:, until_stop]),
+        vertex=np.ascontiguousarray(system.vertex[:, until_stop]),
+        shapes=system.shapes[until_stop],
         index=np.ascontiguousarray(system.index[:, : stop + 2]),
-        semi_diameter=system.semi_diameter[part],
-        tilted=system.tilted[part],
-        figures=system.figures[part],
+        semi_diameter=system.semi_diameter[until_stop],
+        tilted=system.tilted[until_stop],
+        figures=system.figures[until_stop],
     )
     trials = 1 if system.trials is None else system.trials
     cosines = np.array(np.broadcast_to(directions, (trials, *directions.shape[1:]))[..., :2])
 
-    def miss(cosines: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def residual(cosines: Array) -> tuple[Array, NDArray[np.bool_]]:
         rays = trace_compiled(front, origins, _unit(cosines), clip=False)
         position = rays.position.reshape(trials, -1, 3)
         local = (position - system.vertex[:, None, stop]) @ system.rotation[:, stop]
         return local[..., :2] - xy, rays.ok.reshape(trials, -1)
 
     step = 1e-6
-    error, ok = miss(cosines)
+    error, ok = residual(cosines)
     for _ in range(12):
         if not np.any(ok & (np.linalg.norm(error, axis=-1) > 1e-11)):
             break
-        columns = [(miss(cosines + step * axis)[0] - error) / step for axis in np.eye(2)]
+        columns = [(residual(cosines + step * axis)[0] - error) / step for axis in np.eye(2)]
         jacobian = np.stack(columns, axis=-1)
         usable = ok & (np.abs(np.linalg.det(jacobian)) > 1e-9)
         jacobian[~usable] = np.eye(2)
         change = np.linalg.solve(jacobian, error[..., None])[..., 0] * usable[..., None]
         trial = np.clip(cosines - change, -0.99, 0.99)
-        trial_error, trial_ok = miss(trial)
+        trial_error, trial_ok = residual(trial)
         better = usable & trial_ok & (np.linalg.norm(trial_error, axis=-1) < np.linalg.norm(error, axis=-1))
         if not np.any(better):
             break
@@ -212,5 +250,5 @@ def _unit(cosines: Array) -> Array:
     square = np.sum(cosines * cosines, axis=-1, keepdims=True)
     scale = np.where(square < 0.999, 1.0, np.sqrt(0.999 / np.maximum(square, 1e-300)))
     cosines = cosines * scale
-    rest = np.sqrt(1.0 - np.sum(cosines * cosines, axis=-1, keepdims=True))
-    return np.ascontiguousarray(np.concatenate([cosines, rest], axis=-1))
+    along_z = np.sqrt(1.0 - np.sum(cosines * cosines, axis=-1, keepdims=True))
+    return np.ascontiguousarray(np.concatenate([cosines, along_z], axis=-1))

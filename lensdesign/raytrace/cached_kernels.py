@@ -1,10 +1,10 @@
-"""Compiled kernels are kept from process to process: only while what they were compiled from is the same.
+"""Cache of compiled kernels between processes, valid only while their sources stay the same.
 
-Numba keeps a kernel by the date of the module in which it stands, and does not see that a function which the
-kernel takes from another module has changed. One with an old formula would give wrong numbers in silence.
+Numba checks only the date of the module that contains a kernel. It does not notice that a function which the
+kernel uses from another module has changed, so that an outdated kernel would silently give wrong numbers.
 
-Where nothing can be written beside the modules or in a home, as for a service, they are kept in a temporary
-folder of the user's own.
+If neither the folders of the modules nor the home folder can be written, as for a service, the kernels are
+cached in a temporary folder that only this user can write.
 """
 
 from __future__ import annotations
@@ -28,80 +28,87 @@ from lensdesign.errors import InputError, atomic_path
 
 
 class KernelCacheWarning(UserWarning):
-    """Compiled kernels are kept elsewhere than Numba would, or not at all."""
+    """Warn that compiled kernels are cached in an unusual folder, or not at all."""
 
 
 def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Numba's `njit`, whose kernels are kept from process to process where that can be."""
+    """Return Numba's `njit` with a cache between processes where one can be written.
+
+    Parameters
+    ----------
+    **options
+        Options of `numba.njit`.
+    """
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
             return numba.njit(cache=True, **options)(function)
-        except RuntimeError:  # no place that Numba knows can be written
-            place = _own_place()
-        if place is None:
+        except RuntimeError:  # none of Numba's cache folders can be written
+            folder = _private_folder()
+        if folder is None:
             return numba.njit(**options)(function)
-        numba.config.CACHE_DIR = place
+        numba.config.CACHE_DIR = folder
         return numba.njit(cache=True, **options)(function)
 
     return compiled
 
 
 @cache
-def _own_place() -> str | None:
-    """A temporary folder that nobody else can write to, for child processes too; None without one."""
-    place = (
+def _private_folder() -> str | None:
+    """Return a temporary folder that only this user can write, or None; child processes use it too."""
+    folder = (
         Path(tempfile.gettempdir()) / f"transferlens-kernels-{os.getuid() if hasattr(os, 'getuid') else 0}"
     )
     with suppress(OSError):
-        place.mkdir(mode=0o700, exist_ok=True)
-    private = _is_private(place)
-    told = f"are kept in {place}" if private else "are not kept: every process compiles its own"
+        folder.mkdir(mode=0o700, exist_ok=True)
+    private = _is_private(folder)
+    outcome = f"are cached in {folder}" if private else "are not cached: every process compiles its own"
     if parent_process() is None:
         warnings.warn(
-            f"compiled kernels {told}; no other place can be written, unless NUMBA_CACHE_DIR names one",
+            f"compiled kernels {outcome}; the usual folders cannot be written; set NUMBA_CACHE_DIR to a "
+            "folder that can",
             KernelCacheWarning,
             stacklevel=4,
         )
     if not private:
         return None
-    os.environ["NUMBA_CACHE_DIR"] = str(place)
-    return str(place)
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    return str(folder)
 
 
-def _is_private(place: Path) -> bool:
-    """Whether only this user can write there: whoever else can has his code run here."""
+def _is_private(folder: Path) -> bool:
+    """Return whether only this user can write a folder; other users could place code in it."""
     try:
-        found = place.lstat()
+        found = folder.lstat()
     except OSError:
         return False
     own = not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
-    return stat.S_ISDIR(found.st_mode) and own and os.access(place, os.W_OK | os.X_OK)
+    return stat.S_ISDIR(found.st_mode) and own and os.access(folder, os.W_OK | os.X_OK)
 
 
 def drop_outdated(kernel: Any, modules: Iterable[str]) -> None:
-    """Remove a module's kept kernels if they were not compiled from these sources.
+    """Remove the cached kernels of a module if they were compiled from other sources.
 
     Parameters
     ----------
     kernel
-        One of the module's compiled functions.
+        One of the compiled functions of the module.
     modules
-        Names of imported modules whose functions its kernels take, its own among them.
+        Names of the imported modules whose functions the kernels use, including their own.
     """
     stats = getattr(kernel, "stats", None)
-    if stats is None or not stats.cache_path:  # Numba is told not to compile, or to keep nothing
+    if stats is None or not stats.cache_path:  # compilation or caching is disabled
         return
     files = sorted({str(sys.modules[name].__file__) for name in modules})
     digest = sha256(b"\0".join(Path(file).read_bytes() for file in files)).hexdigest()
     folder, module = Path(stats.cache_path), kernel.__module__.rpartition(".")[2]
-    told = folder / f"{module}.sources"
-    if told.is_file() and told.read_text(encoding="utf-8") == digest:
+    record = folder / f"{module}.sources"
+    if record.is_file() and record.read_text(encoding="utf-8") == digest:
         return
-    # Into a folder that cannot be written Numba has put nothing either.
+    # A folder that cannot be written contains no cached kernels either.
     with suppress(OSError, InputError):
         folder.mkdir(parents=True, exist_ok=True)
         for index in folder.glob(f"{module}.*.nbi"):
             index.unlink(missing_ok=True)
-        with atomic_path(told) as path:
+        with atomic_path(record) as path:
             path.write_text(digest, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A lens as flat arrays for one wavelength: what the ray kernels loop over."""
+"""A lens as flat arrays for one wavelength, the input of the ray kernels."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from lensdesign.lens.surface import Surface
 class CompiledSystem:
     """Flat arrays of one lens, or of many perturbed copies of it, at one wavelength.
 
-    Every array has a leading trial axis of length `trials`, or of length 1 where all trials agree.
+    Every array has a leading trial axis of length `trials`, or of length 1 if all trials are equal.
 
     Attributes
     ----------
     trials : int or None
         Number of perturbed copies; None for a single lens (results then have no trial axis).
     rotation : ndarray, shape (trials or 1, surfaces, 3, 3)
-        From each surface's own frame to the fixed one.
+        Rotation from each surface's own frame to the fixed frame.
     vertex : ndarray, shape (trials or 1, surfaces, 3)
         Vertices in mm in the fixed frame.
     shapes : tuple of Shape, one for each surface
-        Without figures; each one for all trials, or one for each.
+        Shapes without figures, each with terms for all trials or for each trial.
     index : ndarray, shape (trials or 1, surfaces + 1)
         Refractive index before the first and behind each surface.
     semi_diameter : ndarray, shape (surfaces,)
-        Clear semi-diameters in mm; inf where a surface clips nothing.
+        Clear semi-diameters in mm; inf if a surface clips no ray.
     tilted : ndarray of bool, shape (surfaces,)
-        Whether any trial turns this surface.
+        Whether the surface is rotated in any trial.
     figures : tuple of tuple of SurfaceFigure, one for each surface
-        Sag errors that add to the surface's shape; each one for all trials, or one for each.
+        Sag errors that are added to the shape, each for all trials or for each trial.
     """
 
     trials: int | None
@@ -63,9 +63,9 @@ class CompiledSystem:
 
     @cached_property
     def packed_shapes(self) -> tuple[NDArray[np.int8], Array, Array]:
-        """Number, starting conic and terms of each shape, for the kernels.
+        """Code, starting conic and terms of each shape, for the kernels.
 
-        Of shapes (surfaces,), (trials or 1, surfaces, 2) and (trials or 1, surfaces, n).
+        Their array shapes are (surfaces,), (trials or 1, surfaces, 2) and (trials or 1, surfaces, n).
         """
         trials = max((len(s.terms) for s in self.shapes if s.terms.ndim > 1), default=1)
         terms = np.zeros((trials, self.surfaces, max(s.terms.shape[-1] for s in self.shapes)))
@@ -77,7 +77,7 @@ class CompiledSystem:
 
     @cached_property
     def for_kernel(self) -> tuple[NDArray[np.int8] | None, Array, Array, tuple[NDArray, ...] | None]:
-        """The packed shapes and figures as the ray kernel takes them: None for what no surface needs."""
+        """Packed shapes and figures for the ray kernel, with None for those that no surface needs."""
         codes, starts, terms = self.packed_shapes
         if not any(self.figures):
             return codes if np.any(codes) else None, starts, terms, None
@@ -86,29 +86,30 @@ class CompiledSystem:
 
     @property
     def rotational(self) -> bool:
-        """Whether all is one of revolution about the axis of the lens as it was designed."""
+        """Whether the system is rotationally symmetric about the axis of the nominal lens."""
         moved = np.any(self.tilted) or np.any(self.vertex[..., :2])
         return not (moved or any(self.figures)) and all(shape.ROTATIONAL for shape in self.shapes)
 
     def figure(self, surface: int) -> Figure | None:
-        """Sag error and slopes of a surface over (x, y) in its own frame, first trial; None without any."""
-        parts = [figure.trial(0) for figure in self.figures[surface]]
-        if not parts:
+        """Return a function for the sag error of a surface in its own frame, first trial; None without "
+        "one."""
+        figures = [figure.trial(0) for figure in self.figures[surface]]
+        if not figures:
             return None
 
         def total(x: Array, y: Array) -> tuple[Array, Array, Array]:
-            z, dx, dy = (sum(a) for a in zip(*(p.sag_and_slopes(x, y) for p in parts), strict=True))
+            z, dx, dy = (sum(a) for a in zip(*(f.sag_and_slopes(x, y) for f in figures), strict=True))
             return z, dx, dy
 
         return total
 
     def sag(self, surface: int, x: Array, y: Array) -> Array:
-        """Height of a surface in mm over (x, y) in its own frame, figure included, first trial."""
+        """Return the sag in mm at (x, y) in the surface's own frame, including its figure, first trial."""
         nominal = self.shapes[surface].trial(0).sag(x, y)
         return sum((figure.trial(0).sag(x, y) for figure in self.figures[surface]), nominal)
 
     def sag_and_slopes(self, surface: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """As :meth:`sag`, with the slopes along x and y."""
+        """Return the sag in mm and the slopes along x and y, as in :meth:`sag`."""
         return sag_and_slopes(self.shapes[surface].trial(0), x, y, self.figure(surface))
 
 
@@ -118,7 +119,7 @@ def compile_system(
     pose: Pose = Pose(),
     surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
 ) -> CompiledSystem:
-    """Lay a lens out as arrays.
+    """Return a lens as flat arrays for ray tracing.
 
     Parameters
     ----------
@@ -127,17 +128,18 @@ def compile_system(
     wavelength_um
         Vacuum wavelength.
     pose
-        Pose of the whole lens; its pivot is measured from the front vertex.
+        Pose of the whole lens (default: nominal); its pivot is measured from the front vertex.
     surface_perturbations
-        Deltas of single surfaces, by index from 0; they act before the pose of the whole lens.
+        Perturbations of single surfaces by index from 0 (default: none). They act before the pose of the
+        whole lens.
 
     Raises
     ------
     InputError
-        If a surface does not exist, a perturbed radius is 0, a perturbed surface ends inside its
-        aperture, trial arrays differ in length, or a measured figure cannot be read.
+        If a surface does not exist, a perturbed radius is 0 or changes sign, a perturbed surface ends inside
+        its aperture, trial arrays differ in length, or a measured figure cannot be read.
     MaterialError
-        If a glass is not known at the wavelength.
+        If the index of a glass is not known at the wavelength.
     """
     changes = dict(surface_perturbations or {})
     count = len(lens.surfaces)
@@ -161,7 +163,7 @@ def compile_system(
 
 
 def _figures(lens: Lens, i: int, change: SurfacePerturbation | None) -> tuple[SurfaceFigure, ...]:
-    """The measured figure of a surface, and that of its perturbation."""
+    """Return the measured figure of a surface and the figure of its perturbation, if any."""
     surface, added = lens.surfaces[i], None if change is None else change.figure
     if added is not None and added.semi_diameter_mm < (surface.semi_diameter_mm or 0.0):
         raise InputError(
@@ -172,7 +174,7 @@ def _figures(lens: Lens, i: int, change: SurfacePerturbation | None) -> tuple[Su
 
 
 def _deltas(changes: Mapping[int, SurfacePerturbation], name: str, count: int, offset: int = 0) -> Array:
-    """One kind of delta as an array of shape (trials or 1, count + offset)."""
+    """Return one kind of deviation of all surfaces, shape (trials or 1, count + offset)."""
     columns = {i: np.atleast_1d(np.asarray(getattr(c, name), float)) for i, c in changes.items()}
     trials = max((len(c) for c in columns.values()), default=1)
     result = np.zeros((trials, count + offset))
@@ -182,23 +184,24 @@ def _deltas(changes: Mapping[int, SurfacePerturbation], name: str, count: int, o
 
 
 def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
-    """The shape of a surface as perturbed."""
+    """Return the perturbed shape of a surface."""
     surface, nominal = lens.surfaces[i], lens.surfaces[i].shape
-    deltas = {} if change is None else change.of_shape()
+    deltas = {} if change is None else change.shape_deltas()
     if not deltas:
         return nominal
     terms = np.tile(nominal.terms, (*np.broadcast_shapes(*map(np.shape, deltas.values())), 1))
     for parameter, delta in deltas.items():
         if parameter not in surface.shape_parameters:
-            held = ", ".join(surface.shape_parameters)
+            allowed = ", ".join(surface.shape_parameters)
             raise InputError(
-                f"surface {i + 1}: {parameter} is no parameter of its shape ({nominal.NAME}); it has {held}"
+                f"surface {i + 1}: {parameter} is no parameter of its shape ({nominal.NAME}); allowed: "
+                f"{allowed}"
             )
-        place = nominal.place(term_of(parameter))
+        position = nominal.term_index(term_of(parameter))
         if parameter.startswith("radius"):
-            terms[..., place] = 1.0 / _radius(surface, i, parameter, delta)
+            terms[..., position] = 1.0 / _radius(surface, i, parameter, delta)
         else:
-            terms[..., place] += delta
+            terms[..., position] += delta
     shape = type(nominal)(terms)
     smallest = shape.edge_radius_mm
     if surface.semi_diameter_mm is not None and smallest < surface.semi_diameter_mm:
@@ -215,12 +218,15 @@ def _radius(surface: Surface, i: int, parameter: str, delta: Value) -> Array:
         raise InputError(f"surface {i + 1} is a plane: a change of its {parameter} has no meaning")
     radius = np.asarray(nominal + delta)
     if np.any(radius * nominal <= 0.0):
-        raise InputError(f"surface {i + 1}: a {parameter} delta of {-nominal:g} or past it turns it over")
+        raise InputError(
+            f"surface {i + 1}: a {parameter} delta of {-nominal:g} or beyond reverses the sign of the "
+            f"radius; use a smaller one"
+        )
     return radius
 
 
 def _frames(lens: Lens, pose: Pose, changes: Mapping[int, SurfacePerturbation]) -> tuple[Array, Array]:
-    """Rotation and vertex of every surface in the fixed frame."""
+    """Return rotation and vertex of every surface in the fixed frame."""
     count = len(lens.surfaces)
     thickness = _deltas(changes, "thickness_mm", count)
     behind = np.cumsum(thickness, axis=1) - thickness
@@ -236,8 +242,8 @@ def _frames(lens: Lens, pose: Pose, changes: Mapping[int, SurfacePerturbation]) 
     return _stack(rotations), _stack(vertices)
 
 
-def _stack(parts: list[Array]) -> Array:
-    """Stack parts of shape (trials or 1, ...) along a new second axis."""
-    trials = max(len(p) for p in parts)
-    wide = [np.broadcast_to(p, (trials, *p.shape[1:])) for p in parts]
-    return np.ascontiguousarray(np.stack(wide, axis=1))
+def _stack(arrays: list[Array]) -> Array:
+    """Return arrays of shape (trials or 1, ...) stacked along a new second axis."""
+    trials = max(len(a) for a in arrays)
+    full = [np.broadcast_to(a, (trials, *a.shape[1:])) for a in arrays]
+    return np.ascontiguousarray(np.stack(full, axis=1))

@@ -1,8 +1,9 @@
-"""Steps of the ray kernel that have a closed form: through a conic, and on to a plane.
+"""Steps of the ray kernel in closed form: refraction at a conic, and propagation to a plane.
 
-A conic takes a block of rays from one array to another as if all of them got through: in loops without
-branches, which the compiler vectorizes. It leaves margins, and counts the rays whose margin is not above 0.
-Where there are such, or rays that failed before, a second step says why and puts back what failed.
+:func:`through_conic` traces a block of rays from one array to another as if no ray failed, in loops without
+branches that the compiler vectorizes. It stores a margin for each ray and counts the rays whose margin is not
+above 0. If there are any, or rays that failed before, :func:`resolve_failures` finds the reason for each and
+restores the failed rays.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ _inline = cached_njit(nogil=True, error_model="numpy", inline="always")
 
 
 @_inline
-def _meet(x, y, z, dx, dy, dz, c, k):
-    """Distance of a ray to a conic, and the square that is negative where it misses.
+def _intersect(x, y, z, dx, dy, dz, c, k):
+    """Return the distance of a ray to a conic, and the discriminant, which is negative if the ray misses.
 
-    Its root is the product of the ray's direction and the conic's normal (-c x, -c y, 1 - (1 + k) c z).
+    The root of the discriminant is the product of the ray direction and the conic's normal
+    (-c x, -c y, 1 - (1 + k) c z).
     """
     q = 1.0 + k
     qa = c * (1.0 + k * dz * dz)
@@ -37,21 +39,22 @@ def _meet(x, y, z, dx, dy, dz, c, k):
 
 
 @_inline
-def _at(x, y, z, c, k, ratio, square):
-    """Of a point on a conic: squared distance to the axis, the normal's z and its squared length.
+def _normal(x, y, z, c, k, ratio, square):
+    """Return quantities of the normal at a point on a conic.
 
-    Last the squared product of the normal and the direction behind, negative in total reflection.
+    They are the squared distance to the axis, the normal's z, its squared length, and the squared product of
+    the normal and the refracted direction, which is negative in total reflection.
     """
-    upright = 1.0 - (1.0 + k) * c * z
+    normal_z = 1.0 - (1.0 + k) * c * z
     r2 = x * x + y * y
-    normal2 = c * c * r2 + upright * upright
-    return r2, upright, normal2, normal2 * (1.0 - ratio * ratio) + ratio * ratio * square
+    normal2 = c * c * r2 + normal_z * normal_z
+    return r2, normal_z, normal2, normal2 * (1.0 - ratio * ratio) + ratio * ratio * square
 
 
 @_jit
 def conic_distance(x, y, z, dx, dy, dz, c, k):
-    """Distance of a ray to a conic, and whether it meets it."""
-    t, square = _meet(x, y, z, dx, dy, dz, c, k)
+    """Return the distance of a ray to a conic, and whether they intersect."""
+    t, square = _intersect(x, y, z, dx, dy, dz, c, k)
     if not (square >= 0.0 and abs(t) < math.inf):
         return 0.0, False
     return t, 1.0 - (1.0 + k) * c * (z + t * dz) > 0.0
@@ -61,13 +64,13 @@ def conic_distance(x, y, z, dx, dy, dz, c, k):
 def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
     """Intersect and refract at a plane, sphere or conic with its vertex on the axis, at z0.
 
-    The first third of `work` gets the margins; returns how many are not above 0. Three short loops, since in
-    a long one the processor waits for roots and quotients.
+    The margins are stored in the first third of `work`. Returns the number of margins that are not above 0.
+    Three short loops are faster than a long one, in which the processor waits for roots and quotients.
     """
     uncertain = 0
     for i in range(count):
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
-        t, square = _meet(x, y, z, ray[L + i], ray[M + i], ray[N + i], c, k)
+        t, square = _intersect(x, y, z, ray[L + i], ray[M + i], ray[N + i], c, k)
         work[i] = square
         work[BLOCK + i] = t
         work[2 * BLOCK + i] = ratio * math.sqrt(square)
@@ -76,10 +79,10 @@ def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
         x = ray[X + i] + t * ray[L + i]
         y = ray[Y + i] + t * ray[M + i]
         z = ray[Z + i] - z0 + t * ray[N + i]
-        r2, upright, normal2, square_out = _at(x, y, z, c, k, ratio, square)
+        r2, normal_z, normal2, square_out = _normal(x, y, z, c, k, ratio, square)
         gain = (math.sqrt(square_out) - work[2 * BLOCK + i]) / normal2
         within = limit - r2
-        least = upright if upright < within else within
+        least = normal_z if normal_z < within else within
         least = least if least < square_out else square_out  # NaN, too
         uncertain += 0 if least > 0.0 else 1
         after[X + i] = x
@@ -88,7 +91,7 @@ def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
         after[OPL + i] = ray[OPL + i] + n1 * t
         work[i] = least
         work[BLOCK + i] = gain * c
-        work[2 * BLOCK + i] = gain * upright
+        work[2 * BLOCK + i] = gain * normal_z
     for i in range(count):
         after[L + i] = ratio * ray[L + i] - work[BLOCK + i] * after[X + i]
         after[M + i] = ratio * ray[M + i] - work[BLOCK + i] * after[Y + i]
@@ -97,17 +100,17 @@ def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
 
 
 @_jit
-def settle_conic(ray, after, work, state, surface, z0, c, k, ratio, limit, count):
-    """Put back what failed at a conic, or before; returns how many rays have failed."""
+def resolve_failures(ray, after, work, state, surface, z0, c, k, ratio, limit, count):
+    """Set the status of rays that failed at a conic, restore failed rays, and return their number."""
     for i in range(count):
         if state[i] != OK or work[i] > 0.0:
             continue
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        t, square = _meet(x, y, z, dx, dy, dz, c, k)
+        t, square = _intersect(x, y, z, dx, dy, dz, c, k)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
-        r2, upright, _, square_out = _at(x, y, z, c, k, ratio, square)
-        if not (square >= 0.0 and abs(t) < math.inf and upright > 0.0):
+        r2, normal_z, _, square_out = _normal(x, y, z, c, k, ratio, square)
+        if not (square >= 0.0 and abs(t) < math.inf and normal_z > 0.0):
             state[i] = MISSED
         elif r2 > limit:
             state[i] = CLIPPED
@@ -119,17 +122,17 @@ def settle_conic(ray, after, work, state, surface, z0, c, k, ratio, limit, count
         if state[i] != MISSED:
             ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + z0
             ray[OPL + i] = after[OPL + i]
-    return _put_back(ray, after, state, count)
+    return _restore_failed(ray, after, state, count)
 
 
 @_jit
-def _put_back(ray, after, state, count):
-    """Leave rays that failed as they were; returns how many there are."""
+def _restore_failed(ray, after, state, count):
+    """Restore the previous values of rays that failed, and return their number."""
     failed = 0
     for i in range(count):
         failed += 0 if state[i] == OK else 1
-    for part in range(7):
-        old, new = ray[part * BLOCK : part * BLOCK + count], after[part * BLOCK : part * BLOCK + count]
+    for q in range(7):
+        old, new = ray[q * BLOCK : q * BLOCK + count], after[q * BLOCK : q * BLOCK + count]
         for i in range(count):
             a, b = new[i], old[i]
             new[i] = a if state[i] == OK else b
@@ -137,11 +140,14 @@ def _put_back(ray, after, state, count):
 
 
 @_jit
-def to_plane(ray, state, lost, surfaces, plane_z, n, count):
-    """Take rays to a plane across the axis; returns how many have failed, of which `lost` before."""
+def to_plane(ray, state, failed, surfaces, plane_z, n, count):
+    """Propagate rays to a plane perpendicular to the axis; return 0 only if no ray has failed.
+
+    `failed` is the number of rays that failed before.
+    """
     for i in range(count):
-        lost += 0 if ray[N + i] > 0.0 else 1
-    if lost == 0:
+        failed += 0 if ray[N + i] > 0.0 else 1
+    if failed == 0:
         for i in range(count):
             t = (plane_z - ray[Z + i]) / ray[N + i]
             ray[X + i] += t * ray[L + i]
@@ -150,15 +156,15 @@ def to_plane(ray, state, lost, surfaces, plane_z, n, count):
             ray[OPL + i] += n * t
         return 0
     for i in range(count):
-        x, y, z, path, what = ray[X + i], ray[Y + i], ray[Z + i], ray[OPL + i], state[i]
-        where, dz = state[BLOCK + i], ray[N + i]
-        forward = (what == OK) & (dz > 0.0)
-        astray = (what == OK) & (not dz > 0.0)
+        x, y, z, path, status = ray[X + i], ray[Y + i], ray[Z + i], ray[OPL + i], state[i]
+        failed_surface, dz = state[BLOCK + i], ray[N + i]
+        forward = (status == OK) & (dz > 0.0)
+        backward = (status == OK) & (not dz > 0.0)
         t = (plane_z - z) / dz
         ray[X + i] = x + t * ray[L + i] if forward else x
         ray[Y + i] = y + t * ray[M + i] if forward else y
         ray[Z + i] = plane_z if forward else z
         ray[OPL + i] = path + n * t if forward else path
-        state[i] = MISSED if astray else what
-        state[BLOCK + i] = surfaces if astray else where
-    return lost
+        state[i] = MISSED if backward else status
+        state[BLOCK + i] = surfaces if backward else failed_surface
+    return failed

@@ -1,9 +1,14 @@
-"""The worst rays of a lens: the largest values of ray metrics over field and pupil, refined until they stand.
+"""Extreme rays of a lens: the largest values of ray metrics over field and pupil.
 
-A dense sampling finds where the largest values lie; a direct search then follows each of them. It polls
-random directions (every direction comes up in the end, as in mesh-adaptive direct search: Audet and Dennis,
-SIAM J. Optim. 17, 188, 2006), so that it also creeps along the edge of a vignetted pupil, and shortens its
-step whenever no direction is better. Maxima inside the pupil or the field are found as well as on the rim.
+A dense sampling locates the largest values; a direct search then refines each of them. The search polls
+random directions, as mesh-adaptive direct search does, so that it can also follow the edge of a vignetted
+pupil. It shortens its step whenever no direction is better. Maxima inside the pupil or the field are found as
+well as those on the rim.
+
+References
+----------
+C. Audet and J. E. Dennis, "Mesh adaptive direct search algorithms for constrained optimization",
+SIAM J. Optim. 17, 188 (2006).
 """
 
 from __future__ import annotations
@@ -22,31 +27,27 @@ from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.rays import trace_compiled
 
 Metric = Callable[[Array, Array], Array]
-"""Value of each ray from where it leaves the last surface, and its direction; of shape (..., 3) each."""
+"""Value of each ray from its position on the last surface and its direction, each of shape (..., 3)."""
 Evaluate = Callable[[Array, NDArray[np.int_]], Array]
 
 FIELD, PUPIL = slice(0, 2), slice(2, 4)
-FINEST_STEP = 1e-8
-MOST_STEPS = 200
-POLLED = 24
-"""Directions that are polled at a step, half of them the opposites of the others."""
 
 PUPIL_STEP, AZIMUTHS = 1.0 / 16, 16
-"""Of the dense sampling."""
+"""Radial step over the pupil and number of field azimuths of the dense sampling."""
 
 
 @dataclass(frozen=True)
 class Extremes:
-    """Largest values of a metric, for each field height of a table and for the whole field.
+    """Largest values of a metric, for each of some field heights and for the whole field.
 
     Attributes
     ----------
     values : ndarray, shape (heights,)
         Largest value over the pupil for each field height; NaN where no ray passes.
     value : float
-        Largest of all; NaN if no ray passes.
+        Largest value over field and pupil; NaN if no ray passes.
     field_mm, pupil : tuple of float
-        Object point and stop point (shares of its semi-diameter) of the ray that has it.
+        Object point, and stop point relative to the semi-diameter, of the ray with the largest value.
     """
 
     values: Array
@@ -55,7 +56,7 @@ class Extremes:
     pupil: tuple[float, float]
 
 
-def extremes(
+def find_extremes(
     lens: Lens,
     system: CompiledSystem,
     metrics: Sequence[Metric],
@@ -67,30 +68,31 @@ def extremes(
 ) -> tuple[Extremes, ...]:
     """Find the largest value of each metric over field and pupil.
 
-    All are sought at once: small bundles cost a call of the tracer each, however few their rays.
+    All metrics are searched together, because the cost of small bundles is that of the calls of the tracer.
 
     Parameters
     ----------
     lens, system
-        The nominal lens and what was compiled from it (one trial).
+        The nominal lens and the system compiled from it (one trial).
     metrics
-        What is sought; values of failed rays do not count.
+        Metrics to maximize; values of failed rays are ignored.
     heights_mm
-        Field heights of the table.
+        Field heights for which the largest values are reported, shape (heights,).
     symmetric
-        Whether the system is rotationally symmetric: fields then lie along y, half of the pupil does.
+        Whether the system is rotationally symmetric. Field points along y and half of the pupil then suffice.
     between_heights
-        Whether the largest value is sought between the heights of the table, too.
+        Whether to search for the largest value between the field heights, too.
     refined
-        Whether what the dense sampling finds is followed to where it is largest.
+        Whether to refine the maxima of the dense sampling by the direct search.
 
     Returns
     -------
-    tuple of Extremes, one for each metric
+    tuple of Extremes
+        One for each metric.
     """
 
-    def ends(coordinates: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Where rays of these coordinates end, where they head, and which arrive."""
+    def trace_rays(coordinates: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return final positions and directions of rays with these coordinates, and which rays arrive."""
         flat, shape = coordinates.reshape(-1, 4), coordinates.shape[:-1]
         origins, directions = launch_pairs(
             system,
@@ -103,26 +105,29 @@ def extremes(
         rays = trace_compiled(system, origins, directions)
         return rays.position.reshape(*shape, 3), rays.direction.reshape(*shape, 3), rays.ok.reshape(shape)
 
-    def every(coordinates: Array) -> Array:
-        """Values of all metrics, shape (metrics, ...), at coordinates of shape (..., 4)."""
-        position, direction, ok = ends(coordinates)
+    def all_metrics(coordinates: Array) -> Array:
+        """Return the values of all metrics, shape (metrics, ...), at coordinates of shape (..., 4)."""
+        position, direction, ok = trace_rays(coordinates)
         return np.where(ok, [metric(position, direction) for metric in metrics], -np.inf)
 
-    def own(coordinates: Array, sought: NDArray[np.int_]) -> Array:
-        """Values at coordinates of shape (starts, ..., 4) of the metric that each start, in order, seeks."""
-        position, direction, ok = ends(coordinates)
+    def own_metric(coordinates: Array, sought: NDArray[np.int_]) -> Array:
+        """Return the value of each start's own metric at coordinates of shape (starts, ..., 4).
+
+        The indices `sought` of the metrics are in increasing order.
+        """
+        position, direction, ok = trace_rays(coordinates)
         values = np.empty(ok.shape)
         for metric, (i, j) in zip(metrics, pairwise(np.searchsorted(sought, range(count + 1))), strict=True):
             values[i:j] = metric(position[i:j], direction[i:j])
         return np.where(ok, values, -np.inf)
 
     count = len(metrics)
-    starts = _starts(every, heights_mm, symmetric)
+    starts = _starts(all_metrics, heights_mm, symmetric)
     per_height = len(starts) // count // len(heights_mm)
     sought = np.repeat(np.arange(count), len(starts) // count)
     heights = np.tile(np.repeat(heights_mm, per_height), count)
     if not refined:
-        values = own(starts, sought)
+        values = own_metric(starts, sought)
         tables = values.reshape(count, len(heights_mm), per_height).max(axis=2)
         return tuple(
             _extremes(table, starts[sought == m], values[sought == m]) for m, table in enumerate(tables)
@@ -130,18 +135,18 @@ def extremes(
     around = 0.0 if symmetric else 2.0 * np.pi / AZIMUTHS * lens.half_field_mm
     pupil_steps = [PUPIL_STEP, PUPIL_STEP]
     steps = np.array([around, around, *pupil_steps])
-    best, values = _climb(own, starts, sought, steps, heights, heights)
+    best, values = _climb(own_metric, starts, sought, steps, heights, heights)
     tables = values.reshape(count, len(heights_mm), per_height).max(axis=2)
     if between_heights:
         spacing = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
         steps = np.array([around, max(around, spacing), *pupil_steps])
         top = np.full_like(heights, lens.half_field_mm)
-        best, values = _climb(own, best, sought, steps, np.zeros_like(heights), top)
+        best, values = _climb(own_metric, best, sought, steps, np.zeros_like(heights), top)
     return tuple(_extremes(table, best[sought == m], values[sought == m]) for m, table in enumerate(tables))
 
 
 def _extremes(table: Array, best: Array, values: Array) -> Extremes:
-    """What was found for one metric."""
+    """Return the extremes of one metric from the best points and values of its starts."""
     worst = int(np.argmax(values))
     fx, fy, px, py = (float(v) for v in best[worst])
     return Extremes(
@@ -153,7 +158,7 @@ def _extremes(table: Array, best: Array, values: Array) -> Extremes:
 
 
 def _starts(evaluate: Callable[[Array], Array], heights_mm: Array, symmetric: bool) -> Array:
-    """For each metric and height the best sample on the rim of the stop and the best inside."""
+    """Return, for each metric and height, the best sample on the rim of the stop and the best inside."""
     azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     radii = np.linspace(0.0, 1.0, round(1.0 / PUPIL_STEP) + 1)
     angles = np.linspace(0.0, np.pi, 25) if symmetric else 2.0 * np.pi * np.arange(48) / 48
@@ -162,48 +167,50 @@ def _starts(evaluate: Callable[[Array], Array], heights_mm: Array, symmetric: bo
         [height * np.sin(azimuth), height * np.cos(azimuth), radius * np.sin(angle), radius * np.cos(angle)],
         axis=-1,
     )
-    parts = [slice(-1, None), slice(0, -1)]
+    rim, inside = slice(-1, None), slice(0, -1)
     values = evaluate(coordinates)
     starts = [
-        coordinates[i, :, part].reshape(-1, 4)[np.argmax(values[m, i, :, part])]
+        coordinates[i, :, region].reshape(-1, 4)[np.argmax(values[m, i, :, region])]
         for m in range(len(values))
         for i in range(len(heights_mm))
-        for part in parts
+        for region in (rim, inside)
     ]
     return np.array(starts)
 
 
 def _project(coordinates: Array, low_mm: Array, high_mm: Array) -> None:
-    """Put stop points back into the stop, and object points back between their least and largest heights.
+    """Project stop points into the stop, and object points between their least and largest heights.
 
-    Coordinates of shape (starts, polled, 4), overwritten.
+    The coordinates, of shape (starts, polled, 4), are overwritten.
     """
     fx, fy, px, py = np.moveaxis(coordinates, -1, 0)
     field = np.hypot(fx, fy)
     allowed = np.clip(field, low_mm[:, None], high_mm[:, None])
     scale = np.where(field > 0.0, allowed / np.maximum(field, 1e-300), 1.0)
-    share = np.maximum(1.0, np.hypot(px, py))
+    excess = np.maximum(1.0, np.hypot(px, py))
     fx *= scale
     fy *= scale
-    px /= share
-    py /= share
+    px /= excess
+    py /= excess
 
 
 def _climb(
     evaluate: Evaluate, starts: Array, sought: NDArray[np.int_], steps: Array, low_mm: Array, high_mm: Array
 ) -> tuple[Array, Array]:
-    """Direct search for the largest value from every start (starts, 4) at once, until its steps are fine.
+    """Search for the largest value from every start (starts, 4) at once, until the steps are small.
 
-    Each start seeks the metric `sought`; its field height stays between `low_mm` and `high_mm`.
+    Each start maximizes the metric with the index `sought`; its field height stays between `low_mm` and
+    `high_mm`.
     """
+    polled_count, most_steps, finest_step = 24, 200, 1e-8  # half of the polled directions oppose the others
     rng = np.random.default_rng(0)
     best, values = starts.copy(), evaluate(starts, sought)
     size = np.full(len(starts), 0.5)
-    for _ in range(MOST_STEPS):
-        moving = np.flatnonzero(size >= FINEST_STEP)
+    for _ in range(most_steps):
+        moving = np.flatnonzero(size >= finest_step)
         if not len(moving):
             break
-        direction = rng.normal(size=(POLLED // 2, 4)) * (steps > 0.0)
+        direction = rng.normal(size=(polled_count // 2, 4)) * (steps > 0.0)
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         polled = np.concatenate([direction, -direction]) * steps
         trial = best[moving, None, :] + size[moving, None, None] * polled

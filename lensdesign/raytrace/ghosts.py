@@ -1,10 +1,13 @@
 """Ghosts: light that is reflected twice between two surfaces of a lens before it leaves.
 
-The ray kernels refract alone. A reflection is a refraction into the negative of the index in front: Snell's
-law then gives the reflected direction with its sign turned, and every way back is a negative one through a
-negative index, so that optical paths stay positive. A ghost is therefore a lens of its own, whose surfaces
-stand in the order in which light meets them; see R. Kingslake and R. B. Johnson, "Lens Design Fundamentals"
-(2010).
+The ray kernels only refract. A reflection is a refraction into the negative of the index in front of the
+surface: Snell's law then gives the reflected direction with the opposite sign. A backward path has a negative
+length in a negative index, so optical path lengths stay positive. A ghost is therefore a lens of its own,
+whose surfaces are in the order in which light reaches them.
+
+References
+----------
+R. Kingslake and R. B. Johnson, "Lens Design Fundamentals", 2nd edition (2010).
 """
 
 from __future__ import annotations
@@ -19,27 +22,27 @@ from lensdesign.raytrace.compiled import CompiledSystem
 
 
 def ghost_system(system: CompiledSystem, front: int = 0, back: int = 1) -> CompiledSystem:
-    """The lens that light meets which is reflected at a surface, then at one in front of it, and then leaves.
+    """Return the equivalent lens for light that is reflected at two surfaces before it leaves.
 
-    Directions between both reflections point along +z all the same: the light goes the other way.
+    Directions between the reflections point along +z, although the light travels along -z.
 
     Parameters
     ----------
     system
         The lens without reflections.
     front, back
-        Surfaces, from 0, that reflect: `back` first.
+        Indices, from 0, of the surfaces that reflect; the light is reflected at `back` first.
 
     Raises
     ------
     InputError
-        If there are no such two surfaces.
+        Unless 0 <= front < back and both surfaces exist.
     """
     count = system.surfaces
     if not 0 <= front < back < count:
         raise InputError(
-            f"ghost between surfaces {front + 1} and {back + 1}: must be two of 1 to {count}, the front one "
-            "first"
+            f"ghost between surfaces {front + 1} and {back + 1}: must be two surfaces from 1 to {count}, the "
+            "front one first"
         )
     order = ghost_order(count, front, back)
     return replace(
@@ -55,11 +58,14 @@ def ghost_system(system: CompiledSystem, front: int = 0, back: int = 1) -> Compi
 
 
 def ghost_order(count: int, front: int = 0, back: int = 1) -> list[int]:
-    """Surfaces of a lens of `count`, from 0, in the order in which the ghost's light meets them."""
+    """Return the surface indices of a lens of `count` surfaces in the order of the ghost's light path."""
     return [*range(back + 1), *range(back - 1, front - 1, -1), *range(front + 1, count)]
 
 
 def ghost_indices(index: Array, front: int = 0, back: int = 1) -> Array:
-    """Of the media that it goes through, negative on the way back; media along the last axis."""
-    there, again = index[..., : back + 1], index[..., front + 1 :]
-    return np.concatenate([there, -index[..., back:front:-1], again], axis=-1)
+    """Return the indices along the ghost's light path, negative on the backward path.
+
+    The media of `index` and of the result are along the last axis.
+    """
+    first_pass, second_pass = index[..., : back + 1], index[..., front + 1 :]
+    return np.concatenate([first_pass, -index[..., back:front:-1], second_pass], axis=-1)

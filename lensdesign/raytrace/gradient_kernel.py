@@ -1,4 +1,4 @@
-"""Rays of a centred lens with their exact derivatives by design variables (forward mode), in Numba."""
+"""Ray tracing through a centred lens with exact derivatives by design variables (forward mode), in Numba."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def gradient_kernel(
     index,
     planes,
     kind,
-    where,
+    surface_of,
     term,
     values,
     derivatives,
@@ -38,11 +38,11 @@ def gradient_kernel(
 ):
     """Trace rays one by one, each with its derivatives.
 
-    For n rays, s surfaces, p planes and v variables: `values` (n, s + 1 + p, 2) is filled with x and y
-    on every surface, then the direction cosines behind the lens, then x and y on every plane;
+    For n rays, s surfaces, p planes and v variables, the kernel fills `values` (n, s + 1 + p, 2) with x and y
+    on every surface, then the direction cosines behind the lens, then x and y on every plane. It fills
     `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
-    Variable j is described by kind[j], where[j] (a surface) and term[j] (a term of its shape).
-    `codes` are None where all surfaces are conics: other shapes are then not compiled.
+    Variable j is described by kind[j], surface_of[j] (a surface) and term[j] (a term of its shape).
+    `codes` is None if all surfaces are conics; other shapes are then not compiled.
     """
     rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
     dp = np.empty((3, variables))
@@ -54,19 +54,21 @@ def gradient_kernel(
         status[i] = OK
         failed[i] = -1
         for s in range(surfaces):
-            why = _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s)
-            if why != OK:
-                status[i] = why
+            outcome = _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of, term, s)
+            if outcome != OK:
+                status[i] = outcome
                 failed[i] = s
                 break
-            _keep(values, derivatives, i, s, p, dp)
+            _store(values, derivatives, i, s, p, dp)
         if status[i] == OK:
-            _keep(values, derivatives, i, surfaces, d, dd)
-            _planes(p, d, dp, dd, vertex[surfaces - 1], planes, kind, where, values, derivatives, i, surfaces)
+            _store(values, derivatives, i, surfaces, d, dd)
+            _planes(
+                p, d, dp, dd, vertex[surfaces - 1], planes, kind, surface_of, values, derivatives, i, surfaces
+            )
 
 
 @_jit
-def _keep(values, derivatives, i, slot, vector, gradient):
+def _store(values, derivatives, i, slot, vector, gradient):
     for a in range(2):
         values[i, slot, a] = vector[a]
         for j in range(gradient.shape[1]):
@@ -89,16 +91,16 @@ def _launch(p, d, dp, dd, kind):
 
 
 @_jit
-def _vertex_motion(kind, where, s):
-    """How fast the vertex of surface s moves along z with a variable."""
-    return 1.0 if kind == THICKNESS and where < s else 0.0
+def _vertex_motion(kind, surface_of, s):
+    """Return the derivative of the z of vertex s with respect to a variable."""
+    return 1.0 if kind == THICKNESS and surface_of < s else 0.0
 
 
 @_jit
 def _hit(p, d, codes, s, start, terms):
-    """Distance to surface s from p (in the surface's frame) and what became of the ray."""
-    t, near = conic_distance(p[0], p[1], p[2], d[0], d[1], d[2], start[0], start[1])
-    if not near:
+    """Return the distance from p (in the surface's frame) to surface s, and the status of the ray."""
+    t, hit = conic_distance(p[0], p[1], p[2], d[0], d[1], d[2], start[0], start[1])
+    if not hit:
         return 0.0, MISSED
     if codes is None:
         return t, OK
@@ -108,8 +110,8 @@ def _hit(p, d, codes, s, start, terms):
 
 
 @_jit
-def _bends(codes, s, terms, x, y):
-    """Slopes of surface s along x and y, and its second derivatives."""
+def _derivatives(codes, s, terms, x, y):
+    """Return the slopes of surface s along x and y, and its second derivatives xx, xy and yy."""
     if codes is None:
         _, by_x, by_y = shapes.conic_height(terms, x, y)
         xx, xy, yy = shapes.conic_bend(terms, x, y)
@@ -121,23 +123,23 @@ def _bends(codes, s, terms, x, y):
 
 @_jit
 def _by_term(codes, s, terms, j, x, y):
-    """How term j changes the height of surface s, and its slopes along x and y."""
+    """Return the derivatives of sag and slopes of surface s with respect to term j."""
     if codes is None:
         return shapes.conic_by_term(terms, j, x, y)
     return shapes.by_term(codes[s], terms, j, x, y)
 
 
 @_jit
-def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s):
-    """Move a ray and its derivatives to surface s and refract them."""
+def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of, term, s):
+    """Propagate a ray and its derivatives to surface s and refract them."""
     own = terms[s]
     p[2] -= vertex[s]
-    t, why = _hit(p, d, codes, s, starts[s], own)
-    if why != OK:
-        return why
+    t, outcome = _hit(p, d, codes, s, starts[s], own)
+    if outcome != OK:
+        return outcome
     for a in range(3):
         p[a] += t * d[a]
-    by_x, by_y, bend_xx, bend_xy, bend_yy = _bends(codes, s, own, p[0], p[1])
+    by_x, by_y, bend_xx, bend_xy, bend_yy = _derivatives(codes, s, own, p[0], p[1])
     nx, ny = -by_x, -by_y
     along = d[2] + nx * d[0] + ny * d[1]
     m2 = 1.0 + nx * nx + ny * ny
@@ -153,11 +155,11 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, ter
     bend = (cos_out - mu * cos_in) / m
     for j in range(kind.shape[0]):
         sag_j, by_x_j, by_y_j = 0.0, 0.0, 0.0
-        if where[j] == s and kind[j] == SHAPE:
+        if surface_of[j] == s and kind[j] == SHAPE:
             sag_j, by_x_j, by_y_j = _by_term(codes, s, own, term[j], p[0], p[1])
         px = dp[0, j] + t * dd[0, j]
         py = dp[1, j] + t * dd[1, j]
-        pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], where[j], s)
+        pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], surface_of[j], s)
         dt = (sag_j - (nx * px + ny * py + pz)) / along
         px += dt * d[0]
         py += dt * d[1]
@@ -170,7 +172,7 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, ter
         dcos_out = mu * mu * cos_in * dcos_in / cos_out
         dbend = (dcos_out - mu * dcos_in) / m - 0.5 * bend * dm2 / m2
         dp[0, j], dp[1, j] = px, py
-        dp[2, j] = pz + _vertex_motion(kind[j], where[j], s)
+        dp[2, j] = pz + _vertex_motion(kind[j], surface_of[j], s)
         dd[0, j] = mu * dd[0, j] + dbend * nx + bend * dnx
         dd[1, j] = mu * dd[1, j] + dbend * ny + bend * dny
         dd[2, j] = mu * dd[2, j] + dbend
@@ -182,14 +184,14 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, ter
 
 
 @_jit
-def _planes(p, d, dp, dd, last, planes, kind, where, values, derivatives, i, surfaces):
+def _planes(p, d, dp, dd, last, planes, kind, surface_of, values, derivatives, i, surfaces):
     for q in range(planes.shape[0]):
         t = (last + planes[q] - p[2]) / d[2]
         slot = surfaces + 1 + q
         for a in range(2):
             values[i, slot, a] = p[a] + t * d[a]
         for j in range(kind.shape[0]):
-            motion = _vertex_motion(kind[j], where[j], surfaces - 1)
+            motion = _vertex_motion(kind[j], surface_of[j], surfaces - 1)
             dt = (motion - dp[2, j] - t * dd[2, j]) / d[2]
             for a in range(2):
                 derivatives[i, slot, a, j] = dp[a, j] + t * dd[a, j] + dt * d[a]

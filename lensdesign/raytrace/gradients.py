@@ -1,4 +1,4 @@
-"""Rays through the stop of a centred lens, with exact derivatives by its design variables."""
+"""Rays through the stop of a centred lens with exact derivatives by its design variables."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.status import Status
 
 KINDS = ("thickness", "working_distance", "launch_x", "launch_y")
-"""Variables that are no terms of a surface's shape."""
+"""Variables that are not terms of a surface's shape."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A design variable as the rays see it.
+    """A design variable of the ray derivatives.
 
     Attributes
     ----------
@@ -34,53 +34,54 @@ class Variable:
     surface: int = 0
 
     @property
-    def of_shape(self) -> bool:
-        """Whether it is a term of the surface's shape."""
+    def is_shape_term(self) -> bool:
+        """Whether the variable is a term of the surface's shape."""
         return self.kind not in KINDS
 
 
 @dataclass(frozen=True)
-class Chain:
-    """How all that is traced follows other variables, w of them; v variables, p planes.
+class ChainRule:
+    """Derivatives of v ray variables, the stop and p planes with respect to w other variables.
 
     Attributes
     ----------
     variables : ndarray, shape (v, w)
-        Derivatives of the variables.
+        Derivatives of the ray variables.
     stop : ndarray, shape (w,)
-        Of the stop's semi-diameter.
+        Derivatives of the semi-diameter of the stop.
     planes : ndarray, shape (p, w)
-        Of the distances of the planes.
+        Derivatives of the distances of the planes.
     """
 
     variables: Array
     stop: Array
     planes: Array
 
-    def to_still_planes(self, count: int) -> Chain:
-        """The same with planes that stay where they are."""
+    def with_fixed_planes(self, count: int) -> ChainRule:
+        """Return the same derivatives with planes at fixed distances."""
         return replace(self, planes=np.zeros((count, len(self.stop))))
 
 
 @dataclass(frozen=True)
 class GradientTrace:
-    """Rays with their derivatives; n rays, s surfaces, p planes, v variables.
+    """Rays with their derivatives: n rays, s surfaces, p planes, v variables.
 
     Attributes
     ----------
     heights : ndarray, shape (n, s, 2)
-        x and y on every surface, mm.
+        x and y on every surface in mm.
     cosines : ndarray, shape (n, 2)
         Direction cosines along x and y behind the lens.
     plane_points : ndarray, shape (n, p, 2)
-        x and y on every plane, mm.
+        x and y on every plane in mm.
     heights_by, cosines_by, plane_points_by : ndarray
         Derivatives, with a last axis of length v.
     stop_semi_diameter_mm : float
         Semi-diameter of the stop that the rays fill.
     stop_semi_diameter_by : ndarray, shape (v,)
+        Derivatives of the semi-diameter of the stop.
     ok : ndarray of bool, shape (n,)
-        Rays that arrived; the values of others mean nothing.
+        Whether each ray arrived; the values of other rays are undefined.
     """
 
     heights: Array
@@ -104,9 +105,9 @@ def gradient_trace(
     fields_mm: Array,
     pupil: Array,
     variables: tuple[Variable, ...],
-    chain: Chain | None = None,
+    chain: ChainRule | None = None,
 ) -> GradientTrace:
-    """Trace named rays and differentiate them; each ray keeps its point on the stop.
+    """Trace rays through fixed points of the stop, with their derivatives.
 
     Parameters
     ----------
@@ -115,27 +116,33 @@ def gradient_trace(
     object_z_mm
         z of the object plane, in front of the lens.
     planes_mm
-        Distances of planes from the exit vertex.
+        Distances of planes from the exit vertex, shape (p,).
     stop_index, stop_semi_diameter_mm
-        The stop; a semi-diameter of None is worked out so that the axial rim ray starts at the
-        numerical aperture, and then depends on the variables.
+        Index and semi-diameter of the stop. With None the semi-diameter is computed such that the axial rim
+        ray starts at the numerical aperture; it then depends on the variables.
     numerical_aperture
-        Sine of the axial rim ray's angle.
+        Sine of the angle of the axial rim ray.
     fields_mm, pupil
-        Shape (n, 2) each: object point and stop point (as a share of the semi-diameter) of each ray.
+        Object point in mm, and stop point relative to the semi-diameter, of each ray; shape (n, 2) each.
     variables
-        What to differentiate by.
+        Variables of the derivatives.
     chain
-        Where derivatives are wanted by other variables, which these, a stop that is given, and the planes
-        follow.
+        Derivatives of the variables, a given stop and the planes with respect to other variables, by which
+        the rays are then differentiated (default: the variables themselves).
+
+    Returns
+    -------
+    GradientTrace
 
     Raises
     ------
     InputError
-        If a surface has a measured figure, of which no derivatives are known here, or no such term.
+        If a surface has a measured figure, or lacks the term of a variable.
     """
     if any(system.figures):
-        raise InputError("derivatives of rays are those of nominal surfaces: leave the measured figures out")
+        raise InputError(
+            "ray derivatives exist for nominal surfaces only; remove the measured figures from the lens"
+        )
     semi, semi_by, reached = _stop_size(
         system, object_z_mm, stop_index, stop_semi_diameter_mm, numerical_aperture, variables
     )
@@ -144,17 +151,18 @@ def gradient_trace(
     if chain is not None:
         raw, semi_by = _chained(raw, chain), chain.stop
     at_stop = raw.heights_by[:, stop_index]
-    wanted = pupil[:, :, None] * semi_by
+    required = pupil[:, :, None] * semi_by
     v = len(semi_by)
     launch = at_stop[:, :, v:]
     usable = raw.ok & reached & np.all(np.isfinite(launch), axis=(1, 2))
     launch = np.where(usable[:, None, None], launch, np.eye(2))
     usable &= np.abs(np.linalg.det(launch)) > 1e-12
     launch = np.where(usable[:, None, None], launch, np.eye(2))
-    turn = np.linalg.solve(launch, wanted - at_stop[:, :, :v])
+    # The launch cosines change such that the ray keeps its relative point on the stop.
+    launch_by = np.linalg.solve(launch, required - at_stop[:, :, :v])
 
     def total(by: Array) -> Array:
-        whole = by[..., :v] + np.einsum("n...l,nlv->n...v", by[..., v:], turn)
+        whole = by[..., :v] + np.einsum("n...l,nlv->n...v", by[..., v:], launch_by)
         whole[~usable] = 0.0
         return whole
 
@@ -169,8 +177,8 @@ def gradient_trace(
     )
 
 
-def _chained(raw: GradientTrace, chain: Chain) -> GradientTrace:
-    """Derivatives at fixed launch directions, by other variables; the last two columns stay."""
+def _chained(raw: GradientTrace, chain: ChainRule) -> GradientTrace:
+    """Return the derivatives by other variables at fixed launch directions; the last two columns stay."""
     v, w = chain.variables.shape
     whole = np.zeros((v + 2, w + 2))
     whole[:v, :w], whole[v:, w:] = chain.variables, np.eye(2)
@@ -193,7 +201,7 @@ def _stop_size(
     numerical_aperture: float,
     variables: tuple[Variable, ...],
 ) -> tuple[float, Array, bool]:
-    """Semi-diameter of the stop, its derivatives, and whether the axial rim ray gets there at all."""
+    """Return the semi-diameter of the stop, its derivatives, and whether the axial rim ray reaches it."""
     if semi is not None:
         return semi, np.zeros(len(variables)), True
     direction = np.array([[0.0, numerical_aperture, np.sqrt(1.0 - numerical_aperture**2)]])
@@ -208,7 +216,7 @@ def _differentiate(
     planes_mm: Array,
     variables: tuple[Variable, ...],
 ) -> GradientTrace:
-    """Derivatives at fixed launch directions; two more columns hold those by the launch cosines."""
+    """Return derivatives at fixed launch directions, with two columns more for the launch cosines."""
     from lensdesign.raytrace.gradient_kernel import gradient_kernel
 
     every = (*variables, Variable("launch_x"), Variable("launch_y"))
@@ -225,9 +233,9 @@ def _differentiate(
         terms[0],
         system.index[0],
         np.ascontiguousarray(planes_mm, dtype=float),
-        np.array([0 if x.of_shape else 1 + KINDS.index(x.kind) for x in every]),
+        np.array([0 if x.is_shape_term else 1 + KINDS.index(x.kind) for x in every]),
         np.array([x.surface for x in every]),
-        np.array([system.shapes[x.surface].place(x.kind) if x.of_shape else 0 for x in every]),
+        np.array([system.shapes[x.surface].term_index(x.kind) if x.is_shape_term else 0 for x in every]),
         values,
         derivatives,
         status,

@@ -1,8 +1,8 @@
 """The Numba ray kernel: trials x rays, in blocks that the compiler can vectorize.
 
-Each block of rays lives in small local arrays, and each step is one loop without branches. No fast-math, so
-NaN and statuses decide as written, and no ray depends on those beside it. Conics are met in closed form
-(`conic_kernel`), all other shapes by Newton's method from a conic near them.
+Each block of rays is stored in small local arrays, and each step is one loop without branches. Fast-math is
+off, so that comparisons with NaN work as written and no ray depends on its neighbours. Rays intersect conics
+in closed form (`conic_kernel`), and all other shapes by Newton's method from a conic near them.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from lensdesign.raytrace.conic_kernel import (
     Y,
     Z,
     conic_distance,
-    settle_conic,
+    resolve_failures,
     through_conic,
     to_plane,
 )
 
 CONIC = 0
-"""The registry's first shape."""
+"""Code of the conic, the first shape of the registry."""
 
 _jit = cached_njit(nogil=True, error_model="numpy")
 _inline = cached_njit(nogil=True, error_model="numpy", inline="always")
@@ -69,23 +69,24 @@ def trace_kernel(
     first_ray,
     end_ray,
 ):
-    """Trace some rays of all trials; origins and directions have shape (trials or 1, 3 rays), flat.
+    """Trace some rays of all trials.
 
-    So have `position` and `direction`: what lies 3 apart is moved in vectors, what lies a number apart that
-    the compiler does not know is not.
+    `origins`, `directions`, `position` and `direction` are flat, of shape (trials or 1, 3 rays): the compiler
+    vectorizes accesses with the known stride 3.
 
-    `codes`, `starts` and `terms` are what :class:`lensdesign.raytrace.compiled.CompiledSystem` packs;
-    `figures` are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
-    `first_trial`. Without figures they are None, and `codes` too where all surfaces are conics: what a lens
-    does not need is then not compiled.
-    The six arrays from `position` on are filled for the rays from `first_ray` up to `end_ray`; `hits` may
-    have no rays, and is then left alone. Returns the number of directions that are not finite unit vectors.
+    `codes`, `starts` and `terms` come from :class:`lensdesign.raytrace.compiled.CompiledSystem`. `figures`
+    are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
+    `first_trial`. `figures` is None without figures, and `codes` is None if all surfaces are conics; code
+    that a lens does not need is then not compiled.
+    The six arrays from `position` on are filled for the rays from `first_ray` up to `end_ray`. `hits` may
+    have no rays and is then not filled. Returns the number of rays whose origin is not finite or whose
+    direction is not a finite unit vector.
     """
     trials, surfaces = status.shape[0], vertex.shape[1]
     ray, after = np.empty(7 * BLOCK), np.empty(7 * BLOCK)
     work = np.empty(3 * BLOCK)
     state = np.empty(2 * BLOCK, np.int64)
-    lost, bad = BLOCK, 0
+    failed_count, bad = BLOCK, 0
     for t in range(trials):
         to = t if origins.shape[0] > 1 else 0
         td = t if directions.shape[0] > 1 else 0
@@ -95,9 +96,9 @@ def trace_kernel(
         for start in range(first_ray, end_ray, BLOCK):
             count = min(BLOCK, end_ray - start)
             at = slice(3 * start, 3 * (start + count))
-            if lost > 0:  # in the block before
+            if failed_count > 0:  # in the previous block
                 state[:BLOCK], state[BLOCK:] = OK, -1
-                lost = 0
+                failed_count = 0
             bad += _load(ray, origins[to, at], directions[td, at], count)
             for s in range(surfaces):
                 limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
@@ -105,33 +106,39 @@ def trace_kernel(
                 c, k = starts[ts, s, 0], starts[ts, s, 1]
                 conic = codes is None or (codes[s] == CONIC and not _has_figure(figures, s))
                 x0, y0, z0 = vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2]
-                along = conic and not tilted[s] and x0 == 0.0 and y0 == 0.0
-                if not along:
+                centred = conic and not tilted[s] and x0 == 0.0 and y0 == 0.0
+                if not centred:
                     _shift(ray, -x0, -y0, -z0, count)
                     z0 = 0.0
                 if tilted[s]:
-                    _turn(ray, rotation[tv, s].T, count)
+                    _rotate(ray, rotation[tv, s].T, count)
                 if conic:
-                    unsure = through_conic(ray, after, work, z0, c, k, n1, n1 / n2, limit, count)
-                    if unsure + lost > 0:
-                        lost = settle_conic(ray, after, work, state, s, z0, c, k, n1 / n2, limit, count)
+                    uncertain = through_conic(ray, after, work, z0, c, k, n1, n1 / n2, limit, count)
+                    if uncertain + failed_count > 0:
+                        failed_count = resolve_failures(
+                            ray, after, work, state, s, z0, c, k, n1 / n2, limit, count
+                        )
                     ray, after = after, ray
                 else:
                     code, own, trial = codes[s], terms[ts, s], first_trial + t
                     _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, figures, trial)
-                    lost = _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
+                    failed_count = _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
                 if tilted[s]:
-                    _turn(ray, rotation[tv, s], count)
-                if not along:
+                    _rotate(ray, rotation[tv, s], count)
+                if not centred:
                     _shift(ray, x0, y0, vertex[tv, s, 2], count)
                 for i in range(count if hits.shape[1] > 0 else 0):
                     hits[t, start + i, s, 0] = ray[X + i]
                     hits[t, start + i, s, 1] = ray[Y + i]
                     hits[t, start + i, s, 2] = ray[Z + i]
             if use_plane:
-                lost = to_plane(ray, state, lost, surfaces, plane_z, index[ti, surfaces], count)
+                failed_count = to_plane(
+                    ray, state, failed_count, surfaces, plane_z, index[ti, surfaces], count
+                )
             _store(ray, position[t, at], direction[t, at], opl[t, start : start + count], count)
-            _store_state(state, lost, status[t, start : start + count], failed[t, start : start + count])
+            _store_state(
+                state, failed_count, status[t, start : start + count], failed[t, start : start + count]
+            )
     return bad
 
 
@@ -144,14 +151,14 @@ def _has_figure(figures, surface):
 
 @_jit
 def _load(ray, origins, directions, count):
-    """Rays from flat arrays; returns how many are none."""
+    """Load rays from flat arrays; return the number of invalid rays."""
     for i in range(count):
         ray[X + i], ray[Y + i], ray[Z + i] = origins[3 * i], origins[3 * i + 1], origins[3 * i + 2]
     bad = 0
     for i in range(count):
         dx, dy, dz = directions[3 * i], directions[3 * i + 1], directions[3 * i + 2]
-        where = ray[X + i] + ray[Y + i] + ray[Z + i]
-        off = abs(dx * dx + dy * dy + dz * dz - 1.0) + (where - where)
+        total = ray[X + i] + ray[Y + i] + ray[Z + i]
+        off = abs(dx * dx + dy * dy + dz * dz - 1.0) + (total - total)  # NaN if the origin is not finite
         bad += 0 if off < 1e-6 else 1
         ray[L + i], ray[M + i], ray[N + i] = dx, dy, dz
         ray[OPL + i] = 0.0
@@ -169,8 +176,8 @@ def _store(ray, position, direction, opl, count):
 
 
 @_jit
-def _store_state(state, lost, status, failed):
-    if lost == 0:
+def _store_state(state, failed_count, status, failed):
+    if failed_count == 0:
         status[:], failed[:] = OK, -1
         return
     for i in range(len(status)):
@@ -188,7 +195,7 @@ def _shift(ray, dx, dy, dz, count):
 
 
 @_jit
-def _turn(ray, r, count):
+def _rotate(ray, r, count):
     xx, xy, xz = r[0, 0], r[0, 1], r[0, 2]
     yx, yy, yz = r[1, 0], r[1, 1], r[1, 2]
     zx, zy, zz = r[2, 0], r[2, 1], r[2, 2]
@@ -206,7 +213,7 @@ def _turn(ray, r, count):
 
 @_inline
 def _basis(at, nodes, per_mm):
-    """Cell of a coordinate, the four B-splines there, and their slopes; the edge goes on outside."""
+    """Return the cell of a coordinate and the four B-splines there with slopes; constant outside the grid."""
     u = at * per_mm + 0.5 * (nodes - 1)
     if u >= 0.0 and u <= nodes - 1:
         scale = per_mm
@@ -233,7 +240,7 @@ def _basis(at, nodes, per_mm):
 
 @_jit
 def _sag_error(x, y, surface, figures, trial):
-    """Sag error of a surface, and its slopes along x and y."""
+    """Return the sag error of a surface and its slopes along x and y."""
     first, layout, per_mm, coefficients = figures
     sag, by_x, by_y = 0.0, 0.0, 0.0
     for f in range(first[surface], first[surface + 1]):
@@ -254,7 +261,7 @@ def _sag_error(x, y, surface, figures, trial):
 
 @_inline
 def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
-    """Sag of a surface, and its slopes along x and y; with its figure unless `figures` is None."""
+    """Return the sag of a surface and its slopes along x and y, with its figure unless `figures` is None."""
     sag, by_x, by_y = shapes.height(code, terms, x, y)
     if figures is not None:
         error, error_x, error_y = _sag_error(x, y, surface, figures, trial)
@@ -264,30 +271,30 @@ def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
 
 @_jit
 def _intersect_general(ray, state, surface, code, c, k, terms, n1, limit, count, figures, trial):
-    """Move rays to a surface that is no conic, or has a figure, by Newton's method."""
+    """Propagate rays by Newton's method to a surface that is not a conic or has a figure."""
     for i in range(count):
         if state[i] != OK:
             continue
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        why = MISSED
-        t, near = conic_distance(x, y, z, dx, dy, dz, c, k)
-        if near:
-            t, why = newton(x, y, z, dx, dy, dz, t, code, terms, surface, figures, trial)
-        if why == OK:
+        outcome = MISSED
+        t, hit = conic_distance(x, y, z, dx, dy, dz, c, k)
+        if hit:
+            t, outcome = newton(x, y, z, dx, dy, dz, t, code, terms, surface, figures, trial)
+        if outcome == OK:
             x, y = x + t * dx, y + t * dy
             ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + t * dz
             ray[OPL + i] += n1 * t
             if x * x + y * y > limit:
-                why = CLIPPED
-        if why != OK:
-            state[i] = why
+                outcome = CLIPPED
+        if outcome != OK:
+            state[i] = outcome
             state[BLOCK + i] = surface
 
 
 @_jit
 def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=0):
-    """Distance of a ray to a surface from a first guess, and what became of it."""
+    """Return the distance of a ray to a surface from a first guess, and the status of the ray."""
     settled_before = False
     for _ in range(NEWTON_STEPS):
         px, py = x + t * dx, y + t * dy
@@ -308,8 +315,8 @@ def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=
 
 @_jit
 def _refract_general(ray, state, surface, code, terms, ratio, count, figures, trial):
-    """Refract at a surface that is no conic, or has a figure; returns how many rays have failed."""
-    lost = 0
+    """Refract at a surface that is not a conic or has a figure; return the number of failed rays."""
+    failed_count = 0
     for i in range(count):
         x, y = ray[X + i], ray[Y + i]
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
@@ -326,8 +333,8 @@ def _refract_general(ray, state, surface, code, terms, ratio, count, figures, tr
         ray[N + i] = ratio * dz + bend if through else dz
         state[i] = TOTAL_REFLECTION if alive & (not through) else state[i]
         state[BLOCK + i] = surface if alive & (not through) else state[BLOCK + i]
-        lost += 0 if through else 1
-    return lost
+        failed_count += 0 if through else 1
+    return failed_count
 
 
 drop_outdated(trace_kernel, {__name__, conic_kernel.__name__, intersection.__name__} | shapes.SOURCES)

@@ -1,4 +1,4 @@
-"""Rays as polylines, for pictures: which fields, in which colours, from the object to the last plane."""
+"""Rays as polylines from the object to the last plane, with the fields and colours of pictures."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from lensdesign.raytrace.bundles import launch, pupil_rings
 from lensdesign.raytrace.rays import trace
 from lensdesign.raytrace.status import Status
 
-FIELD_SHARES = (0.0, 0.7, 1.0)
-"""Object points of the pictures, as shares of the half field."""
+FIELD_FRACTIONS = (0.0, 0.7, 1.0)
+"""Object points of the pictures, relative to the half field."""
 
 FIELD_COLORS = ("#D55E00", "#009E73", "#0072B2")
-"""Red, green and blue that colour-blind readers can tell apart (Okabe and Ito)."""
+"""Red, green and blue that colour-blind readers can distinguish (Okabe and Ito)."""
 
 
 def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike) -> Array:
-    """Corners of rays of the first wavelength from an object point through stop points to the last plane.
+    """Return the corners of rays from an object point through stop points to the last plane.
+
+    The rays have the first wavelength of the lens.
 
     Parameters
     ----------
@@ -30,18 +32,18 @@ def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike
     field_mm
         x and y of the object point.
     pupil_points
-        Points on the stop as shares of its semi-diameter, shape (n, 2).
+        Points on the stop relative to its semi-diameter, shape (n, 2).
 
     Returns
     -------
     ndarray, shape (n, surfaces + 2, 3)
-        Object point, a point on each surface, and one on the plane, in mm. A failed ray ends where it
-        failed, or before that at the ground edge of the glass: its last corners coincide.
+        Object point, a point on each surface, and one on the plane, in mm. A failed ray ends at its last
+        point, or before that at the ground edge of the glass; its last corners coincide.
     """
     wavelength_um = lens.wavelengths_um[0]
     origins, directions = launch(lens, [field_mm], pupil_points, wavelength_um)
     rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=lens.sensor_z_mm[-1], record_hits=True)
-    assert rays.hits is not None  # asked for above
+    assert rays.hits is not None  # record_hits is set
     paths = np.concatenate([origins[:, None], rays.hits, rays.position[:, None]], axis=1)
     for ray in np.flatnonzero(rays.status == Status.CLIPPED):
         surface = int(rays.failed_surface[ray])
@@ -52,18 +54,19 @@ def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike
 
 
 def _to_edge(start: Array, end: Array, radius: float) -> Array:
-    """The point where a line from `start` to `end` meets the edge cylinder, or `end` within it."""
+    """Return the intersection of the line from `start` to `end` with the edge cylinder, or `end` inside "
+    "it."""
     step = end - start
     a, b = step[:2] @ step[:2], start[:2] @ step[:2]
     c = start[:2] @ start[:2] - radius**2
     if end[:2] @ end[:2] <= radius**2 or c >= 0.0:
         return end
-    share = (-b + np.sqrt(b * b - a * c)) / a
-    return np.asarray(start + share * step)
+    fraction = (-b + np.sqrt(b * b - a * c)) / a
+    return np.asarray(start + fraction * step)
 
 
 def sized_lens(lens: Lens) -> Lens:
-    """A lens in which every surface has a clear semi-diameter: its own, or else that of its footprint.
+    """Return a lens in which every surface has a clear semi-diameter: its own, or that of its footprint.
 
     Parameters
     ----------
@@ -73,12 +76,12 @@ def sized_lens(lens: Lens) -> Lens:
     Returns
     -------
     Lens
-        The same lens if nothing was missing.
+        The same lens if no semi-diameter is missing.
 
     Raises
     ------
     InputError
-        If a surface without semi_diameter_mm is reached by no ray, so that its size cannot be known.
+        If no ray reaches a surface without semi_diameter_mm, so that its size is unknown.
     """
     missing = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None]
     if not missing:
@@ -90,7 +93,7 @@ def sized_lens(lens: Lens) -> Lens:
     for wavelength_um in lens.wavelengths_um:
         origins, directions = launch(lens, fields, pupil, wavelength_um)
         rays = trace(lens, origins, directions, wavelength_um, record_hits=True)
-        assert rays.hits is not None  # asked for above
+        assert rays.hits is not None  # record_hits is set
         hits = rays.hits[rays.ok]
         reached = np.maximum(reached, np.max(np.hypot(hits[..., 0], hits[..., 1]), axis=0, initial=0.0))
     for i in missing:

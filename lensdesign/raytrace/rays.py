@@ -1,4 +1,4 @@
-"""Sequential real rays through a lens, or through many perturbed copies of it at once."""
+"""Sequential tracing of real rays through a lens, or through many perturbed copies of it at once."""
 
 from __future__ import annotations
 
@@ -19,29 +19,33 @@ from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.status import Status
 
 RAYS_PER_THREAD = 16384
-"""Below this many rays a second thread costs more than it saves."""
+"""With fewer rays a second thread costs more than it saves."""
 
 
 @dataclass(frozen=True)
 class RayTrace:
-    """What became of a bundle of rays.
+    """Result of the trace of a bundle of rays.
 
-    With poses or perturbations of many trials every array has a leading trial axis.
+    With poses or perturbations of many trials, every array has a leading trial axis.
 
     Attributes
     ----------
     position, direction : ndarray, shape (n, 3)
-        Where rays ended and where they were heading, in the fixed frame; mm and direction cosines. A
-        failed ray stays at the last point that it reached.
+        Final positions in mm and direction cosines of the rays, in the fixed frame. A failed ray has the
+        last position that it reached.
     opl : ndarray, shape (n,)
         Optical path length in mm from the origin to `position`.
     status : ndarray of int8, shape (n,)
         :class:`lensdesign.raytrace.status.Status` of each ray.
     failed_surface : ndarray of int16, shape (n,)
-        Surface (from 0) at which a ray failed, -1 if it did not; the number of surfaces if it could
-        not reach the final plane.
+        Index of the surface at which a ray failed; -1 if it did not fail; the number of surfaces if it
+        could not reach the final plane.
     hits : ndarray, shape (n, surfaces, 3), or None
-        Points on each surface, where they were asked for.
+        Points on each surface in mm; None unless `record_hits` was set.
+
+    Examples
+    --------
+    See :func:`trace`.
     """
 
     position: Array
@@ -53,12 +57,12 @@ class RayTrace:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Rays that arrived."""
+        """Whether each ray arrived."""
         return self.status == Status.OK
 
     @property
     def throughput(self) -> float:
-        """Share of the rays that arrived."""
+        """Fraction of the rays that arrived (0 to 1)."""
         return float(np.mean(self.ok))
 
 
@@ -83,25 +87,25 @@ def trace(
     lens
         The nominal lens.
     origins, directions
-        Shape (n, 3), or (trials, n, 3) for rays of their own for each trial; mm and direction cosines
-        in the fixed frame, in which the nominal front vertex is the origin.
+        Origins in mm and direction cosines, shape (n, 3), or (trials, n, 3) for different rays in each
+        trial. They are in the fixed frame, whose origin is the nominal front vertex.
     wavelength_um
         Vacuum wavelength.
     pose
-        Pose of the whole lens; object, rays and final plane stay where they are.
+        Pose of the whole lens (default: nominal). Object, rays and final plane do not move with it.
     plane_z_mm
-        z of the plane on which rays end, in the fixed frame; None ends them on the last surface.
+        z of the plane on which rays end, in the fixed frame (default: rays end on the last surface).
     surface_perturbations
-        Deltas of single surfaces, by index from 0.
+        Perturbations of single surfaces by index from 0 (default: none).
     clip
         Whether clear semi-diameters stop rays.
     record_hits
-        Whether to keep the points on each surface.
+        Whether to return the points on each surface.
     threads
-        Number of threads; by default as many as there are processors, if there is work for them.
+        Number of threads (default: the number of processors, if there are enough rays).
     out
-        An earlier result of the same shape, to be overwritten and returned; saves the system the
-        handing out of fresh memory, which takes longer than the rays where there are many.
+        An earlier result of the same shape, which is overwritten and returned (default: new arrays). With
+        many rays, the allocation of new memory takes longer than the trace.
 
     Returns
     -------
@@ -111,6 +115,23 @@ def trace(
     ------
     InputError
         If shapes do not match, `out` is not contiguous, or a direction is not a finite unit vector.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
+    >>> lens = Lens(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=10.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=4.0),
+    ...         Surface(radius_mm=-10.0, semi_diameter_mm=4.0),
+    ...     ),
+    ... )
+    >>> rays = trace(lens, [(0.0, 0.5, -20.0)], [(0.0, 0.0, 1.0)], 0.55, plane_z_mm=23.0)
+    >>> rays.throughput, np.round(rays.position, 3).tolist()
+    (1.0, [[0.0, -0.503, 23.0]])
     """
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     return trace_compiled(
@@ -129,17 +150,17 @@ def trace_compiled(
     threads: int | None = None,
     out: RayTrace | None = None,
 ) -> RayTrace:
-    """As :func:`trace`, for a system that was compiled before."""
+    """Trace rays through a compiled system to a plane; see :func:`trace`."""
     start, heading = _rays(origins, "origins"), _rays(directions, "directions")
     if start.shape[1] == 1 < heading.shape[1]:
         start = np.ascontiguousarray(np.broadcast_to(start, (start.shape[0], heading.shape[1], 3)))
     if start.shape[1] != heading.shape[1]:
         raise InputError(
-            f"{start.shape[1]} origins and {heading.shape[1]} directions: must be as many of both"
+            f"{start.shape[1]} origins and {heading.shape[1]} directions: their numbers must be equal"
         )
     counts = {c for c in (system.trials, len(start), len(heading)) if c not in (None, 1)}
     if len(counts) > 1:
-        raise InputError(f"origins, directions and poses hold different numbers of trials: {sorted(counts)}")
+        raise InputError(f"origins, directions and poses have different numbers of trials: {sorted(counts)}")
     trials: tuple[int, ...] = (next(iter(counts), 1),)
     if system.trials is None and np.ndim(origins) < 3 and np.ndim(directions) < 3:
         trials = ()
@@ -156,7 +177,7 @@ def _rays(values: ArrayLike, name: str) -> Array:
 
 
 def _results(shape: tuple[int, ...], surfaces: int, record_hits: bool, out: RayTrace | None) -> RayTrace:
-    """Arrays to fill: those of an earlier result, or new ones."""
+    """Return the arrays to fill: those of an earlier result, or new ones."""
     if out is None:
         return RayTrace(
             np.empty((*shape, 3)),
@@ -167,11 +188,16 @@ def _results(shape: tuple[int, ...], surfaces: int, record_hits: bool, out: RayT
             np.empty((*shape, surfaces, 3)) if record_hits else None,
         )
     if out.status.shape != shape:
-        raise InputError(f"out holds rays of shape {out.status.shape}: must be {shape}")
+        raise InputError(f"out has rays of shape {out.status.shape}: must be {shape}")
     if record_hits != (out.hits is not None) or (out.hits is not None and out.hits.shape[-2] != surfaces):
-        raise InputError("out was made with other hits than these; trace without out once, then reuse that")
+        raise InputError(
+            "out was made with another record_hits or number of surfaces; use the result of a trace without "
+            "out, then reuse it"
+        )
     if not all(a.flags.c_contiguous for a in vars(out).values() if a is not None):
-        raise InputError("out holds arrays that are not contiguous; trace without out once, then reuse that")
+        raise InputError(
+            "out has arrays that are not contiguous; use the result of a trace without out, then reuse it"
+        )
     return out
 
 
@@ -188,7 +214,7 @@ def _run(
 
     trials, rays = result.status.shape if result.status.ndim == 2 else (1, len(result.status))
     vectors, scalars = (trials, 3 * rays), (trials, rays)
-    fill = [
+    filled = [
         result.position.reshape(vectors),
         result.direction.reshape(vectors),
         result.opl.reshape(scalars),
@@ -201,8 +227,8 @@ def _run(
     launched, heading = (a.reshape(len(a), 3 * rays) for a in (origins, directions))
     codes, starts, terms, figures = system.for_kernel
 
-    def work(part: tuple[slice, slice]) -> int:
-        t, r = part
+    def trace_block(block: tuple[slice, slice]) -> int:
+        t, r = block
 
         def own(array: Array) -> Array:
             return array[t] if len(array) > 1 else array
@@ -223,23 +249,26 @@ def _run(
             0.0 if plane_z_mm is None else float(plane_z_mm),
             plane_z_mm is not None,
             clip,
-            *(a[t] for a in fill),
+            *(a[t] for a in filled),
             r.start,
             r.stop,
         )
 
-    parts = _parts(trials, rays, threads)
-    if len(parts) == 1:
-        bad = work(parts[0])
+    blocks = _blocks(trials, rays, threads)
+    if len(blocks) == 1:
+        invalid = trace_block(blocks[0])
     else:
-        with ThreadPoolExecutor(len(parts)) as pool:
-            bad = sum(pool.map(work, parts))
-    if bad:
-        raise InputError(f"{bad} rays have an origin or direction that is not finite, or no unit direction")
+        with ThreadPoolExecutor(len(blocks)) as pool:
+            invalid = sum(pool.map(trace_block, blocks))
+    if invalid:
+        raise InputError(
+            f"{invalid} rays have an origin that is not finite or a direction that is not a finite unit "
+            "vector"
+        )
 
 
-def _parts(trials: int, rays: int, threads: int | None) -> list[tuple[slice, slice]]:
-    """Cut the work along its longer axis, a part a thread."""
+def _blocks(trials: int, rays: int, threads: int | None) -> list[tuple[slice, slice]]:
+    """Return slices of trials and rays, one for each thread, cut along the longer axis."""
     if threads is None:
         threads = max(1, trials * rays // RAYS_PER_THREAD)
         threads = min(threads, len(os.sched_getaffinity(0))) if threads > 1 else 1

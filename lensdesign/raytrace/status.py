@@ -1,4 +1,4 @@
-"""What became of a ray."""
+"""Status codes of traced rays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """Outcome of a ray; anything but OK comes with the surface at which it ended."""
+    """Status of a traced ray; for all but OK, the trace also gives the surface at which the ray failed."""
 
     OK = 0
     MISSED = 1

@@ -1,1 +1,1 @@
-"""What the page shows, without the page: the lens as it is edited, and figures of it."""
+"""Model of the workbench, independent of the page: the edited lens and its figures."""

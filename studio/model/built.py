@@ -1,4 +1,4 @@
-"""What a lens will be as built: wavefronts and yield predicted under a grade or a study, and the cost."""
+"""Prediction of a lens as built: wavefronts, yield and cost for a grade or a tolerance study."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
 
-FEWER = 4
-"""While a value moves: every so many of the draws, to first order."""
+COARSE_STRIDE = 4
+"""While a value changes, the prediction uses every n-th draw, to first order."""
 
 
 @dataclass(frozen=True, eq=False)
 class ManufacturingQuality:
-    """How a lens is made: the study that says what scatters, and what a good lens is.
+    """Manufacturing tolerances of a lens, and the limits of a good lens.
 
     Attributes
     ----------
     name
-        Of the grade, or of the study's file.
+        Name of the grade or of the study's file.
     study
-        What scatters, and the limits.
+        Perturbations and limits.
     """
 
     name: str
@@ -39,27 +39,27 @@ class ManufacturingQuality:
 
     @cached_property
     def drawn(self) -> PerturbationBatch:
-        """The drawn lenses of the prediction; the same for every lens."""
+        """Drawn perturbations of the prediction; the same for every lens."""
         return drawn_batch(self.study)
 
     @cached_property
-    def fewer(self) -> PerturbationBatch:
-        """Some of them, for a prediction while a value moves."""
-        return drawn_batch(self.study, FEWER)
+    def coarse_batch(self) -> PerturbationBatch:
+        """Subset of the drawn perturbations, for a prediction while a value changes."""
+        return drawn_batch(self.study, COARSE_STRIDE)
 
 
 @dataclass(frozen=True, eq=False)
 class AsBuiltFigures:
-    """What is predicted.
+    """Predicted figures of a lens as built.
 
     Attributes
     ----------
     name
-        Of the workmanship.
+        Name of the grade or study.
     prediction
-        The joint yield of all limits, its parts, wavefronts and rays.
+        Joint yield of all limits, yields of single limits, wavefronts and rays.
     cost
-        Of tolerances and elements, in the units of the table; None where it has no price.
+        Cost of tolerances and elements, in the units of the cost table; None if it lacks a price.
     """
 
     name: str
@@ -67,20 +67,20 @@ class AsBuiltFigures:
     cost: float | None
 
 
-def workmanship(name: str, lens: Lens) -> ManufacturingQuality:
-    """The study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
+def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
+    """Return the study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
 
     Parameters
     ----------
     name
-        A grade, or a file.
+        A grade, or the path of a study.
     lens
         The lens.
 
     Raises
     ------
     InputError
-        If it is neither, or the lens does not have what scatters.
+        If it is neither, or the lens lacks surfaces or elements that the study perturbs.
     """
     if name in GRADES:
         tables = tomllib.loads(starting_study(lens, "design.toml", name))
@@ -90,22 +90,22 @@ def workmanship(name: str, lens: Lens) -> ManufacturingQuality:
     return ManufacturingQuality(Path(name).name, study)
 
 
-def built(lens: Lens, made: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
-    """Predict a lens as built: as `tolerancing predict` does, or coarser, while a value moves.
+def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
+    """Predict a lens as built, like `tolerancing predict`, or coarsely if not `settled`.
 
     Raises
     ------
     InputError
         If rays do not pass.
     """
-    check_against(made.study, lens, made.name)
-    batch = made.drawn if settled else made.fewer
-    prediction = predict_study(lens, made.study, batch, quick=not settled)
+    check_against(quality.study, lens, quality.name)
+    batch = quality.drawn if settled else quality.coarse_batch
+    prediction = predict_study(lens, quality.study, batch, quick=not settled)
     try:
-        cost = cost_of(made.study, lens, _costs()).total
+        cost = cost_of(quality.study, lens, _costs()).total
     except InputError:
         cost = None
-    return AsBuiltFigures(made.name, prediction, cost)
+    return AsBuiltFigures(quality.name, prediction, cost)
 
 
 @lru_cache(maxsize=1)

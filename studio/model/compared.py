@@ -1,4 +1,4 @@
-"""Designs side by side: their values and figures, and which of them differ."""
+"""Comparison of designs: their values and figures, and which of them differ."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from lensdesign.analysis.check import check_design
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 
-MARKED = 1e-9
-"""Relative difference from which numbers differ."""
-
 
 @dataclass(frozen=True)
 class Line:
@@ -20,13 +17,13 @@ class Line:
     Attributes
     ----------
     name
-        What it is, with its unit.
+        Name and unit.
     values
-        As text, one for each design; empty where it has none.
+        Values as text, one for each design; empty for a design without it.
     differs
-        Whether they are not all the same.
+        Whether the values differ.
     met
-        For constraints, whether each design keeps it; else all None.
+        Whether each design meets the constraint; None for values that are not constraints.
     """
 
     name: str
@@ -36,7 +33,7 @@ class Line:
 
 
 def compared(lenses: Sequence[Lens]) -> tuple[Line, ...]:
-    """Values and figures of designs, line by line."""
+    """Return values and figures of several designs, one line for each."""
     columns = [_values(lens) for lens in lenses]
     names = list(dict.fromkeys(name for column in columns for name in column))
     return tuple(_line(name, [column.get(name) for column in columns]) for name in names)
@@ -46,7 +43,7 @@ def _line(name: str, found: Sequence[tuple[float | str, bool | None] | None]) ->
     values = [None if one is None else one[0] for one in found]
     numbers = [v for v in values if isinstance(v, float)]
     if len(numbers) == len(values):
-        differs = max(numbers) - min(numbers) > MARKED * max(1e-300, *(abs(v) for v in numbers))
+        differs = max(numbers) - min(numbers) > 1e-9 * max(1e-300, *(abs(v) for v in numbers))
     else:
         differs = len(set(values)) > 1
     shown = tuple("" if v is None else f"{v:.7g}" if isinstance(v, float) else v for v in values)

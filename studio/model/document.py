@@ -1,4 +1,4 @@
-"""The design's file: opened, saved when asked, never over what changed there; and edits kept aside."""
+"""Design file of the workbench, which is never overwritten after external changes; autosave of edits."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from studio.model.editing import Editing, Step, Tables, lens_from
 
 @dataclass(frozen=True)
 class Document:
-    """A design file as it was last read or written.
+    """State of a design file when it was last read or written.
 
     Attributes
     ----------
     path
         The file.
     digest
-        Of its bytes then; empty where it did not exist.
+        SHA-256 of its bytes; empty if it did not exist.
     """
 
     path: Path
     digest: str
 
     def saved(self, editing: Editing, path: Path | None = None) -> Document:
-        """Write the lens, and tell the file as it is then.
+        """Write the lens, and return the new state of the file.
 
         Parameters
         ----------
         editing
-            What is saved.
+            The edited design.
         path
-            Another file, which must not exist; the document's own where left out.
+            Another file, which must not exist (default: the document's file).
 
         Raises
         ------
         InputError
-            If the file changed on disk meanwhile, exists where it must not, or cannot be written.
+            If the file changed on disk, another file exists, or the file cannot be written.
         """
         target = self.path if path is None else path
         known = self.digest if _same(target, self.path) else ""
@@ -65,7 +65,7 @@ def opened(path: Path) -> tuple[Document, Editing]:
     Raises
     ------
     InputError
-        As of :func:`lensdesign.load_design`.
+        If the file cannot be read or does not describe a lens; see :func:`lensdesign.load_design`.
     """
     digest = digest_of(path)
     tables = read_toml(path)
@@ -73,7 +73,7 @@ def opened(path: Path) -> tuple[Document, Editing]:
 
 
 def digest_of(path: Path) -> str:
-    """Of a file's bytes; empty where there is no file."""
+    """Return the SHA-256 of a file's bytes; empty if there is no file."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except FileNotFoundError:
@@ -83,7 +83,7 @@ def digest_of(path: Path) -> str:
 
 
 def _why_not(known: str, found: str) -> str:
-    """Why a file of one digest is not written over one of another."""
+    """Return the reason why a file with an unexpected digest is not overwritten."""
     if not known:
         return "exists already; give another name"
     if not found:
@@ -96,14 +96,14 @@ def _same(one: Path, other: Path) -> bool:
 
 
 class Autosave:
-    """Unsaved edits, and where the page is served, kept in the user's own folder until they are saved.
+    """Store of unsaved edits, and of the server's address, in a private folder of the user.
 
     Parameters
     ----------
     path
         The design file that is edited.
     folder
-        Where to keep them; the user's folder of caches where left out.
+        Folder of the store (default: in the user's cache folder).
     """
 
     def __init__(self, path: Path, folder: Path | None = None) -> None:
@@ -115,7 +115,7 @@ class Autosave:
         self._is_refused = False
 
     def read(self) -> dict[str, Any]:
-        """What is kept; empty where nothing is, or it cannot be read."""
+        """Return the stored values; empty if there are none or they cannot be read."""
         try:
             found = json.loads(self.file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -123,9 +123,9 @@ class Autosave:
         return found if isinstance(found, dict) else {}
 
     def keep(self, **values: Any) -> None:
-        """Keep values beside those that are there; only the user can read them.
+        """Add values to the store; only the user can read it.
 
-        Where the folder cannot be written, one warning says so, and the page goes on without.
+        If the folder cannot be written, one warning is printed and the page continues without a store.
         """
         with self._turn:  # the page and the thread of the figures both keep
             try:
@@ -150,7 +150,7 @@ class Autosave:
             raise
 
     def restored(self, document: Document, editing: Editing) -> Editing:
-        """The editing with the edits that were kept, if they were made on the file as it is."""
+        """Return the editing with the stored edits, if they belong to the present contents of the file."""
         kept = self.read()
         tables = kept.get("tables")
         if not isinstance(tables, str) or kept.get("digest") != document.digest:
@@ -164,5 +164,5 @@ class Autosave:
 
 
 def tables_text(tables: Tables) -> str:
-    """Tables as the text of a TOML file."""
+    """Return tables as the text of a TOML file."""
     return tomli_w.dumps(tables)

@@ -1,6 +1,7 @@
-"""A design as it is edited: tables and the lens they make, with what was undone and can be redone.
+"""Editing of a design: its tables and lens, with undo and redo.
 
-Every change gives a new value; a change that makes no lens raises, and the last good one stays.
+Every change returns a new value. A change that does not yield a valid lens raises an error; the last valid
+design stays.
 """
 
 from __future__ import annotations
@@ -15,100 +16,108 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import lens_of
 from lensdesign.lens.lens import Lens
 
-Place = tuple[str | int, ...]
-"""Where a value stands in a design's tables: ("surface", 0, "radius_mm"); tables are counted from 0."""
+TablePath = tuple[str | int, ...]
+"""Position of a value in a design's tables: ("surface", 0, "radius_mm"); indices start at 0."""
 
 Tables = dict[str, Any]
 
-MOST_STEPS = 1000
-"""That can be undone."""
+MAX_STEPS = 1000
+"""Largest number of steps that can be undone."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A design at one moment.
+    """One state of a design.
 
     Attributes
     ----------
     tables
-        As of a design file; never changed in place.
+        Tables of the design file; never changed in place.
     lens
-        What they make.
-    what
-        What was done to come here, for the reader.
+        The lens of these tables.
+    description
+        Description of the change that led to this state.
     """
 
     tables: Tables
     lens: Lens
-    what: str
+    description: str
 
 
 @dataclass(frozen=True, eq=False)
 class Editing:
-    """A design, what it was before, and what was undone.
+    """A design with its undo and redo history.
 
     Attributes
     ----------
     path
         The design file; it need not exist.
     now
-        The design as it is.
-    before, after
-        What undoing and redoing lead to, the nearest last and first.
+        Present state.
+    undo_steps, redo_steps
+        Earlier states, the most recent last; and undone states, the most recent first.
     gesture
-        Of the last change: those of one gesture, such as a drag, are undone together.
+        Identifier of the last gesture, such as a drag; its changes are undone together.
     """
 
     path: Path
     now: Step
-    before: tuple[Step, ...] = ()
-    after: tuple[Step, ...] = ()
+    undo_steps: tuple[Step, ...] = ()
+    redo_steps: tuple[Step, ...] = ()
     gesture: str = ""
 
     @property
     def lens(self) -> Lens:
-        """The lens as it is."""
+        """Present lens."""
         return self.now.lens
 
-    def changed(self, tables: Tables, what: str, gesture: str = "") -> Editing:
-        """With other tables.
+    def changed(self, tables: Tables, description: str, gesture: str = "") -> Editing:
+        """Return the editing with other tables.
 
         Raises
         ------
         InputError
-            If they make no lens; the message is that of the commands.
+            If the tables do not describe a valid lens.
         """
-        step = Step(tables, lens_from(tables, self.path), what)
+        step = Step(tables, lens_from(tables, self.path), description)
         if gesture and gesture == self.gesture:
-            return replace(self, now=step, after=())
+            return replace(self, now=step, redo_steps=())
         return replace(
-            self, now=step, before=(*self.before, self.now)[-MOST_STEPS:], after=(), gesture=gesture
+            self,
+            now=step,
+            undo_steps=(*self.undo_steps, self.now)[-MAX_STEPS:],
+            redo_steps=(),
+            gesture=gesture,
         )
 
     def undone(self) -> Editing:
-        """One step back; the same where there is none."""
-        if not self.before:
+        """Return the editing one step back; unchanged if there is none."""
+        if not self.undo_steps:
             return self
-        *rest, last = self.before
-        return replace(self, now=last, before=tuple(rest), after=(self.now, *self.after), gesture="")
+        *rest, last = self.undo_steps
+        return replace(
+            self, now=last, undo_steps=tuple(rest), redo_steps=(self.now, *self.redo_steps), gesture=""
+        )
 
     def redone(self) -> Editing:
-        """One step forward again; the same where nothing was undone."""
-        if not self.after:
+        """Return the editing one undone step forward; unchanged if there is none."""
+        if not self.redo_steps:
             return self
-        first, *rest = self.after
-        return replace(self, now=first, before=(*self.before, self.now), after=tuple(rest), gesture="")
+        first, *rest = self.redo_steps
+        return replace(
+            self, now=first, undo_steps=(*self.undo_steps, self.now), redo_steps=tuple(rest), gesture=""
+        )
 
 
 def lens_from(tables: Tables, path: Path) -> Lens:
-    """The lens that tables make, refused as the commands refuse a file that holds them."""
+    """Return the lens of tables, with the validation of a design file."""
     return lens_of(deepcopy(tables), path)
 
 
-def value_at(tables: Tables, place: Place) -> Any:
-    """The value at a place, None where there is none."""
+def value_at(tables: Tables, table_path: TablePath) -> Any:
+    """Return the value at a position of the tables; None if there is none."""
     found: Any = tables
-    for key in place:
+    for key in table_path:
         try:
             found = found[key]
         except (KeyError, IndexError):
@@ -116,12 +125,12 @@ def value_at(tables: Tables, place: Place) -> Any:
     return found
 
 
-def with_value(tables: Tables, place: Place, value: Any) -> Tables:
-    """Tables with another value at a place; None takes the key out."""
+def with_value(tables: Tables, table_path: TablePath, value: Any) -> Tables:
+    """Return tables with another value at a position; None removes the key."""
     changed = deepcopy(tables)
-    *way, last = place
+    *parents, last = table_path
     inner: Any = changed
-    for key in way:
+    for key in parents:
         inner = inner.setdefault(key, {}) if isinstance(inner, dict) else inner[key]
     if value is None and isinstance(inner, dict):
         inner.pop(last, None)
@@ -130,12 +139,12 @@ def with_value(tables: Tables, place: Place, value: Any) -> Tables:
     return changed
 
 
-def with_surface_after(tables: Tables, number: int) -> Tables:
-    """Tables with a plane surface more behind one, counted from 0, in the middle of the space there."""
+def with_surface_after(tables: Tables, index: int) -> Tables:
+    """Return tables with an additional plane in the middle of the space behind a surface (index from 0)."""
     changed = deepcopy(tables)
     surfaces = changed["surface"]
-    own = surfaces[number]
-    if number == len(surfaces) - 1:
+    own = surfaces[index]
+    if index == len(surfaces) - 1:
         own["thickness_mm"] = 1.0
         surfaces.append({})
     else:
@@ -144,38 +153,38 @@ def with_surface_after(tables: Tables, number: int) -> Tables:
         added: Tables = {"thickness_mm": half}
         if "material" in own:
             added["material"] = own["material"]
-        surfaces.insert(number + 1, added)
+        surfaces.insert(index + 1, added)
     return changed
 
 
-def without_surface(tables: Tables, number: int) -> Tables:
-    """Tables without one surface; its space is the next one's.
+def without_surface(tables: Tables, index: int) -> Tables:
+    """Return tables without one surface and the space behind it.
 
     Raises
     ------
     InputError
-        If it is the only one, or the stop.
+        If the surface is the only one, or the stop.
     """
     surfaces: Sequence[Tables] = tables["surface"]
     if len(surfaces) == 1:
         raise InputError("surface 1: the only surface stays; a lens has one at least")
-    if surfaces[number].get("stop"):
-        raise InputError(f"surface {number + 1}: is the stop; make another surface the stop first")
+    if surfaces[index].get("stop"):
+        raise InputError(f"surface {index + 1}: is the stop; make another surface the stop first")
     changed = deepcopy(tables)
-    changed["surface"].pop(number)
-    if number == len(surfaces) - 1:
+    changed["surface"].pop(index)
+    if index == len(surfaces) - 1:
         changed["surface"][-1].pop("thickness_mm", None)
         changed["surface"][-1].pop("material", None)
     return changed
 
 
-def with_stop(tables: Tables, number: int) -> Tables:
-    """Tables whose stop, and its size where there is none, is on another surface."""
+def with_stop(tables: Tables, index: int) -> Tables:
+    """Return tables with the stop on another surface, which inherits its size unless it has one."""
     changed = deepcopy(tables)
     sizes = [s.get("semi_diameter_mm") for s in changed["surface"] if s.get("stop")]
     for i, surface in enumerate(changed["surface"]):
         surface.pop("stop", None)
-        if i == number:
+        if i == index:
             surface["stop"] = True
             surface.setdefault("semi_diameter_mm", (sizes or [None])[0])
     return changed

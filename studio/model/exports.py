@@ -1,4 +1,4 @@
-"""Files that are made of a lens from the page."""
+"""Export of a lens from the page."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ KINDS = {
     "lens to turn in a browser (.html)": ".html",
     "tolerance report (folder)": "",
 }
-"""What can be made, by its name on the page, and the suffix of its file."""
+"""Kinds of exports by their names on the page, with the suffixes of their files."""
 
 MESH_ERROR_UM = 0.1
-"""As of `lensdesign export`."""
+"""Chord error of meshes, as in `lensdesign export`."""
 
 REPORT_TRIALS = 400
 
 
 def write_export(
-    lens: Lens, path: Path, made: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
+    lens: Lens, path: Path, quality: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
 ) -> str:
-    """Write one file, and say in a sentence what it is.
+    """Write one file or report, and return a sentence on its contents.
 
     Parameters
     ----------
     lens
         The lens.
     path
-        Its suffix says what is written; without one, a folder for a tolerance report.
-    made
+        File to write; its suffix selects the format. Without a suffix: folder of a tolerance report.
+    quality
         Tolerances of the report.
     replace
-        Whether what stands there may be replaced.
+        Whether an existing file may be replaced.
     report
-        Called with notes.
+        Called with lines on progress and notes.
 
     Raises
     ------
     InputError
-        If the lens cannot be written so, or something stands there.
+        If the format cannot represent the lens, or the file exists and may not be replaced.
     """
     if path.exists() and not replace:
         raise InputError(f"{path}: exists already; tick replace, or give another name")
@@ -73,25 +73,25 @@ def write_export(
     if path.suffix:
         from lensdesign.manufacture.exports import ExportOptions, export_lens
 
-        made_file = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
-        for statement in made_file.outline:
+        exported = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
+        for statement in exported.outline:
             report(f"outline: {statement}")
-        return f"wrote {path}: {made_file.sentence}"
-    return _write_report(lens, path, made, report)
+        return f"wrote {path}: {exported.sentence}"
+    return _write_report(lens, path, quality, report)
 
 
 def _write_report(
-    lens: Lens, folder: Path, made: ManufacturingQuality | None, report: Callable[[str], None]
+    lens: Lens, folder: Path, quality: ManufacturingQuality | None, report: Callable[[str], None]
 ) -> str:
     """Run a short study and write its report."""
     from studio.model.studies import run_trials
     from tolerancing.report.report import write_report
     from tolerancing.store.store import open_store
 
-    if made is None:
-        raise InputError("a report needs tolerances: choose a grade")
+    if quality is None:
+        raise InputError("a tolerance report needs tolerances: choose a grade")
     with tempfile.TemporaryDirectory() as name:
-        run_trials(lens, made, REPORT_TRIALS, Path(name), report)
+        run_trials(lens, quality, REPORT_TRIALS, Path(name), report)
         with open_store(Path(name) / "study.db") as store:
             write_report(store, folder)
     return f"wrote {folder}/report.html, report.pdf, trials.csv and steps.csv"

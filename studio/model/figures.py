@@ -1,4 +1,4 @@
-"""All figures of a lens, in stages: what rays tell, what pupils tell, the patch."""
+"""All figures of a lens in three stages: rays, pupils, patch."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Figures:
     lens
         The lens.
     settled
-        Whether they are those of the commands; while a value moves, coarser ones stand for them.
+        Whether they have the accuracy of the commands; while a value changes, figures are coarser.
     layout, check, pupils, built, patch
-        None where they are not had yet, or cannot be.
+        Figures; None (or empty) if they are not available.
     refused
-        Why not, a sentence each.
+        Reasons why figures are not available, one sentence each.
     seconds
-        That each stage took.
+        Computing time of each stage in s.
     """
 
     lens: Lens
@@ -59,29 +59,29 @@ class Figures:
 
 @dataclass(frozen=True, eq=False)
 class FigureRequest:
-    """What figures are asked for.
+    """Inputs of the figures.
 
     Attributes
     ----------
     lens
         The lens.
     what_if
-        How far it is off.
-    made
-        By what tolerances; None for no prediction.
-    patch_share
-        Height of the patch's object point, as a share of the half field.
+        Its deviations from the design.
+    quality
+        Tolerances of the prediction; None: no prediction.
+    patch_fraction
+        Field height of the patch, as a fraction of the half field.
     """
 
     lens: Lens
     what_if: WhatIf
-    made: ManufacturingQuality | None
-    patch_share: float
+    quality: ManufacturingQuality | None
+    patch_fraction: float
 
 
-def rays_of(asked: FigureRequest, *, settled: bool) -> Figures:
-    """Layout, and what the check tells."""
-    began, lens = time.perf_counter(), asked.lens
+def rays_of(request: FigureRequest, *, settled: bool) -> Figures:
+    """Compute layout and check."""
+    started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
     layout = _tried(lambda: layout_of(lens), refused)
     check = _tried(lambda: check_design(lens, refined=settled), refused)
@@ -91,41 +91,43 @@ def rays_of(asked: FigureRequest, *, settled: bool) -> Figures:
         layout=layout,
         check=check,
         refused=tuple(refused),
-        seconds=(time.perf_counter() - began,),
+        seconds=(time.perf_counter() - started,),
     )
 
 
-def waves_of(asked: FigureRequest, *, settled: bool) -> Figures:
-    """Pupils at three object points, and what is predicted as built."""
-    began, lens, made = time.perf_counter(), asked.lens, asked.made
+def waves_of(request: FigureRequest, *, settled: bool) -> Figures:
+    """Compute pupils at three object points, and the prediction as built."""
+    started, lens, quality = time.perf_counter(), request.lens, request.quality
     refused: list[str] = []
     samples = SAMPLES if settled else COARSE
     with one_blas_thread():
-        what_if, heights = asked.what_if.of(lens), heights_of(lens)
+        what_if, heights = request.what_if.of(lens), heights_of(lens)
         pupils = _tried(lambda: pupil_figures(lens, what_if, heights, samples), refused)
-        as_built = None if made is None else _tried(lambda: built(lens, made, settled=settled), refused)
+        as_built = None if quality is None else _tried(lambda: built(lens, quality, settled=settled), refused)
     return Figures(
         lens,
         settled,
         pupils=pupils or (),
         built=as_built,
         refused=tuple(refused),
-        seconds=(time.perf_counter() - began,),
+        seconds=(time.perf_counter() - started,),
     )
 
 
-def patch_of(asked: FigureRequest, *, settled: bool) -> Figures:
-    """The patch."""
-    began, lens = time.perf_counter(), asked.lens
+def patch_of(request: FigureRequest, *, settled: bool) -> Figures:
+    """Compute the patch."""
+    started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
-    height, samples = asked.patch_share * lens.half_field_mm, None if settled else COARSE_PATCH
+    height, samples = request.patch_fraction * lens.half_field_mm, None if settled else COARSE_PATCH
     with one_blas_thread():
-        patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, samples), refused)
-    return Figures(lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - began,))
+        patch = _tried(lambda: patch_picture(lens, request.what_if.of(lens), height, samples), refused)
+    return Figures(
+        lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - started,)
+    )
 
 
 def _tried(figure: Callable[[], Found], refused: list[str]) -> Found | None:
-    """A figure, or None and a sentence why not."""
+    """Return a figure; if it fails, return None and add the reason to `refused`."""
     try:
         return figure()
     except TransferLensError as error:

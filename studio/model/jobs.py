@@ -1,4 +1,4 @@
-"""Work in a process of its own, that tells how far it is and can be stopped."""
+"""Background jobs in a child process, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ WAIT_SECONDS = 0.2
 
 
 class Job:
-    """A function that runs in a process of its own.
+    """A function that runs in a child process.
 
     Parameters
     ----------
     work
-        Called there with `arguments`, and with a function that takes a line of text: how far it is. It, they
-        and what it gives must be picklable.
+        Function to call with `arguments` and a progress callback that takes a line of text. The function, the
+        arguments and the result must be picklable.
     arguments
-        Its arguments.
-    told
-        Called here, in a thread, after each line and at the end.
+        Arguments of the function.
+    on_change
+        Called in a thread of this process after each line and at the end.
 
     Attributes
     ----------
     lines
-        What it told, line by line.
+        Lines of progress so far.
     state
         ``running``, ``done``, ``failed`` or ``cancelled``.
     result
-        What the function gave; where it failed, the reason.
+        Result of the function; if it failed, the reason.
     """
 
     def __init__(
-        self, work: Callable[..., Any], arguments: tuple[Any, ...], told: Callable[[], None]
+        self, work: Callable[..., Any], arguments: tuple[Any, ...], on_change: Callable[[], None]
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self.state = "running"
         self.lines: list[str] = []
         self.result: Any = None
-        self._told = told
+        self._on_change = on_change
         self._messages: Any = context.Queue()
         self._process = context.Process(target=_run, args=(work, arguments, self._messages), daemon=True)
         self._process.start()
@@ -52,15 +52,15 @@ class Job:
 
     @property
     def progress(self) -> str:
-        """The last line."""
+        """Last line of progress; empty at the start."""
         return self.lines[-1] if self.lines else ""
 
     def cancel(self) -> None:
-        """Stop it; what it has done is lost."""
+        """Stop the job and discard its work."""
         if self.state == "running":
             self.state = "cancelled"
             self._process.terminate()
-            self._told()
+            self._on_change()
 
     def _follow(self) -> None:
         while self.state == "running":
@@ -72,7 +72,7 @@ class Job:
                 continue
             if kind == "line":
                 self.lines.append(value)
-                self._told()
+                self._on_change()
             else:
                 self._end(kind, value)
         self._process.join()
@@ -80,11 +80,11 @@ class Job:
     def _end(self, state: str, result: Any) -> None:
         if self.state == "running":
             self.state, self.result = state, result
-            self._told()
+            self._on_change()
 
 
 def _run(work: Callable[..., Any], arguments: tuple[Any, ...], messages: Any) -> None:
-    """In the process."""
+    """Run the work in the child process, and send its progress and result."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         messages.put(("done", work(*arguments, lambda line: messages.put(("line", line)))))
@@ -93,7 +93,7 @@ def _run(work: Callable[..., Any], arguments: tuple[Any, ...], messages: Any) ->
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed ends no child; without one, nobody waits for the result."""
+    """End this process when its parent ends, because nobody waits for the result any more."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

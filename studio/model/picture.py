@@ -1,4 +1,4 @@
-"""Lines and polygons of the layout, and spots on the sensor, as numbers."""
+"""Coordinates of the layout (lines and polygons) and of the spots on the sensor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_elements
 from lensdesign.raytrace.bundles import launch, pupil_fan, pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.paths import FIELD_FRACTIONS, ray_paths, sized_lens
 from lensdesign.raytrace.rays import trace
 
 RAYS_PER_FIELD = 11
@@ -19,18 +19,18 @@ SPOT_RINGS = 7
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The lens in its meridian; z and y in mm.
+    """Meridional section of a lens; z and y in mm.
 
     Attributes
     ----------
     glass
         Outline of each element, shape (n, 2).
     surfaces
-        Of each surface its section, shape (n, 2).
+        Section of each surface, shape (n, 2).
     rays
-        For each field the corners of its rays, shape (rays, corners, 2).
+        Corners of the rays of each field, shape (rays, corners, 2).
     spots
-        For each sensor plane and field where rays arrive, x and y, shape (n, 2).
+        x and y of the rays' points for each sensor plane and field, shape (n, 2).
     """
 
     glass: tuple[Array, ...]
@@ -40,17 +40,17 @@ class Layout:
 
 
 def heights_of(lens: Lens) -> tuple[float, ...]:
-    """Object points of the pictures."""
-    return tuple(share * lens.half_field_mm for share in FIELD_SHARES)
+    """Return the field heights of the pictures in mm."""
+    return tuple(share * lens.half_field_mm for share in FIELD_FRACTIONS)
 
 
 def layout_of(lens: Lens) -> Layout:
-    """The layout of a lens with rays of three fields.
+    """Return the layout of a lens with rays of three fields.
 
     Raises
     ------
     InputError
-        If a surface's size is neither given nor can be had from rays.
+        If a surface's size is neither given nor can be determined from rays.
     """
     lens = sized_lens(lens)
     heights = heights_of(lens)
@@ -77,7 +77,7 @@ def _spots(lens: Lens, heights: tuple[float, ...]) -> tuple[tuple[Array, ...], .
         rays = trace(lens, origins, directions, lens.wavelengths_um[0], plane_z_mm=lens.sensor_z_mm[0])
         own = []
         for z in lens.sensor_z_mm:
-            way = (z - rays.position[:, 2:]) / rays.direction[:, 2:]
-            own.append((rays.position + way * rays.direction)[rays.ok, :2])
+            distance = (z - rays.position[:, 2:]) / rays.direction[:, 2:]
+            own.append((rays.position + distance * rays.direction)[rays.ok, :2])
         by_field.append(own)
     return tuple(tuple(own[k] for own in by_field) for k in range(len(lens.sensor_z_mm)))

@@ -1,4 +1,4 @@
-"""Wavefronts, Strehl ratios and contrast of a lens that is not as designed, and a small patch through it."""
+"""Wavefronts, Strehl ratios and contrast of a lens with deviations, and a small patch imaged through it."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from wavesim.pupil.patch_chain import PatchChain
 from wavesim.pupil.pupil import refocus, rms_waves, strehl
 
 SAMPLES, COARSE = 128, 48
-"""Across the pupil: as `wavesim pupil`; and while a value moves."""
+"""Samples across the pupil, as in `wavesim pupil`, and while a value changes."""
 
 WIDTHS = (1.0, 1.25, 1.6, 2.0, 2.8)
 """Line widths, in units of wavelength / (2 NA)."""
 
 PATCH_UM = 16.0
-"""Side of the patch for a resolution of 0.532 um; others in proportion."""
+"""Side of the patch for a resolution of 0.532 um; it is proportional to the resolution."""
 
 COARSE_PATCH = 67
-"""Samples of the stop for the patch while a value moves."""
+"""Samples of the stop for the patch while a value changes."""
 
 
 @dataclass(frozen=True, eq=False)
 class PupilFigures:
-    """What comes back from one object point.
+    """Figures of the pupil of one object point.
 
     Attributes
     ----------
     field_mm
-        Height of the object point, along y.
+        Height of the object point along y in mm.
     strehl, rms_waves
-        After refocusing.
+        Strehl ratio and root mean square wavefront error in waves, after refocusing.
     shift_um, refocus_um
-        By how much the object comes back displaced, and is refocused.
+        Displacement of the reconstructed object, and refocusing distance, in um.
     widths_um, contrast
-        Line widths, and contrasts of lines along both axes, the smaller of the two.
+        Line widths in um, and the smaller of the contrasts of lines along both axes.
     waves : ndarray, shape (samples, samples)
-        Path difference; NaN outside the pupil.
+        Path difference in waves; NaN outside the pupil.
     """
 
     field_mm: float
@@ -60,7 +60,7 @@ class PupilFigures:
 def pupil_figures(
     lens: Lens, what_if: WhatIf, heights_mm: Sequence[float], samples: int = SAMPLES
 ) -> tuple[PupilFigures, ...]:
-    """Figures at object points, as `wavesim pupil` has them.
+    """Return the pupil figures of object points, as in `wavesim pupil`.
 
     Raises
     ------
@@ -97,38 +97,38 @@ def pupil_figures(
 
 @lru_cache(maxsize=8)
 def _sampler(lens: Lens, height_mm: float, samples: int) -> PupilSampler:
-    """Kept while only what is off changes."""
+    """Return the cached pupil sampler of a lens, which does not depend on the deviations."""
     return PupilSampler(lens, (0.0, height_mm), samples=samples)
 
 
 @dataclass(frozen=True, eq=False)
 class PatchPicture:
-    """A chart's small patch as it comes back, and as the nominal lens brings it back.
+    """A small patch of a chart, reconstructed through the actual and through the nominal lens.
 
     Attributes
     ----------
     side_um
-        Of the patch.
-    seen, nominal : ndarray
+        Side of the patch in um.
+    actual, nominal : ndarray
         Intensities; row: y, column: x.
     """
 
     side_um: float
-    seen: Array
+    actual: Array
     nominal: Array
 
 
 def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | None = None) -> PatchPicture:
-    """A chart of bars through the lens as it may be, and back through the nominal one, refocused.
+    """Propagate a chart of bars through the lens with deviations, and back through the nominal lens.
 
     Parameters
     ----------
     lens, what_if
-        The lens, and how far it is off.
+        The lens, and its deviations from the design.
     height_mm
-        Of the object point in the patch's middle, along y.
+        Field height of the patch's centre along y in mm.
     samples
-        As of :class:`wavesim.PatchChain`.
+        Samples of the stop; see :class:`wavesim.PatchChain`.
 
     Raises
     ------
@@ -136,8 +136,8 @@ def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | 
         If rays do not arrive.
     """
     chain = _chain(lens, height_mm, samples)
-    seen = chain.perturbed(what_if.placement(lens)).returned(_chart(chain), "focus").values
-    return PatchPicture(chain.patch_um, np.abs(seen) ** 2, _nominal(lens, height_mm, samples))
+    actual = chain.perturbed(what_if.placement(lens)).returned(_chart(chain), "focus").values
+    return PatchPicture(chain.patch_um, np.abs(actual) ** 2, _nominal(lens, height_mm, samples))
 
 
 @lru_cache(maxsize=4)
@@ -158,7 +158,7 @@ def _resolution_um(lens: Lens) -> float:
 
 
 def _chart(chain: PatchChain) -> Array:
-    """Three groups of three bars in each direction, 2, 1.5 and 1.1 times the resolution wide."""
+    """Return a chart: three groups of three bars in each direction, 2, 1.5, 1.1 times the resolution wide."""
     xy, unit = chain.patch.coordinates_um, _resolution_um(chain.lens)
     chart = np.zeros(chain.patch.shape)
     for row, width in ((-8.2, 2.0), (1.5, 1.5), (9.3, 1.1)):

@@ -1,4 +1,4 @@
-"""Folders of frames and reconstructions: what they say, their pictures, and the page that zooms."""
+"""Folders of frames, reconstructions and calibrations: their contents for the page."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ PICTURES = (
     "frames.png",
     "object.png",
 )
-MOST_BYTES = 64_000_000
-"""Of a file that is shown."""
+MAX_BYTES = 64_000_000
+"""Largest size of a file that is shown."""
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What a folder holds.
+class FolderContents:
+    """Contents of a folder of results.
 
     Attributes
     ----------
     verdict
-        In words; empty where there is none.
+        Goodness of fit in words; empty without one.
     explained
-        Whether the frames are explained; None where nothing says so.
+        Whether the model explains the frames; None if unknown.
     facts
-        Names and values, those of what a calibration found included.
+        Names and values, including those of a calibration.
     pictures
-        Names and PNG files.
+        Names and bytes of PNG files.
     page
-        The page that zooms, as HTML that loads nothing; empty where there is nothing to zoom into.
+        Self-contained HTML page with a zoomable picture; empty without one.
     """
 
     verdict: str
@@ -52,29 +52,29 @@ class Seen:
     page: str
 
 
-def look_at(folder: Path, report: Callable[[str], None]) -> Seen:
+def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     """Read a folder of `wavesim image`, `reconstruct` or `calibrate`.
 
     Raises
     ------
     InputError
-        If it is none of these.
+        If the folder holds no results of these commands.
     """
     summaries = [path for name in SUMMARIES if (path := folder / name).is_file()]
     if not summaries:
         raise InputError(f"{folder}: holds none of {', '.join(SUMMARIES)}: give a folder that wavesim wrote")
     report(f"reading {folder}")
-    told = _read(summaries[0])
-    verdict: Any = told.get("verdict") or {}
+    values = _read(summaries[0])
+    verdict: Any = values.get("verdict") or {}
     pictures = tuple(
         (name, path.read_bytes())
         for name in PICTURES
-        if (path := folder / name).is_file() and path.stat().st_size <= MOST_BYTES
+        if (path := folder / name).is_file() and path.stat().st_size <= MAX_BYTES
     )
-    report("making the page that zooms")
+    report("creating the zoomable page")
     explained = verdict.get("explained") if isinstance(verdict, dict) else None
     words = str(verdict.get("words", "")) if isinstance(verdict, dict) else ""
-    return Seen(words, explained, tuple(_facts(told)), pictures, _page(folder))
+    return FolderContents(words, explained, tuple(_facts(values)), pictures, _page(folder))
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -89,10 +89,10 @@ def _read(path: Path) -> dict[str, Any]:
     return found
 
 
-def _facts(told: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Values that are one word or number each, tables within tables behind their names."""
+def _facts(values: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Return scalar values of nested tables with their names."""
     found = []
-    for name, value in told.items():
+    for name, value in values.items():
         shown = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(value, dict) and name != "verdict":
             found += _facts(value, f"{shown}, ")
@@ -104,11 +104,11 @@ def _facts(told: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
 
 
 def _page(folder: Path) -> str:
-    """What `wavesim view` makes of the folder."""
+    """Return the page that `wavesim view` writes for the folder."""
     with tempfile.TemporaryDirectory() as name:
         page = Path(name) / "view.html"
         command = [sys.executable, "-m", "wavesim.cli", "view", str(folder.resolve()), "-o", str(page)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode or page.stat().st_size > MOST_BYTES:
+        if done.returncode or page.stat().st_size > MAX_BYTES:
             return ""
         return page.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Searches for lenses from the page: what may vary, what must hold, and the search itself."""
+"""Searches for lenses from the page: variables, constraints, and the search."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ CONSTRAINTS = (
     ("max_semi_diameter_mm", "semi-diameter, at most", "mm"),
     ("min_yield", "yield, at least", ""),
 )
-"""Key, label and unit of what can be asked; of the first two, ``sensor`` is what the sensor allows."""
+"""Key, label and unit of constraints; for the first two, ``sensor`` means the limit of the sensor."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What is asked of a search.
+    """Settings of a search.
 
     Attributes
     ----------
     variables
-        Names of :func:`variables_of`.
+        Names of variables; see :func:`variables_of`.
     goal
-        One of `GOALS`.
+        One of `GOALS` (default: smallest spread).
     constraints
-        Values by the keys of `CONSTRAINTS`; what is left out is as a specification has it.
+        Values by the keys of `CONSTRAINTS` (default: defaults of a specification).
     starts
-        Most starts.
+        Largest number of starts (default: 6).
     """
 
     variables: tuple[str, ...]
@@ -68,16 +68,16 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search found, in plain values.
+    """Result of a search in plain values.
 
     Attributes
     ----------
     text
-        The lens, as a design file.
+        The lens as the text of a design file.
     feasible, violations, binding
-        Whether it keeps what was asked, each miss in a sentence, and what stops it from getting better.
+        Whether the lens meets the specification, one sentence for each violation, and binding constraints.
     summary
-        One line.
+        Summary in one line.
     """
 
     text: str
@@ -88,7 +88,7 @@ class Found:
 
 
 def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
-    """What a search may vary, by name, with bounds about what the lens has."""
+    """Return the variables of a search by name, with bounds around the values of the lens."""
     found: dict[str, dict[str, Any]] = {}
     for i, surface in enumerate(lens.surfaces, start=1):
         reach = surface.semi_diameter_mm or lens.stop_semi_diameter_mm
@@ -113,15 +113,15 @@ def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
 
 
 def specification_text(lens: Lens, search: Search, folder: Path, study: str | None) -> str:
-    """A specification file in a folder.
+    """Return the text of a specification file in a folder.
 
     Raises
     ------
     InputError
-        If nothing may vary, or a goal needs tolerances that are not chosen.
+        If there is no variable, or the goal needs tolerances that are not chosen.
     """
     if not search.variables:
-        raise InputError("nothing may vary: tick what may")
+        raise InputError("no variable is selected: tick at least one")
     known = variables_of(lens)
     tables: dict[str, Any] = {
         "optimize": {
@@ -136,29 +136,29 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
         tables["tolerances"] = {"study": study}
     elif search.goal in AS_BUILT_GOALS or "min_yield" in search.constraints:
         raise InputError(f"goal {search.goal!r}: choose tolerances first")
-    # Tolerances of a figure are counted over a clear aperture; else a search is free to move its rays.
+    # Tolerances of a figure refer to a clear aperture. Otherwise the footprint of rays may change freely.
     start = lens if study is not None else _without_sizes(lens)
     return tomli_w.dumps(tomllib.loads(design_text(start, folder)) | tables)
 
 
 def run_search(
-    lens: Lens, search: Search, made: ManufacturingQuality | None, report: Callable[[str], None]
+    lens: Lens, search: Search, quality: ManufacturingQuality | None, report: Callable[[str], None]
 ) -> Found:
-    """Search, in the process that calls.
+    """Run a search in the calling process.
 
     Raises
     ------
     InputError
-        As of :func:`lensdesign.load_specification` and :func:`lensdesign.optimize`.
+        If the settings are not valid or no lens is found; see :func:`lensdesign.optimize`.
     """
     from lensdesign.optimization.search import optimize
 
-    with _asked(lens, search, made) as specification:
+    with _specification_of(lens, search, quality) as specification:
         result = optimize(specification, report)
     unit = f" {result.goal_unit}" if result.goal_unit else ""
     summary = (
         f"{result.goal} {result.goal_value:.6g}{unit}; {result.evaluations} evaluations in "
-        f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts came to this"
+        f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts reached this lens"
     )
     text = design_text(result.lens.replaced(title=lens.title), Path("/"))
     return Found(text, result.feasible, tuple(result.violations), tuple(result.binding), summary)
@@ -167,28 +167,28 @@ def run_search(
 def run_exploration(
     lens: Lens,
     search: Search,
-    made: ManufacturingQuality | None,
+    quality: ManufacturingQuality | None,
     over: str,
     count: int,
     report: Callable[[str], None],
 ) -> int:
-    """Explore what is traded for what, in the process that calls; how many searches were made.
+    """Compute a Pareto front in the calling process; return the number of searches.
 
     Parameters
     ----------
-    lens, search, made
-        As of :func:`run_search`; the goal counts for nothing.
+    lens, search, quality
+        See :func:`run_search`; the goal is ignored.
     over
-        Objectives, as of `lensdesign explore --over`.
+        Objectives, as in `lensdesign explore --over`.
     count
-        Of lenses, about.
+        Approximate number of lenses.
     report
         Called with each lens that is found: a JSON object with its values and its design file.
 
     Raises
     ------
     InputError
-        As of :func:`lensdesign.load_specification`, and if no lens is found.
+        If the settings are not valid or no lens is found.
     """
     from lensdesign.exploration.front import Exploration, ExploredPoint
     from lensdesign.exploration.objectives import axes_of
@@ -198,28 +198,30 @@ def run_exploration(
             found = design_text(one.lens.replaced(title=lens.title), Path("/"))
             report(json.dumps({"values": one.values, "text": found}))
 
-    with _asked(lens, search, made) as specification:
-        return len(Exploration(specification, axes_of(over, specification), count, keep=keep).run())
+    with _specification_of(lens, search, quality) as specification:
+        return len(Exploration(specification, axes_of(over, specification), count, on_result=keep).run())
 
 
 @contextmanager
-def _asked(lens: Lens, search: Search, made: ManufacturingQuality | None) -> Iterator[Specification]:
-    """The specification of a search, as long as its files are there."""
+def _specification_of(
+    lens: Lens, search: Search, quality: ManufacturingQuality | None
+) -> Iterator[Specification]:
+    """Provide the specification of a search while its temporary files exist."""
     from lensdesign.common.input_files import files_from
     from lensdesign.optimization.specification.specification import load_specification
 
     with tempfile.TemporaryDirectory() as name, files_from("/"):
         folder = Path(name)
-        if made is not None:
-            write_study(lens, made, 100, folder)
-        study = None if made is None else "study.toml"
+        if quality is not None:
+            write_study(lens, quality, 100, folder)
+        study = None if quality is None else "study.toml"
         with atomic_path(folder / "asked.toml") as file:
             file.write_text(specification_text(lens, search, folder, study), encoding="utf-8")
         yield load_specification(folder / "asked.toml")
 
 
 def _without_sizes(lens: Lens) -> Lens:
-    """The lens without clear semi-diameters but the stop's, and what goes with them."""
+    """Return the lens without figures, edges, and semi-diameters except that of the stop."""
     surfaces = tuple(
         s if i == lens.stop_index else s.model_copy(update={"semi_diameter_mm": None, "figure": None})
         for i, s in enumerate(lens.surfaces)

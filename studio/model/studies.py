@@ -1,4 +1,4 @@
-"""Tolerance studies of the lens on the page: written, run, and their trials as they arrive."""
+"""Tolerance studies of the lens on the page: writing, running, and reading of trials during the run."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tolerancing.study.files import load_study, save_study
 from tolerancing.study.results import TrialResults
 
 
-def write_study(lens: Lens, made: ManufacturingQuality, trials: int, folder: Path) -> Path:
-    """Write a study and its design, with all merits by which the page predicts the yield.
+def write_study(lens: Lens, quality: ManufacturingQuality, trials: int, folder: Path) -> Path:
+    """Write a study and its design, with all merits of the page's yield prediction.
 
     Raises
     ------
@@ -24,15 +24,15 @@ def write_study(lens: Lens, made: ManufacturingQuality, trials: int, folder: Pat
     """
     save_design(lens, folder / "design.toml")
     save_study(
-        made.study.model_copy(update={"design": "design.toml", "trials": trials}), folder / "study.toml"
+        quality.study.model_copy(update={"design": "design.toml", "trials": trials}), folder / "study.toml"
     )
     return folder / "study.toml"
 
 
 def run_trials(
-    lens: Lens, made: ManufacturingQuality, trials: int, folder: Path, report: Callable[[str], None]
+    lens: Lens, quality: ManufacturingQuality, trials: int, folder: Path, report: Callable[[str], None]
 ) -> int:
-    """Run a study into `folder`/study.db, in the process that calls; how many trials.
+    """Run a study in the calling process, store it in `folder`/study.db, and return the number of trials.
 
     Raises
     ------
@@ -42,12 +42,12 @@ def run_trials(
     from tolerancing.run.run import run_study
 
     report(f"{trials} trials")
-    run_study(load_study(write_study(lens, made, trials, folder)), folder / "study.db", workers=1)
+    run_study(load_study(write_study(lens, quality, trials, folder)), folder / "study.db", workers=1)
     return trials
 
 
 def trials_so_far(folder: Path) -> TrialResults | None:
-    """The trials that the store of a folder holds; None where there is no store yet."""
+    """Return the trials in the store of a folder; None if there is no store yet."""
     from tolerancing.store.store import open_store
 
     try:
@@ -58,7 +58,7 @@ def trials_so_far(folder: Path) -> TrialResults | None:
 
 
 def trial_what_if(folder: Path, number: int) -> WhatIf:
-    """How far the lens of one trial is off; irregularities, which no slider has, are left out."""
+    """Return the deviations of one trial's lens, without irregularities, for which there are no sliders."""
     from tolerancing.study.evaluate import sample_perturbations
 
     study = load_study(folder / "study.toml").study

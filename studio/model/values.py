@@ -1,4 +1,4 @@
-"""The values of a design that can be edited: where they stand, how they are written, their steps."""
+"""Editable values of a design: their positions in the tables, their texts, and their sliders."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from studio.model.editing import Place, Tables, value_at
+from studio.model.editing import TablePath, Tables, value_at
 
 STEPS = 400
-"""Of a slider, on each side of the value that it was made for."""
+"""Number of steps of a slider on each side of its middle."""
 
 PLANE = "plane"
-"""How the radius of a plane is written; also empty."""
+"""Text of a plane's radius; an empty text also means a plane."""
 
 
 @dataclass(frozen=True)
@@ -25,22 +25,22 @@ class Value:
     Attributes
     ----------
     place
-        Where it stands in the tables.
+        Position of the value in the tables.
     group
         Heading under which it is shown.
     label, unit
-        What it is.
+        Name and unit.
     text
-        As it is shown.
+        Displayed text.
     number
-        Where a slider stands; None where there is none.
+        Position of the slider; None without a slider.
     low, high, step
-        Of the slider.
+        Range and step of the slider.
     kind
         ``number``, ``whole`` or ``glass``.
     """
 
-    place: Place
+    table_path: TablePath
     group: str
     label: str
     unit: str
@@ -53,32 +53,33 @@ class Value:
 
     @property
     def key(self) -> str:
-        """Its place as one word."""
-        return ".".join(map(str, self.place))
+        """Position in the tables as one word."""
+        return ".".join(map(str, self.table_path))
 
 
-def place_of(key: str) -> Place:
-    """The place of which a key was made."""
-    return tuple(int(part) if part.isdigit() else part for part in key.split("."))
+def path_of_key(key: str) -> TablePath:
+    """Return the position in the tables for a key."""
+    return tuple(int(word) if word.isdigit() else word for word in key.split("."))
 
 
 def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
-    """All values of a design.
+    """Return all values of a design.
 
     Parameters
     ----------
     tables, lens
-        The design as it is.
+        The present design.
     opened
-        As it was opened: ranges of sliders are about these values, so that they stand while one drags.
+        Tables of the design when it was opened. They determine the ranges of sliders, which therefore do not
+        change while a slider is dragged.
     """
 
     def number(
-        group: str, place: Place, label: str, unit: str, span: float = 0.2, least: float = 0.0
+        group: str, table_path: TablePath, label: str, unit: str, span: float = 0.2, least: float = 0.0
     ) -> Value:
-        own, first = value_at(tables, place), value_at(opened, place)
+        own, first = value_at(tables, table_path), value_at(opened, table_path)
         if not isinstance(own, int | float):
-            return Value(place, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
+            return Value(table_path, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
         middle = own if not isinstance(first, int | float) else first
         half = max(span * abs(middle), least)
         step = nice(half / STEPS)
@@ -87,7 +88,9 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
             half = max(span * abs(middle), least)
             step = nice(half / STEPS)
         half = step * STEPS
-        return Value(place, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step)
+        return Value(
+            table_path, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step
+        )
 
     found = []
     for i, surface in enumerate(lens.surfaces):
@@ -129,12 +132,12 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
 
 
 def parsed(kind: str, text: str) -> Any:
-    """What was typed, as a design file would hold it; None takes the key out.
+    """Convert typed text to the value of a design file; None removes the key.
 
     Raises
     ------
     InputError
-        If it is no number where one is needed.
+        If the text is not a number although one is required.
     """
     text = text.strip().replace("\N{MINUS SIGN}", "-")
     if not text or text.casefold() in (PLANE, "none", "air"):
@@ -148,7 +151,7 @@ def parsed(kind: str, text: str) -> Any:
 
 
 def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
-    """Names of glasses that contain a text, those that begin with it first; else the nearest."""
+    """Return glass names that contain a text, those that start with it first; or the most similar one."""
     from lensdesign.lens.glass import list_glasses
 
     names = list(dict.fromkeys(name for name, _ in list_glasses(lens.glass_catalogs)))
@@ -162,23 +165,23 @@ def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
 
 
 def nice(value: float) -> float:
-    """The nearest of 1, 2 and 5 times a power of ten that is not above a value."""
+    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(s * power for s in (1.0, 2.0, 5.0) if s * power <= value * (1.0 + 1e-9))
 
 
 def _plane(row: Value) -> Value:
-    return Value(row.place, row.group, row.label, row.unit, PLANE, None, 0.0, 0.0, 0.0)
+    return Value(row.table_path, row.group, row.label, row.unit, PLANE, None, 0.0, 0.0, 0.0)
 
 
 def _zero(row: Value) -> Value:
-    return Value(row.place, row.group, row.label, row.unit, "0", 0.0, -0.4, 0.4, 0.001)
+    return Value(row.table_path, row.group, row.label, row.unit, "0", 0.0, -0.4, 0.4, 0.001)
 
 
-def _glass(group: str, place: Place, material: str | float | None) -> Value:
+def _glass(group: str, table_path: TablePath, material: str | float | None) -> Value:
     text = "air" if material is None else f"{material:g}" if isinstance(material, float) else material
-    return Value(place, group, "glass", "", text, None, 0.0, 0.0, 0.0, "glass")
+    return Value(table_path, group, "glass", "", text, None, 0.0, 0.0, 0.0, "glass")
 
 
-def _whole(group: str, place: Place, label: str, count: int) -> Value:
-    return Value(place, group, label, "", str(count), None, 0.0, 0.0, 0.0, "whole")
+def _whole(group: str, table_path: TablePath, label: str, count: int) -> Value:
+    return Value(table_path, group, label, "", str(count), None, 0.0, 0.0, 0.0, "whole")

@@ -1,4 +1,4 @@
-"""What if the lens were not as designed: decentered, tilted, heated, a radius off."""
+"""Deviations of a lens from its design: decenter, tilt, temperature and radii."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ MOVES = (
     ("tilt_x_deg", "tilt x", "deg", 0.5, 0.0025),
     ("tilt_y_deg", "tilt y", "deg", 0.5, 0.0025),
 )
-"""Parameter, label, unit, largest amount and step of what a lens and an element do alike."""
+"""Parameter, label, unit, largest amount and step of deviations that a lens and an element share."""
 
 
 @dataclass(frozen=True)
 class Amount:
-    """One thing that may be off, and how far a slider goes.
+    """One possible deviation and the range of its slider.
 
     Attributes
     ----------
     target, parameter
-        As of a perturbation of a tolerance study.
+        Target and parameter of a perturbation, as in a tolerance study.
     label, unit
-        What it is.
+        Name and unit.
     most, step
-        Of the slider, which goes to both sides.
+        Largest amount (±) and step of the slider.
     """
 
     target: str
@@ -45,23 +45,23 @@ class Amount:
 
     @property
     def key(self) -> str:
-        """Both as one word."""
+        """Target and parameter as one word."""
         return f"{self.target}.{self.parameter}"
 
 
 @dataclass(frozen=True)
 class WhatIf:
-    """How far what is off, by keys of :class:`Amount`; what is 0 is left out."""
+    """Deviations from the design by keys of :class:`Amount`; deviations of 0 are omitted."""
 
     values: Mapping[str, float] = field(default_factory=dict)
 
     def with_value(self, key: str, value: float) -> WhatIf:
-        """With another amount."""
+        """Return the deviations with another amount of one of them."""
         kept = {k: v for k, v in self.values.items() if k != key}
         return WhatIf(kept | {key: value} if value else kept)
 
     def of(self, lens: Lens) -> WhatIf:
-        """What of it a lens can have."""
+        """Return the deviations that apply to a lens."""
         return WhatIf({k: v for k, v in self.values.items() if _has(lens, k.rpartition(".")[0])})
 
     def placement(self, lens: Lens, wavelength_um: float | None = None) -> Placement:
@@ -86,15 +86,15 @@ class WhatIf:
 
 
 def _has(lens: Lens, target: str) -> bool:
-    """Whether a lens has a surface or an element of that number; all else every lens has."""
+    """Return whether a lens has the surface or element of a target; other targets always exist."""
     kind, _, number = target.partition(" ")
     return not number or int(number) <= len(lens.glass_fronts if kind == "element" else lens.surfaces)
 
 
 def amounts_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[Amount, ...]:
-    """What of a lens may be off: all of it, its elements where it has several, radii, and the temperature.
+    """Return the possible deviations: of the lens, its elements (if several), radii, and temperature.
 
-    What else is off, as in a trial of a study, comes behind.
+    Other deviations of `what_if`, such as those of a study's trial, are appended.
     """
     found = [Amount("lens", *move) for move in MOVES]
     if len(lens.glass_fronts) > 1:

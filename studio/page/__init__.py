@@ -1,1 +1,1 @@
-"""The page: its frame, its server, and the same in a notebook."""
+"""Page of the workbench: frame, server, and the view in a notebook."""

@@ -10,8 +10,8 @@ export function render({ model, el }) {
   };
   make("span", "mark").textContent = "transferlens";
   const title = make("span", "title"), file = make("span", "file");
-  const said = make("span", "said");
-  said.setAttribute("role", "status");
+  const message = make("span", "message");
+  message.setAttribute("role", "status");
   const button = (label, hint, act) => {
     const node = make("button", "");
     node.textContent = label;
@@ -41,10 +41,10 @@ export function render({ model, el }) {
     redo.disabled = !model.can_redo;
     undo.title = model.can_undo ? `Undo: ${model.undo} (Ctrl+Z)` : "Nothing to undo";
     if (root.getRootNode().activeElement !== name) name.value = model.file;
-    said.textContent = model.said;
-    said.classList.toggle("bad", model.is_bad);
+    message.textContent = model.message;
+    message.classList.toggle("bad", model.is_bad);
   };
-  for (const key of ["title", "file", "is_saved", "can_undo", "can_redo", "undo", "said", "is_bad"])
+  for (const key of ["title", "file", "is_saved", "can_undo", "can_redo", "undo", "message", "is_bad"])
     model.on(key, update);
 
   document.addEventListener("keydown", (event) => {

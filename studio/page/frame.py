@@ -1,4 +1,4 @@
-"""The page of a workbench, put together from panes."""
+"""Page of a workbench, composed of panes."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
 
 
 class Bar(ScriptPart):
-    """The bar on top."""
+    """The top bar."""
 
-    title = param.String(default="", doc="Of the design.")
-    file = param.String(default="", doc="To which it is saved.")
-    is_saved = param.Boolean(default=True, doc="Whether the file holds what is shown.")
-    can_undo = param.Boolean(default=False, doc="Whether there is a step back.")
-    can_redo = param.Boolean(default=False, doc="Whether there is a step forward.")
-    undo = param.String(default="", doc="What would be undone.")
-    said = param.String(default="", doc="What happened last.")
-    is_bad = param.Boolean(default=False, doc="Whether that is a refusal.")
+    title = param.String(default="", doc="Title of the design.")
+    file = param.String(default="", doc="File of the design.")
+    is_saved = param.Boolean(default=True, doc="Whether the file holds the present design.")
+    can_undo = param.Boolean(default=False, doc="Whether a step can be undone.")
+    can_redo = param.Boolean(default=False, doc="Whether a step can be redone.")
+    undo = param.String(default="", doc="Description of the step to undo.")
+    message = param.String(default="", doc="Result of the last action.")
+    is_bad = param.Boolean(default=False, doc="Whether the last action failed.")
 
     _esm = HERE / "bar.js"
     _stylesheets = [HERE / "bar.css"]  # noqa: RUF012 - as Panel has it
 
 
 def page(bench: Workbench) -> pn.Template:
-    """The whole page, for one tab of a browser."""
+    """Return the whole page for one tab of a browser."""
     dressers: list[Dresser] = []
     template = pn.Template((HERE / "page.html").read_text(encoding="utf-8"))
     template.add_variable("page_css", (HERE / "page.css").read_text(encoding="utf-8"))
     template.add_panel("bar", _bar(bench, dressers))
     template.add_panel("side", _side(bench))
     template.add_panel("main", _main(bench, dressers))
-    template.add_panel("told", _told(bench))
+    template.add_panel("summary", _summary(bench))
     dressed(dressers, "light")
     return template
 
@@ -56,7 +56,7 @@ def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
             dressed(dressers, message["theme"])
             return
         action = message.get("action")
-        bar.param.update(said="", is_bad=False)
+        bar.param.update(message="", is_bad=False)
         if action == "undo":
             bench.undo()
         elif action == "redo":
@@ -65,9 +65,9 @@ def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
             try:
                 path = Path(str(message.get("file") or bench.document.path))
                 bench.save(None if path == bench.document.path else path)
-                bar.said = f"saved {bench.document.path}"
+                bar.message = f"saved {bench.document.path}"
             except TransferLensError as error:
-                bar.param.update(said=str(error), is_bad=True)
+                bar.param.update(message=str(error), is_bad=True)
 
     bar = Bar(received, sizing_mode="stretch_width")
 
@@ -77,9 +77,9 @@ def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
             title=visible(bench.lens.title),
             file=str(bench.document.path),
             is_saved=bench.is_saved,
-            can_undo=bool(editing.before),
-            can_redo=bool(editing.after),
-            undo=visible(editing.now.what),
+            can_undo=bool(editing.undo_steps),
+            can_redo=bool(editing.redo_steps),
+            undo=visible(editing.now.description),
         )
 
     follow(bench, bar, update)
@@ -90,7 +90,7 @@ def _side(bench: Workbench) -> pn.Tabs:
     return _tabs(("Lens", panes.surfaces(bench)), ("What if", panes.what_if(bench)))
 
 
-def _told(bench: Workbench) -> pn.Column:
+def _summary(bench: Workbench) -> pn.Column:
     return _styled(pn.Column(panes.findings(bench), _head("As built"), panes.as_built(bench)))
 
 
@@ -177,7 +177,7 @@ def _card(*parts: Any) -> pn.Column:
 
 
 def _styled(column: pn.Column) -> pn.Column:
-    """A column whose words have the page's looks."""
+    """Apply the page's style sheet to the texts and widgets of a column."""
     column.sizing_mode = "stretch_width"
     column.styles = {"gap": "1px", **column.styles}
     for part in column.select(lambda part: isinstance(part, pn.pane.HTML | pn.widgets.Widget)):
@@ -186,10 +186,10 @@ def _styled(column: pn.Column) -> pn.Column:
 
 
 def notebook_view(bench: Workbench) -> pn.Row:
-    """The panes of the page side by side."""
+    """Return the panes of the page side by side."""
     dressers: list[Dresser] = []
-    side, main, told = _side(bench), _main(bench, dressers), _told(bench)
-    side.width = told.width = 330
-    side.sizing_mode = told.sizing_mode = "fixed"
+    side, main, summary = _side(bench), _main(bench, dressers), _summary(bench)
+    side.width = summary.width = 330
+    side.sizing_mode = summary.sizing_mode = "fixed"
     dressed(dressers, "light")
-    return pn.Row(side, main, told, sizing_mode="stretch_width")
+    return pn.Row(side, main, summary, sizing_mode="stretch_width")

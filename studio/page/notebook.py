@@ -1,4 +1,4 @@
-"""The workbench in a notebook."""
+"""View of the workbench in a notebook."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
 
 
 def studio(lens: Workbench | Lens | str | Path, grade: str = "precision") -> pn.Row:
-    """The workbench of a lens as one object that a notebook shows; its panes are those of the page.
+    """Return the workbench of a lens as one object that a notebook displays, with the panes of the page.
 
     Parameters
     ----------
     lens
-        A lens, a design file, or a workbench, which then has several views.
+        A lens, a design file, or a workbench (which may have several views).
     grade
-        By which the lens is predicted as built: a grade, or a tolerance study's file.
+        Tolerances for the prediction as built: a grade (default: precision), or a tolerance study's file.
 
     Raises
     ------
     InputError
-        If the file holds no lens.
+        If the file does not describe a lens.
     """
     import panel as pn
 
@@ -33,5 +33,5 @@ def studio(lens: Workbench | Lens | str | Path, grade: str = "precision") -> pn.
 
     pn.extension(inline=True)
     bench = lens if isinstance(lens, Workbench) else Workbench(lens, grade)
-    bench.ask()
+    bench.request_update()
     return notebook_view(bench)

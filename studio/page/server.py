@@ -1,4 +1,4 @@
-"""The server: on this machine alone, behind a path that nobody can guess."""
+"""Server of the workbench: reachable from this machine only, at a path with a secret token."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from studio.model.document import Autosave
 ADDRESS = "127.0.0.1"
 
 HOSTS = (ADDRESS, "localhost", "[::1]")
-"""Names under which the workbench is asked for; it listens on the first."""
+"""Accepted host names; the server listens on the first."""
 
 PING_SECONDS = 20.0
-"""After which a page that has not answered counts as closed, and its session goes."""
+"""Time after which a page without an answer counts as closed and its session ends."""
 
 
 def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool = True) -> None:
@@ -32,31 +32,31 @@ def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool =
     design
         The design file.
     port
-        On which to listen; 0 takes the one of the last time where that is free, else any.
+        Port of the server; 0 (default): that of the last session if it is free, else any free port.
     grade
-        By which the lens is predicted as built.
+        Tolerances for the prediction as built (default: precision).
     show
-        Whether to open the browser.
+        Whether to open the browser (default: True).
 
     Raises
     ------
     InputError
-        If the file holds no lens, or the port is taken.
+        If the file does not describe a lens, or the port is in use.
     """
-    aside = Autosave(design)
-    bench = Workbench(design, grade, aside)
-    kept = aside.read()
+    autosave = Autosave(design)
+    bench = Workbench(design, grade, autosave)
+    kept = autosave.read()
     token, port = _token(kept.get("token")), _port(port, kept.get("port"))
     server = server_of(bench, port, token)
     server.start()
-    aside.keep(token=token, port=port)
+    autosave.keep(token=token, port=port)
     address = f"http://{ADDRESS}:{port}/{token}/"
     print(f"{design} on {address}", flush=True)
-    if bench.editing.before:
+    if bench.editing.undo_steps:
         print("with the unsaved edits of the last session; undo takes them back", flush=True)
     if show:
         server.io_loop.add_callback(_open, address)
-    bench.ask()
+    bench.request_update()
     try:
         server.run_until_shutdown()
     finally:
@@ -65,7 +65,7 @@ def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool =
 
 
 def server_of(bench: Workbench, port: int, token: str) -> Any:
-    """A server of a workbench, not yet started."""
+    """Return a server of a workbench that is not yet started."""
     import panel as pn
 
     from studio.page.frame import page
@@ -93,32 +93,32 @@ def server_of(bench: Workbench, port: int, token: str) -> Any:
 
 
 def _guard(server: Any, token: str) -> None:
-    """Refuse requests before any handler of the server sees them, and end connections that nobody answers.
+    """Reject requests without the token before they reach a handler, and close dead connections.
 
-    Answered is what lies behind the token, under a name of this machine: a page of another site can make its
-    own name lead here (DNS rebinding), but the browser still sends that name as the host.
+    The host must be a name of this machine: another site can let its own name point here (DNS rebinding), but
+    the browser still sends that name as the host.
     """
     from tornado.web import ErrorHandler
 
     application = server._tornado
     application.settings |= {"websocket_ping_interval": PING_SECONDS, "websocket_ping_timeout": PING_SECONDS}
-    found = application.find_handler
+    find_default = application.find_handler
 
     def find_handler(request: Any, **kwargs: Any) -> Any:
         status = _refusal(request.headers.get("Host"), request.uri or "", token)
         if status is None:
-            return found(request, **kwargs)
+            return find_default(request, **kwargs)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
 
     application.find_handler = find_handler
 
 
 def _refusal(host: str | None, uri: str, token: str) -> int | None:
-    """The status with which a request is refused; None if it is answered."""
+    """Return the status with which a request is rejected; None if it is accepted."""
     if host is not None and _name_of(host) not in HOSTS:
         return 403
     path, _, query = uri.partition("?")
-    # As a handler will read it; some unquote once more.
+    # Decoded like in the handlers, some of which decode twice.
     names = unquote(unquote(path)).split("/")
     if not secrets.compare_digest(names[1].encode() if len(names) > 1 else b"", token.encode()):
         return 404
@@ -129,13 +129,13 @@ def _refusal(host: str | None, uri: str, token: str) -> int | None:
 
 
 def _name_of(host: str) -> str:
-    """The name in a Host header, without its port."""
+    """Return the name in a Host header without the port."""
     name, colon, port = host.strip().rpartition(":")
     return (name if colon and port.isdecimal() else host.strip()).lower()
 
 
 def _alive() -> type:
-    """What answers whether the server is there, and which one it is."""
+    """Return the handler by which a page checks that the same server is still running."""
     from tornado.web import RequestHandler
 
     name = uuid.uuid4().hex
@@ -149,15 +149,15 @@ def _alive() -> type:
 
 
 def _token(kept: Any) -> str:
-    """That of the last time, so that a page that is still open finds the server again; else a new one."""
+    """Return the token of the last session, so that open pages find the server again, or a new one."""
     return kept if isinstance(kept, str) and len(kept) == 32 and kept.isalnum() else secrets.token_hex(16)
 
 
-def _port(asked: int, kept: Any) -> int:
-    if asked:
-        if not _is_free(asked):
-            raise InputError(f"--port {asked}: is taken by another program; give another one, or none")
-        return asked
+def _port(requested: int, kept: Any) -> int:
+    if requested:
+        if not _is_free(requested):
+            raise InputError(f"--port {requested}: is taken by another program; give another one, or none")
+        return requested
     if isinstance(kept, int) and 1024 <= kept < 65536 and _is_free(kept):
         return kept
     with closing(socket.socket()) as free:
@@ -166,10 +166,10 @@ def _port(asked: int, kept: Any) -> int:
 
 
 def _is_free(port: int) -> bool:
-    with closing(socket.socket()) as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    with closing(socket.socket()) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            tried.bind((ADDRESS, port))
+            probe.bind((ADDRESS, port))
         except OSError:
             return False
     return True

@@ -1,4 +1,4 @@
-"""Panes: each a function of a workbench, or of a lens, that can be used alone, also in a notebook."""
+"""Panes: functions of a workbench or a lens that can be used alone, also in a notebook."""
 
 import lazy_loader
 

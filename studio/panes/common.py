@@ -1,4 +1,4 @@
-"""What panes share: a workbench of whatever is given, updates in the page's own turn, text as text."""
+"""Common parts of panes: their workbench, updates after changes, and escaped text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 
 
 class ScriptPart(JSComponent):
-    """A part of the page with its own script, whose messages a function receives."""
+    """A component of the page with its own script, whose messages a function receives."""
 
     def __init__(self, received: Callable[[dict[str, Any]], None], **params: Any) -> None:
         super().__init__(**params)
@@ -32,83 +32,83 @@ class ScriptPart(JSComponent):
             self._received(data)
 
 
-def bench_of(given: Workbench | Lens) -> Workbench:
-    """A workbench; of a lens, one of its own, which begins at once."""
-    if isinstance(given, Workbench):
-        return given
-    bench = Workbench(given)
-    bench.ask()
+def bench_of(lens: Workbench | Lens) -> Workbench:
+    """Return a workbench; a lens gets a new one, which starts to compute at once."""
+    if isinstance(lens, Workbench):
+        return lens
+    bench = Workbench(lens)
+    bench.request_update()
     return bench
 
 
 def follow(bench: Workbench, owner: Any, update: Callable[[], None]) -> None:
-    """Call `update` at once, and after changes of a bench in the turn of the page that is being built.
+    """Call `update` at once, and after each change of a workbench.
 
-    All that a page has to update after a change is done in one turn, and sent as one message; changes that
-    come before that turn are not queued.
+    All updates of a page after a change run in one callback of its document and are sent as one message.
+    Changes before this callback are not queued.
 
     Parameters
     ----------
     bench
-        Whose changes.
+        Workbench to follow.
     owner
-        What is updated; when it is gone, so is what was set up here.
+        Object that is updated; when it is deleted, the listener is removed.
     update
-        What to do.
+        Function that updates the owner.
     """
     document = curdoc()
     alive = weakref.ref(owner)
     if document.session_context is None:
 
-        def heard() -> None:
+        def on_change() -> None:
             if alive() is None:
                 end()
             else:
                 update()
 
-        end = bench.listen(heard)
+        end = bench.listen(on_change)
     else:
-        turns = _TURNS.get(document)
-        if turns is None:
-            turns = _TURNS[document] = _Turns(document, bench)
-        turns.updates.append(update)
+        page_updates = _PAGE_UPDATES.get(document)
+        if page_updates is None:
+            page_updates = _PAGE_UPDATES[document] = _PageUpdates(document, bench)
+        page_updates.updates.append(update)
     update()
 
 
-class _Turns:
-    """What a page does after a change of its bench."""
+class _PageUpdates:
+    """Updates of one page after a change of its workbench."""
 
     def __init__(self, document: Any, bench: Workbench) -> None:
         self.updates: list[Callable[[], None]] = []
         self.document = weakref.ref(document)
         self.pending = False
         self.loop = IOLoop.current()
-        end = bench.listen(lambda: self.loop.add_callback(self.ask))
+        end = bench.listen(lambda: self.loop.add_callback(self.schedule))
         document.on_session_destroyed(lambda _: end())
 
-    def ask(self) -> None:
-        """In the server's thread: Bokeh loses what another asks for while the page holds its messages."""
+    def schedule(self) -> None:
+        """Schedule the updates; must run in the server's thread, because Bokeh loses requests of others."""
         document = self.document()
         if document is not None and not self.pending:
             self.pending = True
-            document.add_next_tick_callback(self.turn)
+            document.add_next_tick_callback(self.run_updates)
 
-    def turn(self) -> None:
+    def run_updates(self) -> None:
         self.pending = False
         with hold(self.document()):
             for update in self.updates:
                 update()
 
 
-_TURNS: weakref.WeakKeyDictionary[Any, _Turns] = weakref.WeakKeyDictionary()
+_PAGE_UPDATES: weakref.WeakKeyDictionary[Any, _PageUpdates] = weakref.WeakKeyDictionary()
 
 
 def text(value: object) -> str:
-    """A value as text in markup, whatever it holds."""
+    """Return a value as escaped text for markup."""
     return escape(visible(str(value)))
 
 
 def number(value: float, unit: str = "", digits: int = 4) -> str:
-    """A number as the tables of the commands have it."""
+    """Return a number in the format of the commands' tables."""
     shown = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.{digits}f}"
     return f"{shown} {unit}".rstrip()

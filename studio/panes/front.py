@@ -1,4 +1,4 @@
-"""What is traded for what: lenses as they are found, each of them to be loaded by a click."""
+"""Pane for Pareto fronts: lenses appear as they are found and can be loaded by a click."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import panel as pn
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.jobs import Job
 from studio.model.searches import Search, run_exploration, variables_of
 from studio.panes.common import bench_of, follow, text
@@ -26,13 +26,13 @@ OBJECTIVES = {
     "as_built_rms": "as_built_rms_waves",
     "yield": "yield",
 }
-"""What can be weighed, and the columns of the values."""
+"""Objectives and the columns of their values."""
 
 BUILT = ("as_built_rms", "yield")
 
 
 def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
-    """Explore two objectives in a process of its own; click a lens to load it."""
+    """Return a pane that explores two objectives in a child process; a click on a lens loads it."""
     bench, own = bench_of(lens), [] if dressers is None else dressers
     pane = _Explore(bench, own).view
     if dressers is None:
@@ -41,7 +41,7 @@ def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn
 
 
 class _Explore:
-    """The widgets, the exploration that runs, and the lenses that it has found."""
+    """Widgets, the running exploration, and the lenses found so far."""
 
     def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
         from bokeh.models import ColumnDataSource
@@ -51,23 +51,25 @@ class _Explore:
         self.texts: list[str] = []
         self.over = ("thickness", "spread")
         names = list(OBJECTIVES)
-        self.across = pn.widgets.Select(name="across", options=names, value="thickness", width=140)
-        self.upward = pn.widgets.Select(name="upward", options=names, value="spread", width=140)
+        self.abscissa = pn.widgets.Select(name="across", options=names, value="thickness", width=140)
+        self.ordinate = pn.widgets.Select(name="upward", options=names, value="spread", width=140)
         self.count = pn.widgets.IntInput(name="lenses", value=12, start=2, end=200, width=90)
         self.run = pn.widgets.Button(name="Explore", button_type="primary", align="end")
         self.cancel = pn.widgets.Button(name="Stop", disabled=True, align="end")
-        self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+        self.message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.source = ColumnDataSource({"x": [], "y": []})
-        self.made = chart(dressers, height=260, x="across", y="upward")
-        self.made.add_tools("tap")
-        self.dots = self.made.scatter("x", "y", source=self.source, size=9, line_color=None)
+        self.plot = chart(dressers, height=260, x="across", y="upward")
+        self.plot.add_tools("tap")
+        self.dots = self.plot.scatter("x", "y", source=self.source, size=9, line_color=None)
         dressers.append(self._dress)
         self.source.selected.on_change("indices", self._picked)
         self.run.on_click(self._start)
         self.cancel.on_click(lambda _: self.job and self.job.cancel())
-        form = pn.FlexBox(self.across, self.upward, self.count, self.run, self.cancel, margin=(6, 6, 0, 6))
-        shown = pn.pane.Bokeh(self.made, sizing_mode="stretch_width")
-        self.view = pn.Column(form, self.said, shown, sizing_mode="stretch_width")
+        form = pn.FlexBox(
+            self.abscissa, self.ordinate, self.count, self.run, self.cancel, margin=(6, 6, 0, 6)
+        )
+        shown = pn.pane.Bokeh(self.plot, sizing_mode="stretch_width")
+        self.view = pn.Column(form, self.message, shown, sizing_mode="stretch_width")
         self.view._explore = self  # lives as long as what shows it
         follow(bench, self.view, self.update)
 
@@ -75,20 +77,20 @@ class _Explore:
         self.dots.glyph.fill_color = colors["accent"]
 
     def _start(self, _: object) -> None:
-        bench, self.over = self.bench, (self.across.value, self.upward.value)
+        bench, self.over = self.bench, (self.abscissa.value, self.ordinate.value)
         if self.job is not None and self.job.state == "running":
             return
         try:
             built = any(name in BUILT for name in self.over)
-            made = workmanship(bench.grade, bench.lens) if built else None
+            quality = manufacturing_quality(bench.grade, bench.lens) if built else None
         except TransferLensError as error:
-            self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
             return
         varied = tuple(n for n in variables_of(bench.lens) if "asphere" not in n)
         self.texts, self.source.data = [], {"x": [], "y": []}
-        asked = (bench.lens, Search(varied), made, ",".join(self.over), self.count.value)
-        self.job = Job(run_exploration, asked, bench.tell)
-        self.made.xaxis.axis_label, self.made.yaxis.axis_label = (OBJECTIVES[n] for n in self.over)
+        arguments = (bench.lens, Search(varied), quality, ",".join(self.over), self.count.value)
+        self.job = Job(run_exploration, arguments, bench.notify)
+        self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = (OBJECTIVES[n] for n in self.over)
         self.update()
 
     def _picked(self, _name: str, _old: Any, new: list[int]) -> None:
@@ -97,7 +99,7 @@ class _Explore:
             self.bench.change("a lens of the front", lambda _: tomllib.loads(chosen))
 
     def update(self) -> None:
-        """Show the lenses that have been found."""
+        """Show the lenses found so far."""
         job = self.job
         running = job is not None and job.state == "running"
         if self.run.disabled is not running:
@@ -115,6 +117,6 @@ class _Explore:
         else:
             count = len(self.texts)
             new = f"<p>{count} lenses, {text(job.state)}. Click one to load it; undo takes it back.</p>"
-        new = f'<div class="told">{new}</div>'
-        if self.said.object != new:
-            self.said.object = new
+        new = f'<div class="text-block">{new}</div>'
+        if self.message.object != new:
+            self.message.object = new

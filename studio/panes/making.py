@@ -1,4 +1,4 @@
-"""Files of the lens, for shops, viewers and other programs."""
+"""Pane for exports of the lens for manufacture, viewers and other programs."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ import panel as pn
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.exports import KINDS, write_export
 from studio.model.jobs import Job
 from studio.panes.common import bench_of, follow, text
 
 
 def export(lens: Workbench | Lens) -> pn.Column:
-    """Write the lens as mesh, solid, drawing, another program's file or report, in a process of its own."""
+    """Return a pane that writes the lens as mesh, solid, drawing, lens file or report, in a child process."""
     bench = bench_of(lens)
     jobs: list[Job] = []
     kind = pn.widgets.Select(name="what", options=list(KINDS), width=260)
     file = pn.widgets.TextInput(name="file", value=_name(bench, kind.value), width=300)
-    replace = pn.widgets.Checkbox(name="replace what stands there", align="end")
+    replace = pn.widgets.Checkbox(name="replace an existing file", align="end")
     write = pn.widgets.Button(name="Write", button_type="primary", align="end")
-    said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
     form = pn.FlexBox(kind, file, replace, write, sizing_mode="stretch_width", margin=(6, 6, 0, 6))
-    pane = pn.Column(form, said, sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(form, message, sizing_mode="stretch_width", margin=0)
     kind.param.watch(lambda event: setattr(file, "value", _name(bench, event.new)), "value")
 
-    def begin(_: object) -> None:
+    def start(_: object) -> None:
         path = Path(file.value.strip())
         try:
-            made = None if path.suffix else workmanship(bench.grade, bench.lens)
+            quality = None if path.suffix else manufacturing_quality(bench.grade, bench.lens)
         except TransferLensError as error:
-            said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
             return
-        jobs.append(Job(write_export, (bench.lens, path, made, replace.value), bench.tell))
+        jobs.append(Job(write_export, (bench.lens, path, quality, replace.value), bench.notify))
         update()
 
     def update() -> None:
@@ -45,11 +45,11 @@ def export(lens: Workbench | Lens) -> pn.Column:
             lines.append(
                 f'<p class="{bad}">{text(job.progress if job.state == "running" else job.result)}</p>'
             )
-        new = f'<div class="told">{"".join(lines)}</div>'
-        if said.object != new and jobs:
-            said.object = new
+        new = f'<div class="text-block">{"".join(lines)}</div>'
+        if message.object != new and jobs:
+            message.object = new
 
-    write.on_click(begin)
+    write.on_click(start)
     follow(bench, pane, update)
     return pane
 

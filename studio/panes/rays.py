@@ -1,4 +1,4 @@
-"""Panes of what rays tell: layout, spread against field, footprints with spots."""
+"""Panes of ray optics: layout, spread against field height, footprints with spots."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from studio.model.picture import Layout, heights_of
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, Dresser, Theme, chart, dressed, framed
 
-ROOM = 1.06
-"""Of what is shown, beyond it."""
+MARGIN_FACTOR = 1.06
+"""Size of a chart relative to its contents."""
 
 
 def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """The lens to scale, with rays of three fields."""
+    """Return the layout of the lens to scale, with rays of three fields."""
     from bokeh.models import ColumnDataSource
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
-    made = chart(own, height=270, x="z (mm)", y="y (mm)", match_aspect=True)
-    box = framed(made)
+    plot = chart(own, height=270, x="z (mm)", y="y (mm)", match_aspect=True)
+    box = framed(plot)
     names = ("glass", "rays", "surfaces", "planes", "labels")
     sources = {name: ColumnDataSource({"xs": [], "ys": []}) for name in names}
     sources["rays"].data = {"xs": [], "ys": [], "color": []}
     sources["labels"].data = {"x": [], "y": [], "text": []}
-    glass = made.patches("xs", "ys", source=sources["glass"], line_color=None, fill_alpha=0.75)
-    made.multi_line("xs", "ys", source=sources["rays"], line_color="color", line_width=0.8, line_alpha=0.85)
-    outline = made.multi_line("xs", "ys", source=sources["surfaces"], line_width=1.4)
-    planes = made.multi_line("xs", "ys", source=sources["planes"], line_width=2)
-    labels = made.text(
+    glass = plot.patches("xs", "ys", source=sources["glass"], line_color=None, fill_alpha=0.75)
+    plot.multi_line("xs", "ys", source=sources["rays"], line_color="color", line_width=0.8, line_alpha=0.85)
+    outline = plot.multi_line("xs", "ys", source=sources["surfaces"], line_width=1.4)
+    planes = plot.multi_line("xs", "ys", source=sources["planes"], line_width=2)
+    labels = plot.text(
         "x",
         "y",
         "text",
@@ -44,7 +44,7 @@ def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
         text_align="center",
         text_baseline="bottom",
     )
-    made.xgrid.visible = made.ygrid.visible = False
+    plot.xgrid.visible = plot.ygrid.visible = False
     theme: list[Theme] = ["light"]
 
     def dress(colors: dict[str, str], name: Theme) -> None:
@@ -59,14 +59,14 @@ def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
             sources["rays"].data = dict(sources["rays"].data)
 
     own.append(dress)
-    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
-    seen: list[Any] = [None]
+    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
+    drawn: list[Any] = [None]
 
     def update() -> None:
         found = bench.figures.layout
-        if found is None or found is seen[0]:
+        if found is None or found is drawn[0]:
             return
-        seen[0] = found
+        drawn[0] = found
         _fill(sources, found, bench.figures.lens, theme[0])
         _frame(box, found, bench.figures.lens)
 
@@ -77,18 +77,18 @@ def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
 
 
 def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """Largest angle behind the lens against field height, with the sensor's limit."""
+    """Return a chart of the largest angle behind the lens against field height, with the sensor's limit."""
     from bokeh.models import ColumnDataSource, Range1d, Span
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
-    made = chart(
+    plot = chart(
         own, height=190, x="field height (mm)", y="spread (deg)", x_range=Range1d(0, 1), y_range=Range1d(0, 1)
     )
     source = ColumnDataSource({"x": [], "y": []})
-    line = made.line("x", "y", source=source, line_width=2)
-    dots = made.scatter("x", "y", source=source, size=4)
+    line = plot.line("x", "y", source=source, line_width=2)
+    dots = plot.scatter("x", "y", source=source, size=4)
     limit = Span(dimension="width", line_dash="dashed", line_width=1.2)
-    made.add_layout(limit)
+    plot.add_layout(limit)
     names: list[dict[str, str]] = [{}]
 
     def paint() -> None:
@@ -104,7 +104,7 @@ def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
         paint()
 
     own.append(dress)
-    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
+    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
 
     def update() -> None:
         report = bench.figures.check
@@ -112,8 +112,8 @@ def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
             return
         source.data = {"x": list(report.spread_heights_mm), "y": list(report.spread_per_field_deg)}
         limit.location = report.spread_limit_deg
-        _widen(made.y_range, 0.0, 1.15 * max(report.spread_limit_deg, report.max_spread_deg))
-        _widen(made.x_range, 0.0, 1.02 * report.spread_heights_mm[-1])
+        _widen(plot.y_range, 0.0, 1.15 * max(report.spread_limit_deg, report.max_spread_deg))
+        _widen(plot.x_range, 0.0, 1.02 * report.spread_heights_mm[-1])
         paint()
 
     follow(bench, pane, update)
@@ -123,17 +123,17 @@ def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
 
 
 def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """Spots of three fields on the sensor in one of its planes, and how far all light reaches."""
+    """Return a chart of the spots of three fields in one sensor plane, and the footprint of all light."""
     from bokeh.models import ColumnDataSource
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
-    made = chart(own, height=190, x="x (mm)", y="y (mm)", match_aspect=True)
-    box = framed(made)
+    plot = chart(own, height=190, x="x (mm)", y="y (mm)", match_aspect=True)
+    box = framed(plot)
     spots, sensor, reach = (ColumnDataSource({"x": [], "y": []}) for _ in range(3))
     spots.data = {"x": [], "y": [], "color": []}
-    made.scatter("x", "y", source=spots, size=2, color="color", line_color=None, alpha=0.9)
-    frame = made.line("x", "y", source=sensor, line_width=1.4)
-    circle = made.line("x", "y", source=reach, line_width=1.2, line_dash="dashed")
+    plot.scatter("x", "y", source=spots, size=2, color="color", line_color=None, alpha=0.9)
+    frame = plot.line("x", "y", source=sensor, line_width=1.4)
+    circle = plot.line("x", "y", source=reach, line_width=1.2, line_dash="dashed")
     state: dict[str, Any] = {"colors": {}, "theme": "light"}
 
     def paint() -> None:
@@ -147,18 +147,18 @@ def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | 
 
     def dress(colors: dict[str, str], theme: Theme) -> None:
         state.update(colors=colors, theme=theme)
-        seen[0] = None
+        drawn[0] = None
         update()
 
     own.append(dress)
-    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
-    seen: list[Any] = [None]
+    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
+    drawn: list[Any] = [None]
 
     def update() -> None:
         found, report = bench.figures.layout, bench.figures.check
-        if found is None or report is None or plane >= len(found.spots) or report is seen[0]:
+        if found is None or report is None or plane >= len(found.spots) or report is drawn[0]:
             return
-        seen[0] = report
+        drawn[0] = report
         points = found.spots[plane]
         xy = np.concatenate(points)
         spots.data = {
@@ -173,9 +173,9 @@ def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | 
         }
         radius, angle = report.footprint_radius_mm[plane], np.linspace(0.0, 2.0 * np.pi, 97)
         reach.data = {"x": (radius * np.cos(angle)).tolist(), "y": (radius * np.sin(angle)).tolist()}
-        most = ROOM * max(half_y, radius)
-        wide = ROOM * max(half_x, radius)
-        _show(box, (-wide, wide), (-most, most))
+        largest = MARGIN_FACTOR * max(half_y, radius)
+        wide = MARGIN_FACTOR * max(half_x, radius)
+        _show(box, (-wide, wide), (-largest, largest))
         paint()
 
     follow(bench, pane, update)
@@ -194,46 +194,46 @@ def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> N
     sources["surfaces"].data = _corners(found.surfaces)
     sources["rays"].data = _corners(lines) | {"color": _colors(len(lines), theme)}
     half = 0.5 * lens.sensor.size_mm[1]
-    at = [(lens.object_z_mm, lens.half_field_mm), *((z, half) for z in lens.sensor_z_mm)]
-    sources["planes"].data = {"xs": [[z, z] for z, _ in at], "ys": [[-h, h] for _, h in at]}
+    positions = [(lens.object_z_mm, lens.half_field_mm), *((z, half) for z in lens.sensor_z_mm)]
+    sources["planes"].data = {"xs": [[z, z] for z, _ in positions], "ys": [[-h, h] for _, h in positions]}
     sources["labels"].data = {
-        "x": [z for z, _ in at],
-        "y": [1.02 * max(h, 0.35 * half) + 0.15 for _, h in at],
+        "x": [z for z, _ in positions],
+        "y": [1.02 * max(h, 0.35 * half) + 0.15 for _, h in positions],
         "text": ["object", *(f"H{k + 1}" for k in range(len(lens.sensor_z_mm)))],
     }
 
 
 def _corners(lines: Sequence[Array]) -> dict[str, list[Any]]:
-    """Of lines, as plain numbers: each array would be a message of its own."""
+    """Return corners of lines as plain numbers, because Bokeh sends each array as a separate message."""
     return {"xs": [line[:, 0].tolist() for line in lines], "ys": [line[:, 1].tolist() for line in lines]}
 
 
 def _frame(box: Any, found: Layout, lens: Lens) -> None:
-    """All of the lens in view; what is shown changes in steps, lest it swims while one drags."""
+    """Show the whole lens; the range changes in steps, so that it is steady while a slider moves."""
     high = max(0.5 * lens.sensor.size_mm[1], *(float(np.abs(s[:, 1]).max()) for s in found.surfaces))
     high = _stepped(1.22 * high)
     left, right = lens.object_z_mm, lens.sensor_z_mm[-1]
-    room = 0.04 * _stepped(right - left)
-    _show(box, (left - room, right + room), (-high, high))
+    margin = 0.04 * _stepped(right - left)
+    _show(box, (left - margin, right + margin), (-high, high))
 
 
 def _show(box: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Have a chart show what lies between these, if it does not yet."""
+    """Set the visible range of a chart, unless it is set already."""
     new = {"x": list(x), "y": list(y)}
     if dict(box.data) != new:
         box.data = new
 
 
 def _widen(span: Any, start: float, end: float) -> None:
-    """Show a range that rises in steps."""
+    """Set a range whose end increases in steps."""
     span.update(start=start, end=_stepped(end))
 
 
 def _stepped(value: float) -> float:
-    """The next of values 3 % apart."""
+    """Return the next of values that are 3 % apart."""
     return 1.03 ** math.ceil(math.log(max(value, 1e-12)) / math.log(1.03))
 
 
 def field_heights(lens: Lens) -> list[str]:
-    """Field heights of the pictures, as they are written."""
+    """Return the field heights of the pictures as texts."""
     return [f"{height:.3g} mm" for height in heights_of(lens)]

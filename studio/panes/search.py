@@ -1,4 +1,4 @@
-"""Searches from the page: what may vary, what must hold, progress, what was found beside the start."""
+"""Pane for searches: variables, constraints, progress, and comparison of the result with the start."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import panel as pn
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.editing import lens_from
 from studio.model.jobs import Job
 from studio.model.searches import CONSTRAINTS, GOALS, Found, Search, run_search, variables_of
@@ -21,13 +21,13 @@ from tolerancing.perturbations.grades import GRADES
 
 
 def optimize(lens: Workbench | Lens) -> pn.Row:
-    """A search in a process of its own, with progress and cancel; what it finds is taken or dropped."""
+    """Return a pane that runs a search in a child process; its result can be accepted or discarded."""
     bench = bench_of(lens)
     return _Optimize(bench).view
 
 
 class _Optimize:
-    """The widgets, and the search that runs."""
+    """Widgets, and the running search."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -49,36 +49,39 @@ class _Optimize:
         }
         self.run = pn.widgets.Button(name="Optimize", button_type="primary")
         self.cancel = pn.widgets.Button(name="Cancel", disabled=True)
-        self.take = pn.widgets.Button(name="Take it", visible=False, button_type="primary")
-        self.drop = pn.widgets.Button(name="Drop it", visible=False)
-        self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+        self.accept = pn.widgets.Button(name="Take it", visible=False, button_type="primary")
+        self.discard = pn.widgets.Button(name="Drop it", visible=False)
+        self.message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.run.on_click(self._run)
         self.cancel.on_click(lambda _: self.job and self.job.cancel())
-        self.take.on_click(self._take)
-        self.drop.on_click(self._drop)
+        self.accept.on_click(self._accept)
+        self.discard.on_click(self._discard)
         self.view = self._view()
         follow(bench, self.view, self.update)
 
     def _view(self) -> pn.Row:
         head = '<div class="head">{}</div>'
         form = pn.Column(
-            pn.pane.HTML(head.format("What may vary"), margin=0),
+            pn.pane.HTML(head.format("Variables"), margin=0),
             self.variables,
             self.goal,
-            pn.pane.HTML(head.format("What must hold"), margin=0),
+            pn.pane.HTML(head.format("Constraints"), margin=0),
             pn.FlexBox(*self.limits.values(), sizing_mode="stretch_width"),
             pn.Row(self.run, self.cancel),
             width=330,
             margin=(0, 0, 10, 0),
         )
         found = pn.Column(
-            self.said, pn.Row(self.take, self.drop), sizing_mode="stretch_width", styles={"min-width": "0"}
+            self.message,
+            pn.Row(self.accept, self.discard),
+            sizing_mode="stretch_width",
+            styles={"min-width": "0"},
         )
         view = pn.Row(form, found, sizing_mode="stretch_width", margin=0)
         view._optimize = self  # lives as long as what shows it
         return view
 
-    def _asked(self) -> Search:
+    def _requested_search(self) -> Search:
         limits: dict[str, float | str] = {}
         for key, widget in self.limits.items():
             given = widget.value.strip()
@@ -98,36 +101,36 @@ class _Optimize:
         if self.job is not None and self.job.state == "running":
             return
         try:
-            asked = self._asked()
-            if not asked.variables:
-                raise InputError("nothing may vary: tick what may")
+            search = self._requested_search()
+            if not search.variables:
+                raise InputError("no variable is selected: tick at least one")
             grade = bench.grade or next(iter(GRADES))
-            made = workmanship(grade, bench.lens)
-            needs = asked.goal in ("as-built rms", "yield") or "min_yield" in asked.constraints
+            quality = manufacturing_quality(grade, bench.lens)
+            needs = search.goal in ("as-built rms", "yield") or "min_yield" in search.constraints
         except InputError as error:
-            self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
             return
         self.start, self.shown = bench.lens, None
-        self.take.visible = self.drop.visible = False
-        self.job = Job(run_search, (bench.lens, asked, made if needs else None), bench.tell)
+        self.accept.visible = self.discard.visible = False
+        self.job = Job(run_search, (bench.lens, search, quality if needs else None), bench.notify)
         self.update()
 
-    def _take(self, _: object) -> None:
+    def _accept(self, _: object) -> None:
         found = self._found()
         if found is not None:
             self.bench.change("what a search found", lambda _: tomllib.loads(found.text))
-        self._drop(None)
+        self._discard(None)
 
-    def _drop(self, _: object) -> None:
-        self.job, self.shown, self.said.object = None, None, ""
-        self.take.visible = self.drop.visible = False
+    def _discard(self, _: object) -> None:
+        self.job, self.shown, self.message.object = None, None, ""
+        self.accept.visible = self.discard.visible = False
 
     def _found(self) -> Found | None:
         job = self.job
         return job.result if job is not None and job.state == "done" else None
 
     def update(self) -> None:
-        """Show how far the search is, or what it found."""
+        """Show the progress of the search, or its result."""
         names = list(variables_of(self.bench.lens))
         if list(self.variables.options) != names:
             kept = [n for n in self.variables.value if n in names]
@@ -141,11 +144,11 @@ class _Optimize:
             return
         self.shown = state
         if job.state == "running":
-            self.said.object = f'<div class="told"><p>searching… {text(job.progress)}</p></div>'
+            self.message.object = f'<div class="text-block"><p>searching… {text(job.progress)}</p></div>'
         elif job.state == "cancelled":
-            self.said.object = '<div class="told"><p>cancelled; the lens is as it was</p></div>'
+            self.message.object = '<div class="text-block"><p>cancelled; the lens is as it was</p></div>'
         elif job.state == "failed":
-            self.said.object = f'<div class="told"><p class="miss">{text(job.result)}</p></div>'
+            self.message.object = f'<div class="text-block"><p class="miss">{text(job.result)}</p></div>'
         else:
             self._show(job.result)
 
@@ -153,10 +156,10 @@ class _Optimize:
         assert self.start is not None  # a search ran
         lens = lens_from(tomllib.loads(found.text), Path("found.toml"))
         kind, words = ("good", "every constraint is met") if found.feasible else ("bad", "not all is met")
-        told = "".join(f'<p class="miss">{text(one)}</p>' for one in found.violations)
-        told += "".join(f"<p>binding: {text(one)}</p>" for one in found.binding)
-        self.said.object = (
-            f'<div class="told"><p class="verdict {kind}">{words}</p><p>{text(found.summary)}</p>{told}</div>'
-            + comparison(["start", "found"], [self.start, lens])
+        sentences = "".join(f'<p class="miss">{text(one)}</p>' for one in found.violations)
+        sentences += "".join(f"<p>binding: {text(one)}</p>" for one in found.binding)
+        self.message.object = (
+            f'<div class="text-block"><p class="verdict {kind}">{words}</p><p>{text(found.summary)}</p>'
+            f"{sentences}</div>" + comparison(["start", "found"], [self.start, lens])
         )
-        self.take.visible = self.drop.visible = True
+        self.accept.visible = self.discard.visible = True

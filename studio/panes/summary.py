@@ -1,4 +1,4 @@
-"""Panes in words and numbers: constraints and what misses them, other figures, the lens as built."""
+"""Panes of figures: constraints, violations, other figures, and the lens as built."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from studio.panes.common import bench_of, follow, number, text
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
-MOST_SHARES = 7
+MAX_PERTURBATIONS = 7
 
 
 def findings(lens: Workbench | Lens) -> pn.pane.HTML:
-    """What the lens has to keep, how near it comes, and a sentence for each miss."""
+    """Return a pane with the constraints, their present values, and a sentence for each violation."""
     bench = bench_of(lens)
     pane = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
 
@@ -24,7 +24,7 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
         report = bench.figures.check
         refused = "".join(f'<p class="miss">{text(one)}</p>' for one in bench.figures.refused)
         if report is None:
-            pane.object = f'<div class="told">{refused}</div>'
+            pane.object = f'<div class="text-block">{refused}</div>'
             return
         rows = "".join(_constraint(c) for c in report.constraints)
         misses = "".join(f'<p class="miss">{text(one)}</p>' for one in report.violations)
@@ -35,7 +35,7 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
         )
         state = "settled" if bench.figures.settled and bench.figures.lens is bench.lens else "moving"
         pane.object = (
-            f'<div class="told" data-state="{state}">{verdict}{rows}'
+            f'<div class="text-block" data-state="{state}">{verdict}{rows}'
             f'{misses}{refused}<table class="facts">{_facts(report, bench.figures.lens)}</table></div>'
         )
 
@@ -44,7 +44,7 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
 
 
 def as_built(lens: Workbench | Lens) -> pn.Column:
-    """Root mean squares and yield predicted under a grade or a study, what brings them, and what it costs."""
+    """Return a pane with the predicted rms wavefront errors, yield, main contributions and cost."""
     bench = bench_of(lens)
     names = {grade.replace("_", " "): grade for grade in GRADES}
     if bench.grade not in GRADES:
@@ -59,7 +59,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
     def update() -> None:
         found, why = bench.figures.built, bench.refused.get("grade", "")
         if why or found is None:
-            shown.object = f'<div class="told"><p class="miss">{text(why)}</p></div>'
+            shown.object = f'<div class="text-block"><p class="miss">{text(why)}</p></div>'
             return
         predicted, waves = found.prediction, found.prediction.wavefronts
         limits = "".join(
@@ -74,14 +74,14 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         )
         bars = "".join(
             f'<tr><td>{text(name.replace("_", " "))}</td><td class="bar">'
-            f'<i style="width:{share:.1f}%"></i></td><td>{share:.0f} %</td></tr>'
-            for name, share in (() if waves is None else _shares(waves)[:MOST_SHARES])
+            f'<i style="width:{fraction:.1f}%"></i></td><td>{fraction:.0f} %</td></tr>'
+            for name, fraction in (() if waves is None else _contributions(waves)[:MAX_PERTURBATIONS])
         )
         cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
         others = ", ".join(predicted.not_predicted)
         note = f"<p>not predicted, scored by trials only: {text(others)}</p>" if others else ""
         shown.object = (
-            f'<div class="told"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
+            f'<div class="text-block"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
             f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits{cost}</p>"
             f"<table class='facts'><tr><th>limit</th><th>good</th></tr>{limits}</table>"
             f"{note}<table class='facts'><tr><th>field</th><th>rms</th></tr>{points}</table>"
@@ -92,22 +92,24 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
     return pane
 
 
-def _shares(waves: WavefrontPrediction) -> list[tuple[str, float]]:
-    """What each perturbation brings of the mean square over all points, in per cent, the largest first."""
+def _contributions(waves: WavefrontPrediction) -> list[tuple[str, float]]:
+    """Return the contribution of each perturbation to the mean square in percent, the largest first."""
     squares = np.array([point.rms_waves**2 for point in waves.points])
-    brought = squares @ np.stack([point.shares for point in waves.points]) / squares.sum()
-    return sorted(zip(waves.perturbations, (100.0 * brought).tolist(), strict=True), key=lambda one: -one[1])
+    contributions = squares @ np.stack([point.shares for point in waves.points]) / squares.sum()
+    return sorted(
+        zip(waves.perturbations, (100.0 * contributions).tolist(), strict=True), key=lambda one: -one[1]
+    )
 
 
 def _constraint(one: Constraint) -> str:
-    share = one.value / one.limit if one.relation == "<=" and one.limit else None
-    bar = "" if share is None else f'<i style="width:{min(100.0 * share, 100.0):.1f}%"></i>'
-    near = " near" if one.met and share is not None and share > 0.999 else ""
+    fraction = one.value / one.limit if one.relation == "<=" and one.limit else None
+    bar = "" if fraction is None else f'<i style="width:{min(100.0 * fraction, 100.0):.1f}%"></i>'
+    near = " near" if one.met and fraction is not None and fraction > 0.999 else ""
     kind = ("met" if one.met else "bad") + near
-    said = "binds" if near else "met" if one.met else "not met"
+    state = "binds" if near else "met" if one.met else "not met"
     return (
         f'<div class="constraint {kind}" data-name="{text(one.name)}" data-value="{one.value!r}">'
-        f'<span>{text(one.name)}</span><span class="said">{said}</span><b>{number(one.value, one.unit)}</b>'
+        f'<span>{text(one.name)}</span><span class="state">{state}</span><b>{number(one.value, one.unit)}</b>'
         f"<span>{text(one.relation)} {number(one.limit, one.unit)}</span><div class='bar'>{bar}</div></div>"
     )
 

@@ -1,4 +1,4 @@
-"""Looks of the charts, on light and on dark ground."""
+"""Themes of the charts, for light and dark backgrounds."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ COLORS = {
 }
 
 FIELDS = {"light": ("#c2410c", "#00805d", "#0069b4"), "dark": ("#ff8a4c", "#2fbf93", "#59b0f0")}
-"""Of three fields."""
+"""Colours of three fields."""
 
 WAVES = {
     "light": ("#2166ac", "#67a9cf", "#d1e5f0", "#eceff1", "#fddbc7", "#ef8a62", "#b2182b"),
     "dark": ("#7cc4ff", "#4a8fc7", "#2f567a", "#2b3238", "#743d2f", "#c76a4a", "#ffa982"),
 }
-"""Of path differences, from negative to positive; refined between."""
+"""Colours of path differences from negative to positive, to be interpolated."""
 
 Dresser = Callable[[dict[str, str], Theme], None]
 
 
 def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **more: Any) -> Any:
-    """An empty Bokeh figure in the house's looks, with what dresses it added to `dressers`."""
+    """Return an empty Bokeh figure; the function that applies a theme to it is appended to `dressers`."""
     from bokeh.plotting import figure
 
-    made = figure(
+    plot = figure(
         height=height,
         sizing_mode="stretch_width",
         margin=0,
@@ -58,12 +58,12 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
         y_axis_label=y or None,
         **more,
     )
-    made.outline_line_color = None
+    plot.outline_line_color = None
 
     def dress(colors: dict[str, str], theme: Theme) -> None:
-        made.update(background_fill_color=colors["paper"], border_fill_color=colors["paper"])
-        made.xgrid.grid_line_color = made.ygrid.grid_line_color = colors["line"]
-        for axis in made.axis:
+        plot.update(background_fill_color=colors["paper"], border_fill_color=colors["paper"])
+        plot.xgrid.grid_line_color = plot.ygrid.grid_line_color = colors["line"]
+        for axis in plot.axis:
             axis.update(
                 axis_line_color=colors["line"],
                 major_tick_line_color=None,
@@ -78,31 +78,31 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
             )
 
     dressers.append(dress)
-    return made
+    return plot
 
 
-def framed(made: Any) -> Any:
-    """Have a chart show a box to scale, as large as it fits; the source holds the box's corners, x and y."""
+def framed(plot: Any) -> Any:
+    """Let a chart show a box to scale; return the source of the box's corners, x and y."""
     from bokeh.models import ColumnDataSource
 
     source = ColumnDataSource({"x": [-1.0, 1.0], "y": [-1.0, 1.0]})
-    corners = made.scatter("x", "y", source=source, alpha=0.0, size=0)
-    for span in (made.x_range, made.y_range):
+    corners = plot.scatter("x", "y", source=source, alpha=0.0, size=0)
+    for span in (plot.x_range, plot.y_range):
         span.update(renderers=[corners], range_padding=0.0)
     return source
 
 
 def dressed(dressers: list[Dresser], theme: Theme) -> None:
-    """Dress charts for a theme."""
+    """Apply a theme to charts."""
     for dress in dressers:
         dress(COLORS[theme], theme)
 
 
 def between(stops: tuple[str, ...], count: int = 96) -> list[str]:
-    """Colours between stops, evenly."""
+    """Return colours interpolated evenly between stops."""
     import numpy as np
 
     values = np.array([[int(s[i : i + 2], 16) for i in (1, 3, 5)] for s in stops], float)
-    at = np.linspace(0, len(stops) - 1, count)
-    mixed = [np.interp(at, np.arange(len(stops)), values[:, k]) for k in range(3)]
+    positions = np.linspace(0, len(stops) - 1, count)
+    mixed = [np.interp(positions, np.arange(len(stops)), values[:, k]) for k in range(3)]
     return [f"#{int(r):02x}{int(g):02x}{int(b):02x}" for r, g, b in zip(*mixed, strict=True)]

@@ -1,4 +1,4 @@
-"""A tolerance study of the lens: started here, its trials as they arrive, each of them to be looked at."""
+"""Pane for a tolerance study of the lens: trials appear as they arrive and can be inspected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import panel as pn
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.jobs import Job
 from studio.model.studies import run_trials, trial_what_if, trials_so_far
 from studio.panes.common import bench_of, follow, text
@@ -25,7 +25,7 @@ POLL_MILLISECONDS = 700
 
 
 def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
-    """Start a study by the chosen tolerances; click a trial to have its errors among the what-ifs."""
+    """Return a pane that runs a study; a click on a trial sets its deviations in the what-if sliders."""
     bench, own = bench_of(lens), [] if dressers is None else dressers
     pane = _Tolerances(bench, own).view
     if dressers is None:
@@ -34,7 +34,7 @@ def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) ->
 
 
 class _Tolerances:
-    """The widgets, the study that runs, and its folder."""
+    """Widgets, the running study, and its folder."""
 
     def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
         from bokeh.models import ColumnDataSource
@@ -46,22 +46,25 @@ class _Tolerances:
         self.count = pn.widgets.IntInput(name="trials", value=400, start=20, end=100_000, step=100, width=120)
         self.run = pn.widgets.Button(name="Start", button_type="primary", align="end")
         self.cancel = pn.widgets.Button(name="Stop", disabled=True, align="end")
-        self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+        self.message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.source = ColumnDataSource({"x": [], "y": [], "number": [], "color": []})
         self.colors = ("#00796b", "#c62828")
         self.passed, self.by_merit = np.zeros(0, bool), dict[str, float]()
         self.merits: tuple[Merit, ...] = ()
         self.column = 0
-        self.chart = made = chart(dressers, height=260, x="trial", y="rms waves")
-        made.add_tools("tap")
-        made.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
+        self.chart = plot = chart(dressers, height=260, x="trial", y="rms waves")
+        plot.add_tools("tap")
+        plot.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
         dressers.append(self._dress)
         self.source.selected.on_change("indices", self._picked)
         self.run.on_click(self._start)
         self.cancel.on_click(lambda _: self.job and self.job.cancel())
         form = pn.Row(self.count, self.run, self.cancel, margin=(6, 6, 0, 6))
         self.view = pn.Column(
-            form, self.said, pn.pane.Bokeh(made, sizing_mode="stretch_width"), sizing_mode="stretch_width"
+            form,
+            self.message,
+            pn.pane.Bokeh(plot, sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
         )
         self.view._tolerances = self  # lives as long as what shows it
         follow(bench, self.view, self.update)
@@ -79,17 +82,19 @@ class _Tolerances:
             return
         bench = self.bench
         try:
-            made = workmanship(bench.grade, bench.lens)
+            quality = manufacturing_quality(bench.grade, bench.lens)
         except TransferLensError as error:
-            self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
             return
-        self.merits = made.study.merits
+        self.merits = quality.study.merits
         self.column = next((k for k, m in enumerate(self.merits) if isinstance(m, RmsWaves)), 0)
         self.chart.yaxis.axis_label = self.merits[self.column].column.replace("_", " ")
         self.folder = tempfile.TemporaryDirectory(prefix="studio")
         self.source.selected.indices = []
         self.passed = np.zeros(0, bool)
-        self.job = Job(run_trials, (bench.lens, made, self.count.value, Path(self.folder.name)), bench.tell)
+        self.job = Job(
+            run_trials, (bench.lens, quality, self.count.value, Path(self.folder.name)), bench.notify
+        )
         self.polling = pn.state.add_periodic_callback(self._poll, POLL_MILLISECONDS)
         self.update()
 
@@ -118,15 +123,15 @@ class _Tolerances:
     def _picked(self, _name: str, _old: Any, new: list[int]) -> None:
         if not new or self.folder is None:
             return
-        number = int(self.source.data["number"][new[0]])
-        self.bench.set_what_if(trial_what_if(Path(self.folder.name), number))
-        self.said.object = (
-            f'<div class="told"><p>trial {number}: its errors stand among the what-ifs, its wavefronts under '
-            "Live; irregularities, which no slider has, are left out</p></div>"
+        trial = int(self.source.data["number"][new[0]])
+        self.bench.set_what_if(trial_what_if(Path(self.folder.name), trial))
+        self.message.object = (
+            f'<div class="text-block"><p>trial {trial}: its deviations are set in the what-if sliders, its '
+            "wavefronts are under Live; irregularities have no slider and are omitted</p></div>"
         )
 
     def update(self) -> None:
-        """Show how far the study is."""
+        """Show the progress of the study."""
         job = self.job
         running = job is not None and job.state == "running"
         if self.run.disabled is not running:
@@ -138,12 +143,12 @@ class _Tolerances:
         elif (good := yield_of(self.passed)) is None:
             new = f"<p>{text(job.progress or 'starting')}…</p>"
         else:
-            share, low, high = (100.0 * v for v in (good.share, good.low, good.high))
-            parts = ", ".join(f"{text(label)} {100.0 * v:.1f} %" for label, v in self.by_merit.items())
+            fraction, low, high = (100.0 * v for v in (good.fraction, good.low, good.high))
+            merits_alone = ", ".join(f"{text(label)} {100.0 * v:.1f} %" for label, v in self.by_merit.items())
             new = (
-                f"<p><b>{share:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "
+                f"<p><b>{fraction:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "
                 f"{high:.1f} %); "
-                f"each limit alone: {parts}; {text(job.state)}. "
+                f"each limit alone: {merits_alone}; {text(job.state)}. "
                 "Click a trial to look at its lens.</p>"
             )
-        self.said.object = f'<div class="told">{new}</div>'
+        self.message.object = f'<div class="text-block">{new}</div>'

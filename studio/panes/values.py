@@ -1,4 +1,4 @@
-"""The table of all values of the lens, and that of what may be off, each with a slider."""
+"""Panes with sliders: all values of the lens, and its deviations from the design."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class Values(ScriptPart):
     """Rows of values with sliders."""
 
     rows = param.List(default=[], doc="One mapping a row.")
-    refused = param.Dict(default={}, doc="Why a value was not taken, by its key.")
-    glasses = param.List(default=[], doc="Names that are offered.")
+    refused = param.Dict(default={}, doc="Reason for the rejection of a value, by its key.")
+    glasses = param.List(default=[], doc="Suggested names of glasses.")
 
     _esm = HERE / "values.js"
     _stylesheets = [HERE / "values.css"]  # noqa: RUF012 - as Panel has it
 
 
 def surfaces(lens: Workbench | Lens) -> Values:
-    """The editable table of surfaces, object, sensor and light."""
+    """Return the editable table of surfaces, object, sensor and wavelengths."""
     bench = bench_of(lens)
 
     def received(message: dict[str, Any]) -> None:
@@ -58,7 +58,7 @@ def surfaces(lens: Workbench | Lens) -> Values:
 
 
 def what_if(lens: Workbench | Lens) -> Values:
-    """Sliders of what may be off: the lens or an element decentered or tilted, heated, a radius off."""
+    """Return sliders for deviations: decenter and tilt of the lens or an element, temperature, radii."""
     bench = bench_of(lens)
 
     def received(message: dict[str, Any]) -> None:
@@ -96,7 +96,7 @@ def what_if(lens: Workbench | Lens) -> Values:
                     "step": amount.step,
                     "kind": "number",
                     "note": "",
-                    "actions": [["reset", "reset", "Put everything where it was designed"]]
+                    "actions": [["reset", "reset", "Set all deviations to 0"]]
                     if amount.target == "lens"
                     else [],
                 }

@@ -1,4 +1,4 @@
-"""Panes of what pupils tell: wavefronts, contrast of lines, a patch of a chart as it comes back."""
+"""Panes of wave optics: wavefronts, contrast of lines, and a reconstructed patch of a chart."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import numpy as np
 import panel as pn
 
 from lensdesign.lens.lens import Lens
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.bench import Workbench
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
 
-LEAST_WAVES = 0.05
-"""That a wavefront's colours span, to both sides: noise must not look like an aberration."""
+MIN_WAVES = 0.05
+"""Smallest range (±) of a wavefront's colours in waves, so that noise does not look like an aberration."""
 
 
 def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | None = None) -> pn.Column:
-    """The path difference over the pupil at one of three fields, and what it comes to in words."""
+    """Return a pane with the path difference over the pupil at one of three fields, and its figures."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
-    made = chart(own, height=150, match_aspect=True)
-    framed(made)
-    made.axis.visible = False
-    made.grid.visible = False
+    plot = chart(own, height=150, match_aspect=True)
+    framed(plot)
+    plot.axis.visible = False
+    plot.grid.visible = False
     source = ColumnDataSource({"image": []})
     mapper = LinearColorMapper(palette=between(WAVES["light"]), low=-1, high=1, nan_color="rgba(0,0,0,0)")
-    made.image("image", x=-1, y=-1, dw=2, dh=2, source=source, color_mapper=mapper)
+    plot.image("image", x=-1, y=-1, dw=2, dh=2, source=source, color_mapper=mapper)
 
     def dress(_: dict[str, str], theme: Theme) -> None:
         mapper.palette = between(WAVES[theme])
@@ -36,26 +36,26 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
     own.append(dress)
     words = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
     pane = pn.Column(
-        pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0),
+        pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0),
         words,
         sizing_mode="stretch_width",
         margin=0,
     )
-    seen: list[Any] = [None]
+    drawn: list[Any] = [None]
 
     def update() -> None:
-        if field >= len(bench.figures.pupils) or bench.figures.pupils[field] is seen[0]:
+        if field >= len(bench.figures.pupils) or bench.figures.pupils[field] is drawn[0]:
             return
-        last, found = seen[0], bench.figures.pupils[field]
-        seen[0] = found
+        last, found = drawn[0], bench.figures.pupils[field]
+        drawn[0] = found
         if last is not None and np.array_equal(last.waves, found.waves, equal_nan=True):
             return
-        most = max(LEAST_WAVES, float(np.nanmax(np.abs(found.waves))))
-        mapper.update(low=-most, high=most)
+        largest = max(MIN_WAVES, float(np.nanmax(np.abs(found.waves))))
+        mapper.update(low=-largest, high=largest)
         source.data = {"image": [found.waves.astype(np.float32)]}
         words.object = (
             f'<div class="figure"><b>{found.field_mm:.3g} mm</b> <span>Strehl {found.strehl:.3f}</span> '
-            f"<span>{found.rms_waves:.4f} λ rms</span> <span>± {most:.2g} λ</span></div>"
+            f"<span>{found.rms_waves:.4f} λ rms</span> <span>± {largest:.2g} λ</span></div>"
         )
 
     follow(bench, pane, update)
@@ -65,11 +65,11 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
 
 
 def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """Contrast against line width at three fields."""
+    """Return a chart of contrast against line width at three fields."""
     from bokeh.models import ColumnDataSource, Range1d
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
-    made = chart(
+    plot = chart(
         own,
         height=190,
         x="line width (µm)",
@@ -78,25 +78,25 @@ def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> p
         y_range=Range1d(-0.05, 1.05),
     )
     sources = [ColumnDataSource({"x": [], "y": []}) for _ in range(3)]
-    lines = [made.line("x", "y", source=s, line_width=1.8) for s in sources]
-    dots = [made.scatter("x", "y", source=s, size=4.5, line_color=None) for s in sources]
+    lines = [plot.line("x", "y", source=s, line_width=1.8) for s in sources]
+    dots = [plot.scatter("x", "y", source=s, size=4.5, line_color=None) for s in sources]
 
     def dress(_: dict[str, str], theme: Theme) -> None:
         for line, dot, color in zip(lines, dots, FIELDS[theme], strict=True):
             line.glyph.line_color = dot.glyph.fill_color = color
 
     own.append(dress)
-    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
-    seen: list[Any] = [None]
+    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
+    drawn: list[Any] = [None]
 
     def update() -> None:
-        if not bench.figures.pupils or bench.figures.pupils is seen[0]:
+        if not bench.figures.pupils or bench.figures.pupils is drawn[0]:
             return
-        seen[0] = bench.figures.pupils
-        for source, found in zip(sources, seen[0], strict=False):
+        drawn[0] = bench.figures.pupils
+        for source, found in zip(sources, drawn[0], strict=False):
             source.data = {"x": list(found.widths_um), "y": list(found.contrast)}
-        widths = seen[0][0].widths_um
-        made.x_range.update(start=0.9 * widths[0], end=1.03 * widths[-1])
+        widths = drawn[0][0].widths_um
+        plot.x_range.update(start=0.9 * widths[0], end=1.03 * widths[-1])
 
     follow(bench, pane, update)
     if dressers is None:
@@ -105,40 +105,43 @@ def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> p
 
 
 def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
-    """Bars of a chart as the lens that is off brings them back, beside those of the lens as designed."""
+    """Return a pane that compares reconstructed bars of a chart: actual lens and lens as designed."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
     mapper = LinearColorMapper(palette="Greys256", low=0, high=1)
     sources, charts = [], []
     for title in ("as designed", "as it is"):
-        made = chart(own, height=180, match_aspect=True)
-        framed(made)
-        made.axis.visible = made.grid.visible = False
+        plot = chart(own, height=180, match_aspect=True)
+        framed(plot)
+        plot.axis.visible = plot.grid.visible = False
         source = ColumnDataSource({"image": []})
-        made.image("image", x=-1, y=-1, dw=2, dh=2, source=source, color_mapper=mapper)
+        plot.image("image", x=-1, y=-1, dw=2, dh=2, source=source, color_mapper=mapper)
         sources.append(source)
         charts.append(
             pn.Column(
-                pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0),
+                pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0),
                 pn.pane.HTML(f'<div class="figure">{title}</div>', sizing_mode="stretch_width", margin=0),
                 sizing_mode="stretch_width",
                 margin=0,
             )
         )
-    fields = {f"{share:g} of the half field" if share else "on the axis": share for share in FIELD_SHARES}
-    chosen = pn.widgets.Select(options=fields, value=bench.patch_share, margin=(0, 8), width=160)
+    fields = {
+        f"{fraction:g} of the half field" if fraction else "on the axis": fraction
+        for fraction in FIELD_FRACTIONS
+    }
+    chosen = pn.widgets.Select(options=fields, value=bench.patch_fraction, margin=(0, 8), width=160)
     chosen.param.watch(lambda event: bench.set_patch(event.new), "value")
     shown = pn.Row(*charts, sizing_mode="stretch_width", margin=0)
     pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
-    seen: list[Any] = [None]
+    drawn: list[Any] = [None]
 
     def update() -> None:
         found = bench.figures.patch
-        if found is None or found is seen[0]:
+        if found is None or found is drawn[0]:
             return
-        seen[0] = found
-        for source, values in zip(sources, (found.nominal, found.seen), strict=True):
+        drawn[0] = found
+        for source, values in zip(sources, (found.nominal, found.actual), strict=True):
             source.data = {"image": [values.astype(np.float32)]}
         mapper.update(low=0.0, high=float(np.quantile(found.nominal, 0.995)))
 

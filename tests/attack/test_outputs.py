@@ -99,7 +99,7 @@ def test_a_file_is_no_folder_and_a_folder_is_no_file(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="it is no folder"):
         check_output_folder(tmp_path / "file")
-    with pytest.raises(InputError, match="no regular file"):
+    with pytest.raises(InputError, match="not a regular file"):
         check_output_file("/dev/null")
     for check in (check_output_file, check_output_folder):
         with pytest.raises(InputError, match="null byte"):
@@ -107,7 +107,7 @@ def test_a_file_is_no_folder_and_a_folder_is_no_file(tmp_path: Path) -> None:
         check(tmp_path / "new" / "deep" / "thing")
     assert os.listdir(tmp_path) == ["file"]
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(InputError, match="leads back to itself"):
+    with pytest.raises(InputError, match="refers to itself"):
         check_output_file(tmp_path / "loop")
 
 

@@ -16,7 +16,7 @@ if __name__ == "__main__":
             store,
             workers=int(workers),
             trials=int(trials),
-            report=lambda done, total: print(done, flush=True),
+            progress=lambda done, total: print(done, flush=True),
         )
     except TransferLensError as error:
         fail(str(error))

@@ -1,4 +1,4 @@
-"""Tolerance budgets: the loosest tolerances that keep a yield."""
+"""Tolerance budgets: tolerances of least cost that meet a required yield."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""The search for the loosest tolerances whose predicted yield meets a requirement.
+"""Allocation of tolerances: the scales of least cost whose predicted yield meets a requirement.
 
-The cost of making a part to tolerances s_i times those of the study is sum w_i / s_i, the reciprocal
-cost-tolerance model (Chase and Greenwood 1988; Wu, ElMaraghy and ElMaraghy 1988 compare it with others).
+The cost of a lens with s_i times the tolerances of the study is sum w_i / s_i, the reciprocal cost-tolerance
+model (Chase and Greenwood 1988; Wu, ElMaraghy and ElMaraghy 1988 compare it with others).
 """
 
 from __future__ import annotations
@@ -18,45 +18,33 @@ from lensdesign.errors import InputError
 from lensdesign.optimization.nlopt_driver import Evaluation, minimize
 from tolerancing.merits.base import Merit, all_passed
 
-SMOOTHING = (0.1, 0.05)
-"""Widths of the logistic function that replaces pass or fail, in standard deviations of the scores."""
-
-ROUNDS = 3
-"""How often a search is repeated for each width, its aim corrected for the effect of the smoothing."""
-
-EVALUATIONS_PER_ROUND = 60
-SECONDS_PER_ROUND = 120.0
-
-HALVINGS = 24
-"""Of the bracket of a common factor."""
-
 
 class ScoreModel(Protocol):
-    """Scores of drawn lenses as a function of the scales of d tolerances; n lenses, m merits."""
+    """Scores of n drawn lenses by m merits as a function of the scales of d tolerances."""
 
     def scores(self, scales: Array) -> Array:
-        """Scores, shape (n, m); NaN where a lens has none."""
+        """Return the scores, shape (n, m); NaN if missing."""
 
     def slopes(self, scales: Array) -> tuple[Array, Array]:
-        """Scores, shape (n, m), and their derivatives by the scales, shape (n, m, d)."""
+        """Return the scores, shape (n, m), and their derivatives by the scales, shape (n, m, d)."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Tolerances that keep a yield, as scales of those of the study.
+    """Tolerances that meet a yield, as scales of the tolerances of the study.
 
     Attributes
     ----------
     scales : ndarray, shape (d,)
-        Factors by which each perturbation's deviations from its mean are multiplied.
+        Factors that multiply the deviations of each perturbation from its mean.
     predicted_yield, predicted_yield_before
-        Fraction of the model's lenses that are good with these tolerances, and with the study's own.
+        Fraction of the model's lenses that are good with these tolerances, and with those of the study.
     cost, cost_before
-        Sum of w_i / s_i, and the same with all scales 1.
+        Sum of w_i / s_i for these tolerances, and for those of the study.
     uniform_scale, uniform_cost
-        The largest common scale of all tolerances that keeps the yield, and its cost; None where none does.
+        Largest common scale of all tolerances that meets the yield, and its cost; None if there is none.
     evaluations
-        How often all lenses were scored.
+        Number of evaluations of all lenses.
     """
 
     scales: Array
@@ -78,32 +66,40 @@ def allocate_tolerances(
     high: ArrayLike,
     weights: ArrayLike = 1.0,
 ) -> Budget:
-    """Find the scales of least cost with which the model's lenses keep the required yield.
+    """Find the scales of least cost with which the model's lenses meet the required yield.
 
-    For the search each merit's pass or fail is replaced by a logistic function of its margin. SLSQP then
-    minimizes the cost over the logarithms of the scales, from the largest common scale that keeps the yield.
-    The effect of the smoothing on the yield is measured on true pass and fail, the aim is corrected by it,
-    and the search is repeated with less smoothing. Finally a common factor is bisected until the true yield
-    just meets the requirement; every scale stays within its range. The result is the cheapest of this, of the
-    best common scale, and of the study's own tolerances if they keep the yield.
+    1. A logistic function of each merit's margin replaces pass and fail. SLSQP minimizes the cost over the
+       logarithms of the scales, starting at the largest common scale that meets the yield.
+    2. The effect of the smoothing is measured with true pass and fail and corrects the target yield. The
+       search is repeated with less smoothing.
+    3. A common factor is bisected until the true yield just meets the requirement, with every scale within
+       its range.
+
+    The result is the solution of least cost among this solution, the best common scale, and the study's own
+    tolerances if they meet the yield.
 
     Parameters
     ----------
     model
         Scores of drawn lenses.
     merits
-        A lens is good if it keeps the limits of all m of them.
+        The m merits. A lens is good if it meets all limits.
     required
-        Yield, above 0 and below 1.
+        Required yield, above 0 and below 1.
     low, high : array_like, shape (d,)
         Ranges of the scales.
     weights : array_like, shape (d,)
-        w_i, above 0.
+        Weights w_i of the cost, above 0.
+
+    Returns
+    -------
+    Budget
+        The scales, with yields and costs.
 
     Raises
     ------
     InputError
-        If even the smallest scales miss the yield, or an argument is out of range.
+        If the smallest scales do not meet the yield, or an argument is out of range.
     """
     lowest, highest, weight = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(v, float)) for v in (low, high, weights))
@@ -118,19 +114,21 @@ def allocate_tolerances(
     smallest = search.count(lowest)
     if smallest < required:
         raise InputError(
-            f"required yield = {required:g}: out of reach; even with the smallest scales the predicted yield "
+            f"required yield = {required:g}: out of span; even with the smallest scales the predicted yield "
             f"is {smallest:.4g}"
         )
     return search.run()
 
 
 def check_required(required: float) -> None:
-    """Refuse a yield that is not between 0 and 1, with an InputError."""
+    """Raise an InputError unless a yield is between 0 and 1."""
     if not 0.0 < required < 1.0:
         raise InputError(f"required yield = {required:g}: must be above 0 and below 1")
 
 
 class _Search:
+    """Search for the scales of least cost; it remembers the best scales that meet the yield."""
+
     def __init__(
         self,
         model: ScoreModel,
@@ -146,18 +144,19 @@ class _Search:
         self.best: tuple[float, Array, float] | None = None
 
     def run(self) -> Budget:
-        """Search from the best common scale; the cheapest scales that keep the yield count."""
+        """Search from the best common scale and return the scales of least cost that meet the yield."""
         ones = np.ones_like(self.low)
         before = self.count(ones)
         uniform = self.largest_factor(ones)
         found = np.clip(uniform, self.low, self.high)
-        for smoothing in SMOOTHING:
-            widths, aim = self.widths(found, smoothing), self.required
-            for _ in range(ROUNDS):
-                found = self.search(found, widths, min(aim, 1.0 - 1e-4))
-                aim = self.required + self.smooth_yield(found, widths) - self.count(found)
+        # Widths of the logistic function, in standard deviations of the scores.
+        for smoothing in (0.1, 0.05):
+            widths, target = self.widths(found, smoothing), self.required
+            for _ in range(3):
+                found = self.search(found, widths, min(target, 1.0 - 1e-4))
+                target = self.required + self.smooth_yield(found, widths) - self.count(found)
             found = self.largest_factor(found)
-        assert self.best is not None  # the smallest scales keep the yield
+        assert self.best is not None  # the smallest scales meet the yield
         cost, scales, good = self.best
         common = np.unique(uniform[self.low < self.high])
         free = len(common) == 1
@@ -176,7 +175,7 @@ class _Search:
         return float(np.sum(self.weights / scales))
 
     def count(self, scales: Array) -> float:
-        """Fraction of good lenses; the cheapest scales that keep the yield are remembered."""
+        """Return the fraction of good lenses, and remember the scales of least cost that meet the yield."""
         self.evaluations += 1
         scores = self.model.scores(scales)
         good = float(np.mean(all_passed(self.merits, scores)))
@@ -187,7 +186,7 @@ class _Search:
         return good
 
     def widths(self, scales: Array, smoothing: float) -> Array:
-        """Width of each merit's logistic function: a part of the spread of its scores."""
+        """Return the width of each merit's logistic function, a fraction of the spread of its scores."""
         self.evaluations += 1
         known = [column[np.isfinite(column)] for column in self.model.scores(scales).T]
         spread = np.array([column.std() if len(column) else 0.0 for column in known])
@@ -198,16 +197,16 @@ class _Search:
         return float(np.mean(np.prod(self.smooth_passes(self.model.scores(scales), widths), axis=1)))
 
     def smooth_passes(self, scores: Array, widths: Array) -> Array:
-        """The logistic function in place of pass and fail, shape (n, m); 0 where there is no score."""
+        """Return the logistic function that replaces pass and fail, shape (n, m); 0 for missing scores."""
         from scipy.special import expit
 
         margins = np.stack([merit.margin(scores[:, k]) for k, merit in enumerate(self.merits)], axis=1)
         return np.nan_to_num(expit(margins / widths), nan=0.0)
 
-    def search(self, start: Array, widths: Array, aim: float) -> Array:
-        """Scales of least cost whose smoothed yield reaches the aim, by SLSQP over their logarithms."""
-        base, reach = np.log(self.low), np.log(self.high / self.low)
-        free = np.flatnonzero(reach > 0.0)
+    def search(self, start: Array, widths: Array, target: float) -> Array:
+        """Return the scales of least cost whose smoothed yield reaches the target, by SLSQP."""
+        base, span = np.log(self.low), np.log(self.high / self.low)
+        free = np.flatnonzero(span > 0.0)
         if not free.size:
             return self.low
         unit = self.cost(start)
@@ -216,7 +215,7 @@ class _Search:
         def scales_at(point: Array) -> Array:
             full = np.zeros_like(base)
             full[free] = point
-            return np.exp(base + reach * full)
+            return np.exp(base + span * full)
 
         def evaluate(point: Array) -> Evaluation:
             self.evaluations += 1
@@ -224,24 +223,25 @@ class _Search:
             scores, slopes = self.model.slopes(scales)
             passes = self.smooth_passes(scores, widths)
             lens = np.prod(passes, axis=1)
-            pull = np.nan_to_num(lens[:, None] * (1.0 - passes) * toward_good / widths)
-            by_scale = np.einsum("nm,nmd->d", pull, np.nan_to_num(slopes)) / len(lens)
-            slope = (by_scale * scales * reach)[free]
-            # A missing fraction of good lenses counts in units of the fraction of bad ones that is allowed.
-            allowed = 1.0 - aim
+            by_score = np.nan_to_num(lens[:, None] * (1.0 - passes) * toward_good / widths)
+            by_scale = np.einsum("nm,nmd->d", by_score, np.nan_to_num(slopes)) / len(lens)
+            slope = (by_scale * scales * span)[free]
+            # The constraint is scaled by the allowed fraction of bad lenses.
+            allowed = 1.0 - target
             return Evaluation(
                 goals=np.array([self.cost(scales) / unit]),
-                goals_by=-(self.weights / scales * reach)[None, free] / unit,
-                constraints=np.array([(aim - float(np.mean(lens))) / allowed]),
+                goals_by=-(self.weights / scales * span)[None, free] / unit,
+                constraints=np.array([(target - float(np.mean(lens))) / allowed]),
                 constraints_by=-slope[None, :] / allowed,
             )
 
-        first = np.clip(np.log(start / self.low)[free] / reach[free], 0.0, 1.0)
-        outcome = minimize(evaluate, first, "slsqp", SECONDS_PER_ROUND, EVALUATIONS_PER_ROUND)
+        first = np.clip(np.log(start / self.low)[free] / span[free], 0.0, 1.0)
+        most_seconds, most_evaluations = 120.0, 60
+        outcome = minimize(evaluate, first, "slsqp", most_seconds, most_evaluations)
         return scales_at(outcome.point)
 
     def largest_factor(self, scales: Array) -> Array:
-        """The scales times the largest common factor that keeps the yield, each within its range."""
+        """Return the scales times the largest common factor that meets the yield, each within its range."""
 
         def times(logarithm: float) -> Array:
             return np.clip(np.exp(logarithm) * scales, self.low, self.high)
@@ -249,7 +249,7 @@ class _Search:
         smallest, largest = np.min(np.log(self.low / scales)), np.max(np.log(self.high / scales))
         if self.count(times(largest)) >= self.required:
             return times(largest)
-        for _ in range(HALVINGS):
+        for _ in range(24):
             middle = 0.5 * (smallest + largest)
             if self.count(times(middle)) >= self.required:
                 smallest = middle

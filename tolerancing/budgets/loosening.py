@@ -1,4 +1,4 @@
-"""What each tolerance alone does to the predicted yield."""
+"""Effect of each single tolerance on the predicted yield."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tolerancing.study.study import Study
 
 @dataclass(frozen=True)
 class LoosenedYield:
-    """What one tolerance alone does to the predicted joint yield, all others as they are.
+    """Predicted joint yield with one tolerance halved or doubled and all others unchanged.
 
     Attributes
     ----------
     perturbation
-        Its column.
+        Column of the perturbation.
     halved, doubled
-        Fraction of good lenses with half of it, and with twice as much.
+        Fraction of good lenses with half the tolerance, and with twice the tolerance.
     """
 
     perturbation: str
@@ -39,7 +39,7 @@ def loosen_each(lens: Lens, study: Study) -> tuple[LoosenedYield, ...]:
     Raises
     ------
     InputError, DesignError
-        As of :func:`tolerancing.prediction.predict_study`.
+        If the study cannot be predicted; see :func:`tolerancing.prediction.predict_study`.
     """
     merits = tuple(merit for merit in study.merits if is_predicted(merit))
     model = StudyScoreModel(

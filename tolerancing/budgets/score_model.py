@@ -1,8 +1,8 @@
 """Scores of drawn lenses as functions of the scales of a study's tolerances, with derivatives.
 
-Wavefront and ray merits follow from the derivatives of the nominal lens's rays to first order
-(:mod:`tolerancing.prediction`). Other merits follow from a response surface that is fitted to trials, with
-the residuals of that fit as scatter. What the model neglects is corrected by trials of the lens itself
+Wavefront and ray merits follow to first order from the derivatives of the nominal lens's rays
+(:mod:`tolerancing.prediction`). Other merits follow from a response surface fitted to trials, with the
+residuals of the fit as scatter. Trials of the lens itself correct the errors of the model
 (:mod:`tolerancing.budgets.study_budget`).
 """
 
@@ -34,31 +34,28 @@ from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
 DRAWS = 8192
-"""Sobol draws by which a budget knows its yield."""
+"""Number of Sobol draws that estimate the yield of a budget."""
 
 BLOCK = 512
-"""Lenses whose rays are held at one time."""
+"""Number of lenses whose rays are computed at one time, which limits memory."""
 
-PROBES, PROBE_SCALES, KEPT_RAYS = 512, (0.5, 1.0, 2.0), 3
-"""Lenses, and scales of their deviations, that tell which rays can be the extreme one; how many of each."""
-
-RELATIVE_STEP = 1e-4
-"""Of scales, for derivatives of response surfaces."""
+PROBES, PROBE_SCALES, EXTREME_RAYS = 512, (0.5, 1.0, 2.0), 3
+"""Number of probe lenses, scales of their deviations, and number of longest rays retained for each probe."""
 
 
-class _Part(Protocol):
-    """The score of one merit by the amounts of each change, shape (n, c)."""
+class _MeritModel(Protocol):
+    """Score of one merit as a function of the amounts of each change, shape (n, c)."""
 
     def scores(self, amounts: Array) -> Array:
-        """Shape (n,)."""
+        """Return the scores, shape (n,)."""
 
     def slopes(self, amounts: Array) -> tuple[Array, Array]:
-        """Scores, shape (n,), and their derivatives by the amounts, shape (n, c)."""
+        """Return the scores, shape (n,), and their derivatives by the amounts, shape (n, c)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Wavefront:
-    """A wavefront merit, by the quadratic form of its mean square at each field point."""
+    """Model of a wavefront merit: the quadratic form of its mean square at each field point."""
 
     forms: tuple[Array, ...]
     is_strehl: bool
@@ -84,7 +81,7 @@ class _Wavefront:
 
 @dataclass(frozen=True, eq=False)
 class _ExtremeRay:
-    """A ray merit: the longest of vectors that are linear in the amounts; an angle, if it is a sine."""
+    """Model of a ray merit: the longest of vectors that are linear in the amounts (sines or positions)."""
 
     nominal: Array
     by: Array
@@ -115,32 +112,34 @@ class _ExtremeRay:
         return values, np.einsum("na,nac->nc", along, self.by[longest])
 
     def vectors(self, amounts: Array) -> Array:
-        """Shape (n, rays, 2)."""
-        moved = amounts @ self.by.reshape(-1, amounts.shape[1]).T
-        return self.nominal + moved.reshape(-1, *self.nominal.shape)
+        """Return the vectors of all rays, shape (n, rays, 2)."""
+        change = amounts @ self.by.reshape(-1, amounts.shape[1]).T
+        return self.nominal + change.reshape(-1, *self.nominal.shape)
 
     def of_possible_extremes(self, amounts: Array) -> _ExtremeRay:
-        """The same of the rays that are among the longest for some lens."""
+        """Return the model restricted to rays that are among the longest of some lens."""
         vectors = self.vectors(amounts)
         lengths = np.hypot(vectors[..., 0], vectors[..., 1])
-        kept = np.unique(np.argsort(lengths, axis=1)[:, -KEPT_RAYS:])
-        return replace(self, nominal=self.nominal[kept], by=self.by[kept])
+        retained = np.unique(np.argsort(lengths, axis=1)[:, -EXTREME_RAYS:])
+        return replace(self, nominal=self.nominal[retained], by=self.by[retained])
 
 
 class StudyScoreModel:
-    """Scores of a study's merits for scaled tolerances; itself a score model of a tolerance search.
+    """Scores of a study's merits for scaled tolerances; implements the ScoreModel of a tolerance search.
 
     Parameters
     ----------
-    lens, study
-        What scatters of which lens, and its merits.
+    lens
+        The nominal lens.
+    study
+        The study with perturbations and merits.
     values, scores
-        Trials, shapes (n, perturbations) and (n, merits); needed for merits that are not predicted.
+        Trials, shapes (n, perturbations) and (n, merits). They are needed for merits that are not predicted.
 
     Raises
     ------
     InputError
-        If the trials are too few for a merit that is not predicted.
+        If there are too few trials for a merit that is not predicted.
     """
 
     def __init__(self, lens: Lens, study: Study, values: Array, scores: Array) -> None:
@@ -156,44 +155,45 @@ class StudyScoreModel:
         self._deviations = amounts_of(self.batch) - self._base
         self._of_change = np.repeat(np.arange(len(columns)), [own.stop - own.start for own in columns])
         probes = [self._base + scale * self._deviations[:PROBES] for scale in PROBE_SCALES]
-        self._parts = _parts(lens, study, np.concatenate(probes))
-        self.not_predicted = [k for k, part in enumerate(self._parts) if part is None]
+        self._merit_models = _merit_models(lens, study, np.concatenate(probes))
+        self.not_predicted = [k for k, own in enumerate(self._merit_models) if own is None]
         self._response: Response | None = None
         self._residuals = np.zeros((1, len(self.not_predicted)))
         if self.not_predicted:
             self.fit(values, scores)
 
     def fit(self, values: Array, scores: Array) -> None:
-        """Fit the response surfaces of the merits that are not predicted, to trials."""
+        """Fit the response surfaces of the merits that are not predicted to trials."""
         own = scores[:, self.not_predicted]
         self._response = fit_response(values, own)
         self._residuals = np.nan_to_num(own - self._response.predict(values))
 
     def scores(self, scales: Array) -> Array:
-        """Scores, shape (draws, merits)."""
+        """Return the scores, shape (draws, merits)."""
         return self._scores(self._amounts(scales), self._values(scales))
 
     def scores_of(self, batch: PerturbationBatch) -> Array:
-        """Scores of any lenses of the study, shape (n, merits)."""
+        """Return the scores of arbitrary lenses of the study, shape (n, merits)."""
         return self._scores(amounts_of(batch), batch.values)
 
     def slopes(self, scales: Array) -> tuple[Array, Array]:
-        """Scores, shape (draws, merits), and derivatives by the scales, shape (draws, merits, d)."""
+        """Return scores, shape (draws, merits), and derivatives by the scales, shape (draws, merits, d)."""
         amounts = self._amounts(scales)
-        scores = np.empty((len(amounts), len(self._parts)))
-        found = np.empty((*scores.shape, len(scales)))
-        for k, part in enumerate(self._parts):
-            if part is not None:
-                scores[:, k], by = part.slopes(amounts)
-                found[:, k] = np.add.reduceat(by * self._deviations, self._starts, axis=1)
+        scores = np.empty((len(amounts), len(self._merit_models)))
+        slopes = np.empty((*scores.shape, len(scales)))
+        for k, model in enumerate(self._merit_models):
+            if model is not None:
+                scores[:, k], by = model.slopes(amounts)
+                slopes[:, k] = np.add.reduceat(by * self._deviations, self._starts, axis=1)
         if self.not_predicted:
-            scores[:, self.not_predicted] = middle = self._responses(self._values(scales))
+            scores[:, self.not_predicted] = nominal = self._responses(self._values(scales))
+            relative_step = 1e-4
             for j in range(len(scales)):
-                moved = scales.copy()
-                moved[j] *= 1.0 + RELATIVE_STEP
-                change = self._responses(self._values(moved)) - middle
-                found[:, self.not_predicted, j] = change / (RELATIVE_STEP * scales[j])
-        return scores, found
+                changed = scales.copy()
+                changed[j] *= 1.0 + relative_step
+                change = self._responses(self._values(changed)) - nominal
+                slopes[:, self.not_predicted, j] = change / (relative_step * scales[j])
+        return scores, slopes
 
     def _amounts(self, scales: Array) -> Array:
         return np.asarray(self._base + scales[self._of_change] * self._deviations)
@@ -202,41 +202,41 @@ class StudyScoreModel:
         return np.asarray(self._centre + scales * (self.batch.values - self._centre))
 
     def _scores(self, amounts: Array, values: Array) -> Array:
-        scores = np.empty((len(amounts), len(self._parts)))
-        for k, part in enumerate(self._parts):
-            if part is not None:
-                scores[:, k] = part.scores(amounts)
+        scores = np.empty((len(amounts), len(self._merit_models)))
+        for k, model in enumerate(self._merit_models):
+            if model is not None:
+                scores[:, k] = model.scores(amounts)
         if self.not_predicted:
             scores[:, self.not_predicted] = self._responses(values)
         return scores
 
     def _responses(self, values: Array) -> Array:
-        """By the response surfaces, each lens with the residual of one trial."""
+        """Return the scores by the response surfaces, each lens with the residual of one random trial."""
         assert self._response is not None  # there are merits that are not predicted
         rng = np.random.default_rng(0)
         which: NDArray[np.intp] = rng.integers(len(self._residuals), size=len(values))
         return self._response.predict(values) + self._residuals[which]
 
 
-def _parts(lens: Lens, study: Study, probes: Array) -> list[_Part | None]:
-    """A model of each merit; None where it cannot be predicted."""
-    parts: list[_Part | None] = []
+def _merit_models(lens: Lens, study: Study, probes: Array) -> list[_MeritModel | None]:
+    """Return a model of each merit; None for merits that cannot be predicted."""
+    models: list[_MeritModel | None] = []
     context = Context(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
     for merit in study.merits:
         if is_predicted_wavefront(merit):
-            parts.append(_wavefront(lens, study, merit))
+            models.append(_wavefront(lens, study, merit))
         elif isinstance(merit, LargestSpread | FootprintRadius):
             ray = _extreme_ray(lens, study, merit, context)
-            parts.append(ray.of_possible_extremes(probes))
+            models.append(ray.of_possible_extremes(probes))
         else:
-            parts.append(None)
-    return parts
+            models.append(None)
+    return models
 
 
 def _wavefront(lens: Lens, study: Study, merit: RmsWaves | Strehl) -> _Wavefront:
     judged = tuple(Judged(point, merit.wavelength_um, 1.0) for point in merit.points)
     known = study_derivatives(lens, study, judged, second=False)
-    # Compensators follow the perturbations to first order, as if they had no limits.
+    # Compensators respond to perturbations to first order, without limits.
     follow = known.compensation.following(known.changes.count)
     forms = tuple(follow.T @ first_order(field) @ follow for field in known.fields)
     return _Wavefront(forms, isinstance(merit, Strehl))
@@ -262,13 +262,13 @@ def _extreme_ray(
     return _on_plane(known, plane_mm - lens.sensor.plane_distances_mm[0])
 
 
-def _on_plane(known: ArrivalDifferentials, further_mm: float) -> _ExtremeRay:
-    """Positions a distance behind the first sensor plane, to first order."""
+def _on_plane(known: ArrivalDifferentials, distance_mm: float) -> _ExtremeRay:
+    """Return the model of positions at a distance behind the first sensor plane, to first order."""
     across, by = known.direction, known.direction_by
     along = np.sqrt(1.0 - np.sum(across**2, axis=1))[:, None]
-    turned = np.einsum("na,nac->nc", across, by)[:, None] * across[..., None] / along[..., None] ** 3
+    rotation = np.einsum("na,nac->nc", across, by)[:, None] * across[..., None] / along[..., None] ** 3
     return _ExtremeRay(
-        known.position_mm + further_mm * across / along,
-        known.position_by + further_mm * (by / along[..., None] + turned),
+        known.position_mm + distance_mm * across / along,
+        known.position_by + distance_mm * (by / along[..., None] + rotation),
         False,
     )

@@ -1,4 +1,4 @@
-"""Tolerance budgets of studies: found on a score model, corrected and verified by trials of the lens."""
+"""Tolerance budgets of studies, found on a score model and verified by trials of the lens."""
 
 from __future__ import annotations
 
@@ -26,45 +26,39 @@ from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
 
 SCALES = (0.1, 4.0)
-"""Range in which the scales of tolerances are searched."""
+"""Range of the scales of tolerances."""
 
 MOST_ROUNDS, MODEL_ROUNDS = 8, 2
-"""How often tolerances are tried at most; how many rounds believe a response surface, if there is one."""
-
-PROBIT_SLOPE, LARGEST_STEP = 2.0, 0.5
-"""First guess of -d probit(yield) / d log(common factor), and the largest step of the logarithm."""
+"""Largest number of rounds, and number of rounds that rely on a response surface if there is one."""
 
 CLOSE_ENOUGH = 0.002
-"""Difference of the estimated yield from the requirement, up to which tolerances are not searched again."""
+"""Accepted difference between the estimated and the required yield."""
 
-NO_COST = 1e-12
-"""Weight of a fixed tolerance; a search asks for some."""
-
-Report = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 """Progress callback: `progress(completed, most)`, in trials of the lens."""
 
 
 @dataclass(frozen=True, eq=False)
 class StudyBudget:
-    """A budget, and what trials of the lens itself find with it.
+    """A budget with the yield that trials of the lens itself give for it.
 
     Attributes
     ----------
     budget
-        The scales, found on the score model and corrected by trials of the lens.
+        Scales found on the score model and corrected by trials of the lens.
     cost, cost_before, uniform_cost
-        Costs of the tolerances found, of the study's own, and of the best common scale (None where there is
-        none): sum of weight / scale, and the cost of the parts without tolerances where it is given.
+        Costs of the new tolerances, of the study's tolerances, and of the best common scale (None if there is
+        none). A cost is the sum of weight / scale, plus the cost of the parts without tolerances.
     verified
-        Yield in random trials that the search did not know, with the tolerances rounded as the study states
-        them; None if it was interrupted before one was scored.
+        Yield in independent random trials with the tolerances rounded as in the written study; None if the
+        budget was interrupted before a trial was scored.
     seed
         Seed of these trials. A run of the written study with this seed has the same trials.
     estimated_yield, estimated_yield_error
         The same yield and its standard error with the model's yield as a control variate, which is several
-        times more precise; None where not all trials were scored.
+        times more precise; None if not all trials were scored.
     required
-        The yield that was asked for.
+        The required yield.
     """
 
     budget: Budget
@@ -79,9 +73,9 @@ class StudyBudget:
 
     @property
     def agrees(self) -> bool:
-        """Whether trials and requirement agree: the 95 % interval contains it, and the estimate is close.
+        """True if the 95 % interval contains the required yield and the estimated yield is close to it.
 
-        A yield above the requirement agrees if every tolerance is as loose as it is allowed to be.
+        A yield above the requirement agrees if every tolerance has its largest allowed value.
         """
         if self.verified is None or self.estimated_yield is None or self.estimated_yield_error is None:
             return False
@@ -93,12 +87,12 @@ class StudyBudget:
 
     @property
     def at_widest(self) -> bool:
-        """Whether every tolerance is as loose as it is allowed to be."""
+        """True if every tolerance has its largest allowed value."""
         return bool(np.all((self.budget.scales >= SCALES[1]) | (self.budget.scales == 1.0)))
 
 
 class BudgetInterrupted(KeyboardInterrupt):
-    """A budget was interrupted; `found` is the best so far, None before any was tried on the lens."""
+    """Raised on interruption of a budget; `found` is the best budget so far, or None."""
 
     def __init__(self, found: StudyBudget | None) -> None:
         super().__init__("interrupted")
@@ -113,23 +107,35 @@ def budget(
     fixed: Collection[str] = (),
     base_cost: float = 0.0,
     fresh: int = 500,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> StudyBudget:
-    """Find the loosest tolerances that keep a yield, from the trials of a store.
+    """Find the tolerances of least cost that meet a yield, from the trials of a store.
 
-    :func:`scaled_study` gives the study that has them.
+    :func:`scaled_study` returns the study with these tolerances.
 
     Parameters
     ----------
     store
         An open store.
-    required, weights, fixed, base_cost, fresh, report
-        As of :func:`budget_of_study`.
+    required
+        Required yield, above 0 and below 1.
+    weights
+        Cost of each perturbation's tolerance at scale 1, by column; default: 1.
+    fixed
+        Columns whose tolerances stay unchanged, at no cost.
+    base_cost
+        Cost of the parts without tolerances, which every cost of the result includes.
+    fresh
+        Number of new trials of the lens in each round.
+    progress
+        Progress callback: `progress(completed, most)`, in trials of the lens.
 
     Raises
     ------
-    InputError, BudgetInterrupted
-        As of :func:`budget_of_study`.
+    InputError
+        If the request is invalid or the yield cannot be met; see :func:`budget_of_study`.
+    BudgetInterrupted
+        If the search is interrupted.
     """
     loaded, trials = store.loaded, store.trials()
     return budget_of_study(
@@ -142,7 +148,7 @@ def budget(
         fixed=fixed,
         base_cost=base_cost,
         fresh=fresh,
-        report=report,
+        progress=progress,
     )
 
 
@@ -157,44 +163,47 @@ def budget_of_study(
     fixed: Collection[str] = (),
     base_cost: float = 0.0,
     fresh: int = 500,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> StudyBudget:
-    """Find the tolerances of least cost whose yield is what is required.
+    """Find the tolerances of least cost that meet a required yield.
 
-    1. A score model of all merits (:mod:`tolerancing.budgets.score_model`) is searched for the scales of
-       least cost with which the required fraction of its lenses is good.
-    2. Random trials of the lens itself, of a seed that is not the study's, verify the result.
-    3. Where they disagree with the requirement, the difference between the yields of lens and model on the
-       same trials corrects the aim, trials improve the response surfaces, and both steps are repeated with
-       another seed. If a response surface still errs after two rounds, a common factor of the tolerances is
-       sought by the yields of trials alone (regula falsi in probit(yield) over the factor's logarithm).
+    1. A search on a score model of all merits (:mod:`tolerancing.budgets.score_model`) finds the scales of
+       least cost for which the required fraction of its lenses is good.
+    2. Random trials of the lens itself, with a seed other than the study's, verify the result.
+    3. If they disagree with the requirement, the difference between the yields of lens and model on the same
+       trials corrects the target, and the trials improve the response surfaces. Both steps are repeated with
+       another seed. If a response surface is still inaccurate after two rounds, a common factor of the
+       tolerances is found from the yields of trials alone (regula falsi in probit(yield) over the logarithm
+       of the factor).
 
     Parameters
     ----------
-    lens, study
-        What was run.
+    lens
+        The nominal lens.
+    study
+        The study.
     values, scores
         Trials of the study, shapes (n, perturbations) and (n, merits).
     required
-        Yield, above 0 and below 1.
+        Required yield, above 0 and below 1.
     weights
         Cost of each perturbation's tolerance at scale 1, by column; default: 1.
     fixed
-        Columns whose tolerances stay as they are, at no cost.
+        Columns whose tolerances stay unchanged, at no cost.
     base_cost
         Cost of the parts without tolerances, which every cost of the result includes.
     fresh
-        Number of trials of the lens in each round.
-    report
-        Called with the numbers of trials scored, and to score at most, before the first and after each part.
+        Number of new trials of the lens in each round.
+    progress
+        Progress callback: `progress(completed, most)`, in trials of the lens.
 
     Raises
     ------
     InputError
-        If a weight names no perturbation, a distribution has no width to scale, the trials are too few for
-        a response surface, or the yield is out of reach.
+        If a weight names no perturbation, a distribution has no width to scale, there are too few trials for
+        a response surface, or the yield cannot be met.
     BudgetInterrupted
-        If it is interrupted.
+        If the search is interrupted.
     """
     columns = [p.column for p in study.perturbations]
     unknown = [name for name in (*(weights or {}), *fixed) if name not in columns]
@@ -205,53 +214,54 @@ def budget_of_study(
     scaled_perturbations(study, np.ones(len(columns)))
     check_required(required)
     check_trial_memory(study, fresh)
-    held = np.array([column in fixed for column in columns])
+    is_fixed = np.array([column in fixed for column in columns])
+    # The search needs a positive weight for fixed tolerances as well.
     costs = _Costs(
-        np.where(held, NO_COST, [(weights or {}).get(column, 1.0) for column in columns]),
-        np.where(held, 1.0, SCALES[0]),
-        np.where(held, 1.0, SCALES[1]),
+        np.where(is_fixed, 1e-12, [(weights or {}).get(column, 1.0) for column in columns]),
+        np.where(is_fixed, 1.0, SCALES[0]),
+        np.where(is_fixed, 1.0, SCALES[1]),
         base_cost,
     )
-    return _Rounds(lens, study, required, costs, fresh, report).run(values, scores)
+    return _Rounds(lens, study, required, costs, fresh, progress).run(values, scores)
 
 
 def most_trials(fresh: int) -> int:
-    """How many trials of the lens a budget takes at most, with so many in each round."""
+    """Return the largest number of trials of a budget with this number of trials in each round."""
     return MOST_ROUNDS * fresh
 
 
 def most_seconds(store: Store, fresh: int) -> float:
-    """How long a budget takes at most, by the time that the trials of a store took."""
+    """Return the longest computing time of a budget, estimated from the trials of a store."""
     return most_trials(fresh) * float(np.mean(store.trials().seconds))
 
 
 class _Rounds:
-    """The rounds of searching and trying, with the trials that are known so far."""
+    """Rounds of search and verification, with all verification trials so far."""
 
     def __init__(
-        self, lens: Lens, study: Study, required: float, costs: _Costs, fresh: int, report: Report | None
+        self, lens: Lens, study: Study, required: float, costs: _Costs, fresh: int, progress: Progress | None
     ) -> None:
         self.lens, self.study, self.required, self.costs, self.fresh = lens, study, required, costs, fresh
-        self.report, self.scored = report, 0
-        self.tries: list[_Try] = []
+        self.progress, self.scored = progress, 0
+        self.verifications: list[_Verification] = []
 
     def run(self, values: Array, scores: Array) -> StudyBudget:
-        """Search and try until trials and requirement agree."""
+        """Search and verify until trials and requirement agree."""
         found: StudyBudget | None = None
         try:
-            self.progress(0)
+            self.report_progress(0)
             model = StudyScoreModel(self.lens, self.study, values, scores)
-            for number in range(MOST_ROUNDS):
-                if found is not None and model.not_predicted and number >= MODEL_ROUNDS:
-                    searched = self.along(model, found.budget)
+            for index in range(MOST_ROUNDS):
+                if found is not None and model.not_predicted and index >= MODEL_ROUNDS:
+                    candidate = self.scale_by_trials(model, found.budget)
                 else:
-                    searched = self.search(model)
-                found = self.tried(model, searched, self.study.seed + 1 + number)
+                    candidate = self.search(model)
+                found = self.verify(model, candidate, self.study.seed + 1 + index)
                 if found.agrees:
                     break
                 if model.not_predicted:
-                    values = np.concatenate([values, self.tries[-1].batch.values])
-                    scores = np.concatenate([scores, self.tries[-1].scores])
+                    values = np.concatenate([values, self.verifications[-1].batch.values])
+                    scores = np.concatenate([scores, self.verifications[-1].scores])
                     model.fit(values, scores)
         except _TrialsInterrupted as stop:
             raise BudgetInterrupted(stop.found) from None
@@ -261,39 +271,41 @@ class _Rounds:
         return found
 
     def correction(self, model: StudyScoreModel) -> float:
-        """Yield of the lens less that of the model, on the same lenses, as far as they were tried.
+        """Return the yield of the lens minus that of the model on the verification trials.
 
-        A response surface is better the nearer its tolerances are: of those only the last ones count.
+        A response surface is most accurate near its tolerances, so only the last round counts for it.
         """
-        tries = self.tries[-1:] if model.not_predicted else self.tries
-        if not tries:
+        rounds = self.verifications[-1:] if model.not_predicted else self.verifications
+        if not rounds:
             return 0.0
-        return float(np.mean([np.mean(one.passed) - np.mean(self.modelled(model, one)) for one in tries]))
+        return float(np.mean([np.mean(one.passed) - np.mean(self.modelled(model, one)) for one in rounds]))
 
-    def modelled(self, model: StudyScoreModel, one: _Try) -> NDArray[np.bool_]:
-        """Which tried lenses are good by the model."""
+    def modelled(self, model: StudyScoreModel, one: _Verification) -> NDArray[np.bool_]:
+        """Return whether each verification lens is good by the model."""
         return self.good(model.scores_of(one.batch))
 
-    def along(self, model: StudyScoreModel, last: Budget) -> Budget:
-        """The last tolerances times a common factor, by what trials say of such factors."""
+    def scale_by_trials(self, model: StudyScoreModel, last: Budget) -> Budget:
+        """Return the last tolerances times a common factor that is found from the yields of trials."""
         from scipy.special import ndtri
 
-        direction = self.tries[MODEL_ROUNDS - 1].scales
+        direction = self.verifications[MODEL_ROUNDS - 1].scales
         free = self.costs.low < self.costs.high
         known = [
             (float(np.mean(np.log(one.scales / direction)[free])), float(ndtri(one.yield_fraction)))
-            for one in self.tries[MODEL_ROUNDS - 1 :]
+            for one in self.verifications[MODEL_ROUNDS - 1 :]
         ]
-        wanted = float(ndtri(self.required))
-        above = max((k for k in known if k[1] >= wanted), default=None)
-        below = min((k for k in known if k[1] < wanted), default=None)
+        target = float(ndtri(self.required))
+        above = max((k for k in known if k[1] >= target), default=None)
+        below = min((k for k in known if k[1] < target), default=None)
         if above is not None and below is not None and above[0] < below[0]:
-            share = (above[1] - wanted) / (above[1] - below[1])
-            factor = above[0] + float(np.clip(share, 0.1, 0.9)) * (below[0] - above[0])
+            fraction = (above[1] - target) / (above[1] - below[1])
+            factor = above[0] + float(np.clip(fraction, 0.1, 0.9)) * (below[0] - above[0])
         else:
+            # First guess of -d probit(yield) / d log(common factor), and largest step of the logarithm.
+            probit_slope, largest_step = 2.0, 0.5
             logarithm, probit = known[-1]
-            step = (probit - wanted) / PROBIT_SLOPE
-            factor = logarithm + float(np.clip(step, -LARGEST_STEP, LARGEST_STEP))
+            step = (probit - target) / probit_slope
+            factor = logarithm + float(np.clip(step, -largest_step, largest_step))
         scales = np.clip(np.exp(factor) * direction, self.costs.low, self.costs.high)
         scales[~free] = 1.0
         cost = float(np.sum(self.costs.weights / scales))
@@ -301,27 +313,27 @@ class _Rounds:
         return replace(last, scales=scales, predicted_yield=good, cost=cost)
 
     def search(self, model: StudyScoreModel) -> Budget:
-        """The loosest tolerances by the model, its yield corrected by what trials have shown so far.
+        """Return the tolerances of least cost by the model, whose yield is corrected by the trials so far.
 
         Raises
         ------
         InputError
-            If the yield is out of reach of the smallest scales, by the model and by trials of the lens.
+            If the smallest scales do not meet the yield, by the model and by trials of the lens.
         """
-        aim = float(np.clip(self.required - self.correction(model), 1e-3, 1.0 - 1e-3))
+        target = float(np.clip(self.required - self.correction(model), 1e-3, 1.0 - 1e-3))
         low, high = self.costs.low, self.costs.high
         try:
             return allocate_tolerances(
                 model,
                 self.study.merits,
-                aim,
+                target,
                 low=low,
                 high=high,
                 weights=self.costs.weights,
             )
         except InputError:
             smallest = self.smallest(model)
-            own = self.tried(model, smallest, self.study.seed + 1).verified
+            own = self.verify(model, smallest, self.study.seed + 1).verified
             if own is not None and own.high >= self.required:
                 return smallest
             raise InputError(
@@ -330,7 +342,7 @@ class _Rounds:
             ) from None
 
     def smallest(self, model: StudyScoreModel) -> Budget:
-        """The smallest scales, which the model takes for worse than they are."""
+        """Return the budget of the smallest scales, whose yield the model underestimates."""
         low = self.costs.low
 
         def good(scales: Array) -> float:
@@ -342,8 +354,8 @@ class _Rounds:
             low, good(low), good(ones), float(np.sum(weights / low)), float(np.sum(weights)), None, None, 2
         )
 
-    def tried(self, model: StudyScoreModel, budget: Budget, seed: int) -> StudyBudget:
-        """What trials of the lens make of a budget."""
+    def verify(self, model: StudyScoreModel, budget: Budget, seed: int) -> StudyBudget:
+        """Verify a budget by random trials of the lens."""
         perturbations = scaled_perturbations(self.study, budget.scales)
         scaled = self.study.model_copy(
             update={"perturbations": perturbations, "seed": seed, "draws": "random"}
@@ -352,26 +364,26 @@ class _Rounds:
         batch = sample_perturbations(scaled, range(self.fresh))
         try:
             for start in range(0, self.fresh, ROWS_AT_ONCE):
-                part = batch.part(slice(start, start + ROWS_AT_ONCE))
-                scores.append(score_batch(self.study.merits, context, part)[0])
-                self.progress(len(part))
+                block = batch.subset(slice(start, start + ROWS_AT_ONCE))
+                scores.append(score_batch(self.study.merits, context, block)[0])
+                self.report_progress(len(block))
         except KeyboardInterrupt:
             known = [self.good(own) for own in scores]
             verified = yield_of(np.concatenate([np.empty(0, bool), *known]))
-            raise _TrialsInterrupted(self.made(budget, verified, seed, None)) from None
-        one = _Try(budget.scales, batch, np.concatenate(scores), self.good(np.concatenate(scores)))
-        self.tries.append(one)
+            raise _TrialsInterrupted(self.result(budget, verified, seed, None)) from None
+        one = _Verification(budget.scales, batch, np.concatenate(scores), self.good(np.concatenate(scores)))
+        self.verifications.append(one)
         difference = one.passed.astype(float) - self.modelled(model, one)
         estimate = budget.predicted_yield + float(np.mean(difference))
-        # Lens and model that agree in every trial may still differ in one of so many others.
+        # Lens and model that agree in every trial may still differ in other trials.
         error = float(np.sqrt(np.var(difference) / self.fresh + 1.0 / self.fresh**2))
-        return self.made(budget, yield_of(one.passed), seed, (estimate, error))
+        return self.result(budget, yield_of(one.passed), seed, (estimate, error))
 
     def good(self, scores: Array) -> NDArray[np.bool_]:
-        """Which lenses keep all limits, from their scores of shape (n, merits)."""
+        """Return whether each lens meets all limits, from scores of shape (n, merits)."""
         return all_passed(self.study.merits, scores)
 
-    def made(
+    def result(
         self, budget: Budget, verified: Yield | None, seed: int, estimate: tuple[float, float] | None
     ) -> StudyBudget:
         base, uniform = self.costs.base, budget.uniform_cost
@@ -387,10 +399,10 @@ class _Rounds:
             self.required,
         )
 
-    def progress(self, rows: int) -> None:
+    def report_progress(self, rows: int) -> None:
         self.scored += rows
-        if self.report is not None:
-            self.report(self.scored, most_trials(self.fresh))
+        if self.progress is not None:
+            self.progress(self.scored, most_trials(self.fresh))
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,8 +416,8 @@ class _Costs:
 
 
 @dataclass(frozen=True, eq=False)
-class _Try:
-    """Scales that were tried, lenses with them, their scores, and which of them are good."""
+class _Verification:
+    """Verification trials of some scales: the lenses, their scores, and whether they are good."""
 
     scales: Array
     batch: PerturbationBatch
@@ -414,12 +426,12 @@ class _Try:
 
     @property
     def yield_fraction(self) -> float:
-        """Fraction of good lenses, kept from 0 and 1 by half a lens."""
+        """Fraction of good lenses, at least half a lens from 0 and from 1."""
         return float(np.clip(np.mean(self.passed), 0.5 / len(self.passed), 1.0 - 0.5 / len(self.passed)))
 
 
 class _TrialsInterrupted(KeyboardInterrupt):
-    """Trials of a budget were interrupted; `found` has those that were scored."""
+    """Raised on interruption of verification trials; `found` includes the trials that were scored."""
 
     def __init__(self, found: StudyBudget) -> None:
         super().__init__("interrupted")
@@ -427,7 +439,7 @@ class _TrialsInterrupted(KeyboardInterrupt):
 
 
 def scaled_perturbations(study: Study, scales: Array) -> tuple[Perturbation, ...]:
-    """The perturbations of a study with their distributions scaled, to four digits.
+    """Return the perturbations of a study with scaled distributions, rounded to four digits.
 
     Raises
     ------
@@ -440,7 +452,7 @@ def scaled_perturbations(study: Study, scales: Array) -> tuple[Perturbation, ...
             kind = "measured" if perturbation.file_name else perturbation.distribution.kind
             raise InputError(
                 f"{perturbation.column}: a {kind} distribution has no width in the study file to scale; give "
-                "it another distribution, or leave the perturbation out"
+                "it another distribution, or remove the perturbation"
             )
         if scale != 1.0:
             shape = perturbation.scaled(float(scale)).distribution
@@ -453,14 +465,14 @@ def scaled_perturbations(study: Study, scales: Array) -> tuple[Perturbation, ...
 
 
 def scaled_study(loaded: LoadedStudy, scales: Array) -> Study:
-    """The study of a file with each perturbation's distribution scaled, to four digits.
+    """Return the study of a file with scaled distributions of its perturbations, rounded to four digits.
 
     Parameters
     ----------
     loaded
         The study.
     scales : ndarray, shape (perturbations,)
-        Of the widths of the distributions.
+        Factors of the widths of the distributions.
 
     Raises
     ------

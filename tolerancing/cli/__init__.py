@@ -4,7 +4,7 @@ from lensdesign.common.interrupts import stoppable
 
 
 def main() -> None:
-    """Entry point of the console script: from its first import on it ends well when it is stopped."""
+    """Run the command line. An interrupt is handled from the first import on."""
     with stoppable():
         from tolerancing.cli.commands import main
 

@@ -1,4 +1,4 @@
-"""`python -m tolerancing.cli`."""
+"""Runs the command with `python -m tolerancing.cli`."""
 
 from tolerancing.cli import main
 

@@ -1,4 +1,4 @@
-"""The command ``tolerancing``: run a study, show and report what its store holds."""
+"""The command ``tolerancing``: run a study, and show or report the results in its store."""
 
 from __future__ import annotations
 
@@ -36,18 +36,22 @@ app.command()(cli_tolerances.start)
 @app.command()
 def run(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
-    store: Annotated[Path, typer.Option(help="Store to make, or to go on with.")],
-    workers: Annotated[int | None, typer.Option(help="Processes; by default as many as processors.")] = None,
-    trials: Annotated[int | None, typer.Option(help="Trials in the end; by default the study's.")] = None,
+    store: Annotated[Path, typer.Option(help="Store to create, or to continue.")],
+    workers: Annotated[
+        int | None, typer.Option(help="Number of processes; default: the number of processors.")
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option(help="Number of trials in the end; default: that of the study.")
+    ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over: replace the store.")] = False,
     cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers do it.")
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers run the trials.")
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a study's trials, sweeps and sensitivities into a store.
 
-    An interrupted run goes on where it stopped.
+    The same command continues an interrupted run.
     """
     if fresh or not os.path.exists(store):
         check_output_file(store)
@@ -57,7 +61,7 @@ def run(
 
         with messages_only():
             start_ahead()
-    # What the summary takes, too, is imported meanwhile: in the end all workers would have to wait for it.
+    # The summary needs it, too. Its import now overlaps with the start of the workers.
     import scipy.special  # noqa: F401
 
     from lensdesign.common.console import progress_bar
@@ -77,31 +81,38 @@ def run(
                 trials=trials,
                 fresh=fresh,
                 cluster=cluster,
-                report=lambda done, total: bar.update(task, completed=done, total=total),
-                announce=lambda expected: print(expected.sentence, file=sys.stderr),
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                on_estimate=lambda expected: print(expected.sentence, file=sys.stderr),
             )
     except KeyboardInterrupt:
-        kept = f"what was finished is in {store}, and the same command goes on from there"
+        kept = f"the finished results are in {store}, and the same command goes on from there"
         message = f"interrupted; {kept if os.path.exists(store) else 'nothing is stored yet'}"
         raise KeyboardInterrupt(message) from None
     with open_store(store) as opened:
         summary, predicted = summarize(opened), _predicted(opened)
     if as_json:
         found = _summary_dict(summary, predicted)
-        print_json({"store": str(store), "run": vars(outcome), **found})
+        counts = {
+            "trials_run": outcome.trials_run,
+            "steps_run": outcome.steps_run,
+            "dear_run": outcome.high_fidelity_run,
+            "workers": outcome.workers,
+            "seconds": outcome.seconds,
+        }
+        print_json({"store": str(store), "run": counts, **found})
         return
     _print_summary(summary, predicted)
     done = {
         "trials": outcome.trials_run,
         "steps": outcome.steps_run,
-        "trials by dear merits": outcome.dear_run,
+        "trials by high-fidelity merits": outcome.high_fidelity_run,
     }
     if not any(done.values()):
         print(f"nothing was missing: {store}")
         return
-    what = ", ".join(f"{count} {name}" for name, count in done.items() if count)
-    whom = cluster or f"{outcome.workers} {'worker' if outcome.workers == 1 else 'workers'}"
-    print(f"{what} in {outcome.seconds:.1f} s by {whom}: {store}")
+    work = ", ".join(f"{count} {name}" for name, count in done.items() if count)
+    workers_text = cluster or f"{outcome.workers} {'worker' if outcome.workers == 1 else 'workers'}"
+    print(f"{work} in {outcome.seconds:.1f} s by {workers_text}: {store}")
 
 
 @app.command()
@@ -114,23 +125,25 @@ def show(
             "--output", "-o", callback=output_file, help="With --trial: its picture (png, svg or pdf)."
         ),
     ] = None,
-    dear: Annotated[bool, typer.Option("--dear", help="With --trial: by the dear merits too.")] = False,
+    high_fidelity: Annotated[
+        bool, typer.Option("--dear", help="With --trial: by the high-fidelity merits too.")
+    ] = False,
     trust: Trust = False,
     as_json: Json = False,
 ) -> None:
-    """Show the yield that a store holds, merit by merit, or one of its trials.
+    """Show the yield of a store's trials by merit, or one of its trials.
 
-    A trial is scored again from the files of its study, which the store holds. Python among them is run
-    only with --trust, or where your own copy of the file lies beside the store.
+    A trial is scored again from the files of its study in the store. Python code among them is executed only
+    with --trust, or if your own copy of the file lies beside the store.
     """
     from tolerancing.statistics.summary import summarize
     from tolerancing.store.store import open_store
 
-    if trial is None and (output is not None or dear):
+    if trial is None and (output is not None or high_fidelity):
         raise InputError("--output and --dear go with --trial")
     with open_store(store, trust=trust) as opened:
         if trial is not None:
-            _show_trial(opened, trial, output, dear, as_json)
+            _show_trial(opened, trial, output, high_fidelity, as_json)
             return
         summary, predicted = summarize(opened), _predicted(opened)
     if as_json:
@@ -139,12 +152,12 @@ def show(
         _print_summary(summary, predicted)
 
 
-def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_json: bool) -> None:
+def _show_trial(store: Store, number: int, output: Path | None, high_fidelity: bool, as_json: bool) -> None:
     from tolerancing.report.figures.one_trial import write_trial_figure
     from tolerancing.statistics.trial import single_trial
 
     with messages_only():
-        trial = single_trial(store, number, dear=dear)
+        trial = single_trial(store, number, high_fidelity=high_fidelity)
         if output is not None:
             write_trial_figure(trial, output)
     if as_json:
@@ -162,17 +175,19 @@ def report(
         Path, typer.Option("--output", "-o", callback=output_folder, help="Folder for the report.")
     ],
     beside: Annotated[
-        Path | None, typer.Option(metavar="STORE", help="Store of the lens from which this one was made.")
+        Path | None,
+        typer.Option(metavar="STORE", help="Store of the original lens, to compare this lens with."),
     ] = None,
     front: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of lensdesign explore, to show this lens in.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Output folder of lensdesign explore, to compare this lens with."),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a store's report.
 
-    report.html needs nothing beside itself, report.pdf is the same on paper; trials.csv and steps.csv are for
-    other programs.
+    report.html is a single self-contained page, and report.pdf has the same content for printing. trials.csv
+    and steps.csv are for other programs.
     """
     from tolerancing.report.report import write_report
     from tolerancing.store.store import open_store
@@ -193,7 +208,9 @@ def export(
     output: Annotated[
         Path, typer.Argument(callback=output_file, metavar="FILE", help="File to write, .csv or .parquet.")
     ],
-    steps: Annotated[bool, typer.Option("--steps", help="Sweeps, grids and the like, not trials.")] = False,
+    steps: Annotated[
+        bool, typer.Option("--steps", help="Steps of sweeps, grids and sensitivities instead of trials.")
+    ] = False,
 ) -> None:
     """Write a store's trials as one table."""
     from tolerancing.store.export import write_steps, write_trials
@@ -217,10 +234,10 @@ def _print_trial(trial: SingleTrial) -> None:
     study, again = trial.study, trial.again
     deviations = []
     for perturbation, value in zip(study.perturbations, again.values[0], strict=True):
-        shape = perturbation.distribution
-        share = (value - shape.centre) / shape.standard_deviation
-        own = f"{value:+.5g} {perturbation.unit}".strip()
-        deviations.append((perturbation.column, own, f"{share:+.2f}"))
+        distribution = perturbation.distribution
+        standardized = (value - distribution.centre) / distribution.standard_deviation
+        deviation = f"{value:+.5g} {perturbation.unit}".strip()
+        deviations.append((perturbation.column, deviation, f"{standardized:+.2f}"))
     title = f"trial {trial.number} of {study.title or study.design}"
     print_table(title, ["perturbation"], ["deviation", "in std. dev."], deviations)
     scores = []
@@ -228,7 +245,7 @@ def _print_trial(trial: SingleTrial) -> None:
         stored = "-" if trial.stored is None else f"{trial.stored.scores[0, k]:.6g}"
         verdict = "good" if merit.passed(again.scores[0, k]) else "bad"
         scores.append((merit.column, _limit(merit), stored, f"{again.scores[0, k]:.6g}", verdict))
-    others = [*zip(study.extra_columns, again.extras[0], strict=True), *trial.dear.items()]
+    others = [*zip(study.extra_columns, again.extras[0], strict=True), *trial.high_fidelity.items()]
     scores += [(name, "", "", f"{value:.6g}", "") for name, value in others]
     print_table("", ["merit", "limit"], ["stored", "again", ""], scores)
     if again.messages[0]:
@@ -236,11 +253,15 @@ def _print_trial(trial: SingleTrial) -> None:
     if trial.same is None:
         print("not in the store yet")
     else:
-        print("the same as stored" if trial.same else "NOT the same as stored: another toolkit or machine")
+        print(
+            "the same as stored"
+            if trial.same
+            else "NOT the same as stored: the store was made by another version or on another machine"
+        )
 
 
 def _predicted(store: Store) -> StudyPrediction | None:
-    """The yield as `tolerancing predict` finds it; None where nothing of the study can be predicted."""
+    """Return the prediction of `tolerancing predict`; None if nothing of the study can be predicted."""
     from tolerancing.prediction.study_prediction import predict_study
 
     try:
@@ -289,7 +310,7 @@ def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
     if not summary.complete:
         print(
             f"not finished: {summary.trials} of {planned} trials, "
-            f"{summary.steps} of {summary.planned_steps} steps of sweeps and the like"
+            f"{summary.steps} of {summary.planned_steps} steps of sweeps and other series"
         )
 
 
@@ -304,12 +325,12 @@ def _number(value: float | None) -> str:
 def _yield_cells(good: Yield | None) -> tuple[str, str]:
     if good is None:
         return "-", "-"
-    return f"{100.0 * good.share:.1f} %", f"{100.0 * good.low:.1f} - {100.0 * good.high:.1f} %"
+    return f"{100.0 * good.fraction:.1f} %", f"{100.0 * good.low:.1f} - {100.0 * good.high:.1f} %"
 
 
 def main() -> None:
-    """Entry point of the command."""
-    from tolerancing.run.threads import one_blas_thread
+    """Run the command line."""
+    from tolerancing.run.processes import one_blas_thread
 
     one_blas_thread()
     run_app(app)

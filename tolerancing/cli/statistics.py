@@ -1,5 +1,4 @@
-"""Commands that score further trials to tell more: yields of lenses that seldom fail, shares of the
-variance."""
+"""Commands that score further trials: yields of lenses that seldom fail, and variance-based indices."""
 
 from __future__ import annotations
 
@@ -20,15 +19,15 @@ if TYPE_CHECKING:
 
 def rare(
     store: StorePath,
-    trials: Annotated[int, typer.Option(help="Further trials of the lens.")] = 500,
+    trials: Annotated[int, typer.Option(help="Number of further trials of the lens.")] = 500,
     trust: Trust = False,
     as_json: Json = False,
 ) -> None:
-    """Tell the yield of a lens that seldom fails, by trials chosen where a model expects failures.
+    """Estimate the yield of a lens that seldom fails, by trials where a model expects failures.
 
-    The model is fitted to the store's trials; the yield has no bias whatever it says. The store stays as it
-    is. Python that the store holds is run only with --trust, or where your own copy of the file lies beside
-    the store.
+    The model is fitted to the store's trials. The yield is unbiased even if the model is wrong. Nothing is
+    written to the store. Python code in the store is executed only with --trust, or if your own copy of the
+    file lies beside the store.
     """
     from lensdesign.common.console import progress_bar
     from tolerancing.statistics.rare_failures import rare_yield
@@ -36,7 +35,7 @@ def rare(
 
     with open_store(store, trust=trust) as opened, messages_only(), progress_bar() as bar:
         task = bar.add_task("trials of the lens", total=trials)
-        found = rare_yield(opened, trials, report=lambda rows: bar.advance(task, rows))
+        found = rare_yield(opened, trials, progress=lambda rows: bar.advance(task, rows))
     if as_json:
         print_json({"store": str(store), **found.as_dict()})
     else:
@@ -46,17 +45,17 @@ def rare(
 def indices(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
     base: Annotated[
-        int, typer.Option(help="A power of two; trials are this times the perturbations and two.")
+        int, typer.Option(help="A power of two; there are BASE x (perturbations + 2) trials.")
     ] = 256,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", callback=output_file, help="Chart (png, svg or pdf).")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Tell which share of each merit's variance is a perturbation's own, and which it has part in.
+    """Compute which fraction of each merit's variance each perturbation causes, alone and with others.
 
-    First-order and total indices (Sobol) with 95 % intervals. Where both differ, products of perturbations
-    matter, which a sensitivity of each by itself does not see.
+    The results are first-order and total Sobol indices with 95 % intervals. Where the two differ, products of
+    perturbations matter, which the sensitivity to each perturbation alone does not show.
     """
     from lensdesign.common.console import progress_bar
     from tolerancing.report.figures.indices import indices_figure
@@ -69,7 +68,7 @@ def indices(
         figure_format(output)
     with messages_only(), progress_bar() as bar:
         task = bar.add_task("trials of the lens", total=most_trials(loaded.study, base))
-        found = variance_indices(loaded, base, report=lambda rows: bar.advance(task, rows))
+        found = variance_indices(loaded, base, progress=lambda rows: bar.advance(task, rows))
         if output is not None:
             write_figure(indices_figure(found), output)
     if as_json:
@@ -82,15 +81,15 @@ def indices(
 
 def _print_rare(found: RareYield) -> None:
     print(
-        f"yield {100.0 * found.share:.4g} % ({100.0 * found.low:.4g} - {100.0 * found.high:.4g} %): "
-        f"{found.failed} of {found.trials} trials failed, chosen where failures are likely"
+        f"yield {100.0 * found.fraction:.4g} % ({100.0 * found.low:.4g} - {100.0 * found.high:.4g} %): "
+        f"{found.failed} of {found.trials} trials failed; most were drawn where failures are likely"
     )
-    modelled = f"the model alone has {100.0 * found.modelled_share:.4g} %"
-    print(f"as sure as {found.plain_trials:.0f} plain trials; {modelled}")
+    modelled = f"the model alone predicts {100.0 * found.modelled_yield:.4g} %"
+    print(f"as precise as {found.plain_trials:.0f} plain trials; {modelled}")
     worst = min(
         zip(found.study.merits, found.cross_validated_r_squared.tolist(), strict=True), key=lambda m: m[1]
     )
-    print(f"how well it predicts new trials, at worst: R2 {worst[1]:.3f} of {worst[0].label}")
+    print(f"lowest cross-validated R2 of the model: {worst[1]:.3f}, of {worst[0].label}")
 
 
 def _print_indices(found: VarianceIndices) -> None:
@@ -106,7 +105,7 @@ def _print_indices(found: VarianceIndices) -> None:
             for row in own["indices"]
         ]
         print_table(
-            f"{merit.label}: shares of the variance, {found.trials} trials",
+            f"{merit.label}: fractions of the variance, {found.trials} trials",
             ["perturbation"],
             ["first order", "total"],
             rows,

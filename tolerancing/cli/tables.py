@@ -1,4 +1,4 @@
-"""Tables as the commands print them."""
+"""Tables of the command line."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ def print_table(
     rows: Iterable[Sequence[str]],
     last: Sequence[str] = (),
 ) -> None:
-    """Print a table of columns of words and, behind them, of numbers.
+    """Print a table with columns of text, followed by columns of numbers.
 
     Parameters
     ----------
     title
-        Above the table; none where it is empty.
+        Title above the table; no title if it is empty.
     words, numbers
-        Headings of the columns that are flush left and flush right.
+        Headings of the left-aligned text columns, and of the right-aligned number columns.
     rows, last
-        The cells; `last` below a line.
+        Cells of the rows; `last` is a row of totals below a line.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     heading = visible(title) or None
     table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    # A name that were cut could look like another one, and a number be another: names go on below.
+    # A truncated name could look like another name, so names wrap and numbers never do.
     for name in words:
         table.add_column(name, overflow="fold")
     for name in numbers:

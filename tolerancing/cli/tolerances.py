@@ -1,4 +1,4 @@
-"""Commands about tolerances themselves: where to start, what harms, how far one may go, what to spend."""
+"""Commands about tolerances: a starting study, sensitivities, inverse limits, budgets and costs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import typer
 
 from lensdesign.common.console import messages_only, print_json
 from lensdesign.common.outputs import output_file
-from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
@@ -22,22 +21,23 @@ if TYPE_CHECKING:
     from tolerancing.perturbations.parameters import Perturbation
     from tolerancing.statistics.approximations import Approximation
     from tolerancing.statistics.limits import StudyLimits
-    from tolerancing.statistics.quadratic_response import Sensitivity
+    from tolerancing.statistics.sensitivities import Sensitivity
     from tolerancing.study.study import Study
 
 Costs = Annotated[
-    str | None, typer.Option(metavar="FILE", help="Table of costs (TOML), or `relative`: the one supplied.")
+    str | None,
+    typer.Option(metavar="FILE", help="Table of costs (TOML), or `relative` for the built-in one."),
 ]
 Processes = Annotated[
     list[str] | None,
-    typer.Option(metavar="[N=]NAME", help="Process of element N, or of all; several times."),
+    typer.Option(metavar="[N=]NAME", help="Manufacturing process of element N, or of all; may be repeated."),
 ]
-StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
+StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store made by a run.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Let Python that the store holds be run: you know who made it.")
+    bool, typer.Option("--trust", help="Execute Python code in the store, because you know who made it.")
 ]
-MeritName = Annotated[str | None, typer.Option("--merit", help="Only this merit, by its name.")]
+MeritName = Annotated[str | None, typer.Option("--merit", help="Only the merit of this name.")]
 
 
 def start(
@@ -48,28 +48,28 @@ def start(
     grade: Annotated[
         str, typer.Option(help="commercial, precision, high_precision, or iso10110 (general tolerances).")
     ] = "precision",
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write a study with usual tolerances of a grade, to be edited."""
-    from tolerancing.study.starting import start_study
+    """Write a study with the usual tolerances of a grade, as a starting point to edit."""
+    from tolerancing.study.files import start_study
 
     if output.exists() and not force:
-        raise InputError(f"{output} is there already; give another name, or --force to replace it")
+        raise InputError(f"{output} exists already; give another name, or --force to replace it")
     start_study(design, output, grade)
     print(f"wrote {output}: edit it, then: tolerancing run {output} --store {output.with_suffix('.db')}")
 
 
 def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False) -> None:
-    """Show what each perturbation does alone, the most harmful first.
+    """Show the effect of each perturbation alone, the most harmful first.
 
-    With the root-sum-square prediction beside the trials.
+    The root-sum-square prediction is shown beside the result of the trials.
     """
     from tolerancing.statistics.approximations import approximations
     from tolerancing.statistics.sensitivities import sensitivity
     from tolerancing.store.store import open_store
 
     with open_store(store) as opened:
-        found, taken = sensitivity(opened), approximations(opened)
+        found, approximated = sensitivity(opened), approximations(opened)
     merits = [(k, m) for k, m in enumerate(found.study.merits) if merit in (None, m.label)]
     if not merits:
         allowed = ", ".join(m.label for m in found.study.merits)
@@ -77,20 +77,20 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
     if as_json:
         rows = found.as_dict()
         shown = {"merits": {m.column: rows[m.column] for _, m in merits}}
-        print_json({"store": str(store), **shown, **_approximated(taken)})
+        print_json({"store": str(store), **shown, **_approximated(approximated)})
         return
     for k, one in merits:
         _print_sensitivity(found.study, found.found, k)
         row = found.compared[k]
         trials = f"trials {row.mean:.4g} ± {row.standard_deviation:.3g}"
         if row.good is not None:
-            trials += f", {100.0 * row.good.share:.1f} %"
+            trials += f", {100.0 * row.good.fraction:.1f} %"
         print(
             f"{one.label}: root sum square {row.predicted_mean:.4g} ± "
-            f"{row.predicted_standard_deviation:.3g}, {100.0 * row.predicted_share:.1f} % good; {trials}"
+            f"{row.predicted_standard_deviation:.3g}, {100.0 * row.predicted_yield:.1f} % good; {trials}"
         )
         print()
-    for approximation in taken:
+    for approximation in approximated:
         print(approximation.sentence)
 
 
@@ -98,18 +98,19 @@ def inverse(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
     merit: MeritName = None,
     change: Annotated[
-        float | None, typer.Option(help="By how much the merit may become worse; by default to its limit.")
+        float | None,
+        typer.Option(help="Amount by which the merit may become worse; default: up to its limit."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find how far each perturbation may go by itself before a merit misses its limit."""
+    """Find the largest deviation of each perturbation alone that keeps a merit's limit."""
     from lensdesign.common.console import progress_bar
     from tolerancing.statistics.limits import inverse
     from tolerancing.study.files import load_study
 
     with messages_only(), progress_bar() as bar:
         task = bar.add_task("lenses scored", total=None)
-        found = inverse(load_study(study), merit, change=change, report=lambda n: bar.advance(task, n))
+        found = inverse(load_study(study), merit, change=change, progress=lambda n: bar.advance(task, n))
     if as_json:
         print_json({"study": str(study), "limits": found.as_dict()})
     else:
@@ -118,29 +119,29 @@ def inverse(
 
 def budget(
     store: StorePath,
-    required: Annotated[float, typer.Option("--yield", help="Share of good parts to keep, 0 to 1.")],
+    required: Annotated[float, typer.Option("--yield", help="Required fraction of good lenses, 0 to 1.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", callback=output_file, help="Study file with the new tolerances.")
     ],
     weight: Annotated[
         list[str] | None,
-        typer.Option(help="COLUMN=WEIGHT: what a tolerance costs, over the others; several times."),
+        typer.Option(help="COLUMN=WEIGHT: cost of a tolerance relative to the others; may be repeated."),
     ] = None,
     costs: Costs = None,
     process: Processes = None,
     verify: Annotated[
-        int, typer.Option(min=20, help="Trials of the lens by which each round is verified.")
+        int, typer.Option(min=20, help="Number of trials that verify each round of the search.")
     ] = 500,
     trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Find the cheapest tolerances that keep a yield, from a run's trials, and write them as a study.
 
-    Tolerances are searched and verified by random trials of another seed until yield and requirement agree.
-    Interrupted, the command writes the best tolerances found until then. Lenses are scored again: Python that
-    the store holds is run only with --trust, or where your own copy of the file lies beside the store.
+    Each result of the search is verified by random trials of another seed, until yield and requirement agree.
+    An interrupted command writes the best tolerances found so far. Lenses are scored again: Python code in
+    the store is executed only with --trust, or if your own copy of the file lies beside the store.
 
-    Exit status: 0, 1 if yield and requirement do not agree in the end, 2 for bad input.
+    Exit status: 0 for success, 1 if yield and requirement do not agree in the end, 2 for invalid input.
     """
     from lensdesign.common.console import progress_bar
     from lensdesign.common.text import duration_text
@@ -156,9 +157,9 @@ def budget(
 
     interrupted, weights, base_cost = False, _weights(weight or []), 0.0
     if weights and (costs or process):
-        raise InputError("--weight and --costs both say what tolerances cost; give one of them")
+        raise InputError("--weight and --costs both set the cost of tolerances; give only one of them")
     with open_store(store, trust=trust) as opened:
-        study, fixed, taken = opened.study, list[str](), approximations(opened)
+        study, fixed, approximated = opened.study, list[str](), approximations(opened)
         if costs or process:
             priced = priced_study(study, opened.loaded.lens, costs, process)
             weights = {line.perturbation: line.cost for line in priced.lines if line.quantity}
@@ -168,11 +169,11 @@ def budget(
             with messages_only(), progress_bar() as bar:
                 task = bar.add_task("trials of the lens", total=None)
 
-                def report(done: int, most: int) -> None:
-                    if not done:
+                def progress(completed: int, total: int) -> None:
+                    if not completed:
                         expected = duration_text(most_seconds(opened, verify))
-                        print(f"at most {most} trials of the lens, about {expected}", file=sys.stderr)
-                    bar.update(task, completed=done, total=most)
+                        print(f"at most {total} trials of the lens, about {expected}", file=sys.stderr)
+                    bar.update(task, completed=completed, total=total)
 
                 found = budget(
                     opened,
@@ -181,26 +182,26 @@ def budget(
                     fixed=fixed,
                     base_cost=base_cost,
                     fresh=verify,
-                    report=report,
+                    progress=progress,
                 )
         except BudgetInterrupted as stop:
             if stop.found is None:
                 raise KeyboardInterrupt(
-                    "interrupted; no tolerances are known yet that keep the yield"
+                    "interrupted; no tolerances that keep the yield have been found yet"
                 ) from None
             found, interrupted = stop.found, True
         save_study(scaled_study(opened.loaded, found.budget.scales), output)
     if as_json:
-        rest = _budget_dict(study, found)
-        complete = {"complete": not interrupted, **_approximated(taken)}
-        print_json({"store": str(store), "study": str(output), **complete, **rest})
+        result = _budget_dict(study, found)
+        complete = {"complete": not interrupted, **_approximated(approximated)}
+        print_json({"store": str(store), "study": str(output), **complete, **result})
     else:
         _print_budget(study, found)
-        for one in taken:
+        for one in approximated:
             print(one.sentence)
         print(f"wrote {output}")
     if interrupted:
-        raise KeyboardInterrupt(f"interrupted; {output} holds what was found until then")
+        raise KeyboardInterrupt(f"interrupted; {output} holds the best tolerances found so far")
     if not found.agrees:
         raise typer.Exit(1)
 
@@ -211,7 +212,7 @@ def cost(
     process: Processes = None,
     as_json: Json = False,
 ) -> None:
-    """Tell what a study's tolerances cost, the dearest first: relative costs, to compare tolerances by."""
+    """Show the relative cost of each tolerance of a study, the most expensive first."""
     from tolerancing.study.files import load_study
 
     loaded = load_study(study)
@@ -235,7 +236,7 @@ def cost(
 
 
 def priced_study(study: Study, lens: Lens, costs: str | None, processes: list[str] | None) -> Cost:
-    """Cost of a study by the table and the processes that a command names."""
+    """Return the cost of a study by the table and the processes given to a command."""
     from tolerancing.cost.pricing import cost_of
     from tolerancing.cost.table import load_costs
 
@@ -251,14 +252,11 @@ def priced_study(study: Study, lens: Lens, costs: str | None, processes: list[st
     return cost_of(study, lens, table)
 
 
-def _approximated(taken: Sequence[Approximation]) -> dict[str, list[dict[str, Any]]]:
-    """For JSON: the merits that were approximated; nothing where none was."""
-    if not taken:
+def _approximated(found: Sequence[Approximation]) -> dict[str, list[dict[str, Any]]]:
+    """Return the approximated merits for JSON; an empty dict without any."""
+    if not found:
         return {}
-    rows = [
-        {k: finite_or_none(v) if isinstance(v, float) else v for k, v in vars(one).items()} for one in taken
-    ]
-    return {"approximated": rows}
+    return {"approximated": [one.as_dict() for one in found]}
 
 
 def _weights(items: list[str]) -> dict[str, float]:
@@ -297,7 +295,7 @@ def _print_limits(found: StudyLimits, change: float | None) -> None:
     study = found.study
     for label, own in found.limits.items():
         (merit,) = (m for m in study.merits if m.label == label)
-        asked = merit.limit_text if change is None else f"worse by {change:g} {merit.unit}".strip()
+        limit_text = merit.limit_text if change is None else f"worse by {change:g} {merit.unit}".strip()
         rows = [
             (
                 perturbation.column,
@@ -307,7 +305,7 @@ def _print_limits(found: StudyLimits, change: float | None) -> None:
             )
             for perturbation, limit in zip(study.perturbations, own, strict=True)
         ]
-        title = f"{label}: how far each may go by itself ({asked})"
+        title = f"{label}: largest deviation of each perturbation alone ({limit_text})"
         _print_table(title, ["tolerance", "down to", "up to"], rows)
     if any(p.is_irregularity for p in study.perturbations):
         print(f"irregularities: the worst of {SHAPES} random shapes of each size")
@@ -319,7 +317,7 @@ def _budget_dict(study: Study, found: StudyBudget) -> dict[str, Any]:
         "scales": {p.column: float(s) for p, s in zip(study.perturbations, budget.scales, strict=True)},
         "required_yield": found.required,
         "agrees": found.agrees,
-        "verified_yield": None if found.verified is None else vars(found.verified),
+        "verified_yield": None if found.verified is None else found.verified.as_dict(),
         "verified_seed": found.seed,
         "estimated_yield": found.estimated_yield,
         "estimated_yield_error": found.estimated_yield_error,
@@ -352,7 +350,7 @@ def _print_budget(study: Study, found: StudyBudget) -> None:
         print("not verified by trials")
         return
     print(
-        f"{good.total} fresh trials (seed {found.seed}): {100.0 * good.share:.1f} % good "
+        f"{good.total} fresh trials (seed {found.seed}): {100.0 * good.fraction:.1f} % good "
         f"({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %)"
     )
     if found.estimated_yield is not None and found.estimated_yield_error is not None:

@@ -1,4 +1,4 @@
-"""What tolerances cost: tables by process, and the cost of a study's tolerances."""
+"""Cost of tolerances: price tables by process, and the cost of a study's tolerances."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What the tolerances of a study cost, line by line, with derivatives."""
+"""Cost of the tolerances of a study, line by line, with derivatives."""
 
 from __future__ import annotations
 
@@ -26,24 +26,21 @@ from tolerancing.perturbations.parameters import (
 )
 from tolerancing.study.study import Study
 
-CONDITIONS = ("light", "environment")
-"""Targets that nobody makes: they scatter at no cost."""
-
 
 @dataclass(frozen=True)
 class CostLine:
-    """What one tolerance costs.
+    """Cost of one tolerance.
 
     Attributes
     ----------
     perturbation
-        Its column in the study.
+        Column of the perturbation in the study.
     process, quantity
-        By which it is priced; empty for what nobody makes.
+        Process and quantity that set the price; empty for operating conditions, which cost nothing.
     tolerance
-        In the unit of the quantity.
+        Tolerance in the unit of the quantity.
     cost
-        Relative to a part without tolerances.
+        Cost relative to a part without tolerances.
     slope
         Derivative of the cost by the tolerance in the unit of the study's column.
     """
@@ -58,14 +55,14 @@ class CostLine:
 
 @dataclass(frozen=True)
 class Cost:
-    """What all tolerances of a study cost, over a lens of as many elements without.
+    """Cost of a lens with all tolerances of a study.
 
     Attributes
     ----------
     lines
-        In the order of the study's perturbations.
+        Costs of the tolerances, in the order of the study's perturbations.
     elements
-        Number of glass elements; each costs 1 by itself.
+        Number of glass elements. An element without tolerances costs 1.
     """
 
     lines: tuple[CostLine, ...]
@@ -73,7 +70,7 @@ class Cost:
 
     @property
     def total(self) -> float:
-        """Elements and tolerances together."""
+        """Cost of elements and tolerances."""
         return self.elements + sum(line.cost for line in self.lines)
 
     @property
@@ -82,75 +79,86 @@ class Cost:
         return np.array([line.slope for line in self.lines])
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the cost as a dictionary for JSON."""
         return {"total": self.total, "elements": self.elements, "lines": [vars(line) for line in self.lines]}
 
 
 def cost_of(study: Study, lens: Lens, table: CostTable, tolerances: ArrayLike | None = None) -> Cost:
-    """What a study's tolerances cost.
+    """Return the cost of a study's tolerances.
 
-    A tolerance along x and the same along y are one for the shop: each has half the cost.
+    Equal tolerances along x and y are one requirement in manufacture, so each has half the cost.
 
     Parameters
     ----------
-    study, lens
-        What scatters of which lens.
+    study
+        The study with the perturbations.
+    lens
+        The nominal lens.
     table
-        From :func:`load_costs`.
+        Price table from :func:`load_costs`.
     tolerances : array_like, shape (perturbations,), optional
-        In place of the study's own: largest deviations, in the units of its columns, above 0.
+        Largest deviations in the units of the columns, above 0; default: the tolerances of the study.
 
     Raises
     ------
     InputError
-        If the table has no price for a tolerance; all gaps are named. If a tolerance is not above 0.
+        If the table has no price for a tolerance (the message lists all of them), or if a tolerance is not
+        above 0.
+
+    Examples
+    --------
+    >>> from tolerancing.cost.table import load_costs
+    >>> from tolerancing.study.files import load_study
+    >>> loaded = load_study("designs/paper_tolerances.toml")
+    >>> cost_of(loaded.study, loaded.lens, load_costs()).total > 1.0
+    True
     """
     own = [p.tolerance for p in study.perturbations] if tolerances is None else tolerances
     values = np.asarray(own, float)
     if values.shape != (len(study.perturbations),) or not np.all(np.isfinite(values) & (values > 0.0)):
         raise InputError("tolerances: must be one for each perturbation, finite and above 0")
     priced = [(p, *_priced_by(p, lens, table)) for p in study.perturbations]
-    _refuse_gaps(table, priced)
-    alike = Counter((p.target, quantity) for p, quantity, _ in priced if _is_axis(p))
+    _check_prices(table, priced)
+    pairs = Counter((p.target, quantity) for p, quantity, _ in priced if _is_axis(p))
     lines = []
     for (p, quantity, process), value in zip(priced, values.tolist(), strict=True):
         if not quantity:
             lines.append(CostLine(p.column, "", "", value, 0.0, 0.0))
             continue
-        price, share = table.processes[process].prices[quantity], 1.0 / max(alike[p.target, quantity], 1)
+        price, fraction = table.processes[process].prices[quantity], 1.0 / max(pairs[p.target, quantity], 1)
         tolerance = value * _unit(p, quantity, lens)
-        cost = share * price.share * price.reference / tolerance
+        cost = fraction * price.share * price.reference / tolerance
         lines.append(CostLine(p.column, process, quantity, tolerance, cost, -cost / value))
     return Cost(tuple(lines), len(lens.glass_fronts))
 
 
-def _refuse_gaps(table: CostTable, priced: Sequence[tuple[PerturbedParameter, str, str]]) -> None:
-    gaps = dict.fromkeys(
+def _check_prices(table: CostTable, priced: Sequence[tuple[PerturbedParameter, str, str]]) -> None:
+    missing = dict.fromkeys(
         f"process.{process} has no {quantity}, for {p.column}"
         for p, quantity, process in priced
         if quantity and quantity not in table.processes[process].prices
     )
-    if gaps:
-        raise InputError(f"cost table {table.title!r}: {'; '.join(gaps)}")
+    if missing:
+        raise InputError(f"cost table {table.title!r}: {'; '.join(missing)}")
 
 
 def _priced_by(parameter: PerturbedParameter, lens: Lens, table: CostTable) -> tuple[str, str]:
-    """Quantity and process by which a tolerance is priced; spaces of air are the mount's."""
-    quantity, of_part = _quantity(parameter), None
+    """Return the quantity and process that set the price of a tolerance; air spaces belong to the mount."""
+    quantity, element = _quantity(parameter), None
     if quantity == "edge_difference_mm":
-        of_part = parameter.element
+        element = parameter.element
     if parameter.surface is not None:
         i = parameter.surface
         if quantity == "distance_mm" or (quantity == "thickness_mm" and lens.surfaces[i].material is None):
             return "distance_mm", table.mount
-        of_part = next((n for n, front in enumerate(lens.glass_fronts) if i in (front, front + 1)), None)
-    return quantity, table.mount if of_part is None else table.process_of(of_part)
+        element = next((n for n, front in enumerate(lens.glass_fronts) if i in (front, front + 1)), None)
+    return quantity, table.mount if element is None else table.process_of(element)
 
 
 def _quantity(parameter: PerturbedParameter) -> str:
-    """By which of the table's quantities a tolerance is priced; empty for a condition."""
+    """Return the quantity of the table that prices a tolerance; empty for operating conditions."""
     name = parameter.parameter
-    if parameter.target in CONDITIONS:
+    if parameter.target in ("light", "environment"):
         return ""
     if name in RADII:
         return "radius_percent"
@@ -170,7 +178,7 @@ def _quantity(parameter: PerturbedParameter) -> str:
 
 
 def _unit(parameter: PerturbedParameter, quantity: str, lens: Lens) -> float:
-    """A unit of the study's column in units of the quantity."""
+    """Return one unit of the study's column in units of the quantity."""
     name = parameter.parameter
     if parameter.surface is None:
         return 1.0
@@ -183,16 +191,16 @@ def _unit(parameter: PerturbedParameter, quantity: str, lens: Lens) -> float:
     h = surface.semi_diameter_mm
     if h is None:
         raise InputError(
-            f"{parameter.column}: the surface has no semi_diameter_mm at which to count its form"
+            f"{parameter.column}: the surface has no semi_diameter_mm, to which its form refers; give it one"
         )
     if name.startswith("asphere_"):
         return 1e3 * h ** int(name.removeprefix("asphere_"))
     radius = surface.radius_x_mm if name == "conic_x" else surface.radius_mm
     if radius is None:
-        raise InputError(f"{parameter.column}: of a plane, which has no form to count")
+        raise InputError(f"{parameter.column}: the surface is a plane, which has no form tolerance")
     return 1e3 * h**4 / (8.0 * abs(radius) ** 3)
 
 
 def _is_axis(parameter: PerturbedParameter) -> bool:
-    """Whether it is one of two directions across the axis."""
+    """Return whether a parameter is along one of the two lateral directions."""
     return "_x_" in parameter.parameter or "_y_" in parameter.parameter

@@ -1,4 +1,4 @@
-"""Tables of what tolerances cost, by process (TOML)."""
+"""Price tables of tolerances, by manufacturing process (TOML)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import InputError
 
 RELATIVE = Path(__file__).with_name("relative.toml")
-"""The table that comes with the package: relative costs, with their sources."""
+"""Default table of the package: relative costs, with their sources."""
 
 QUANTITIES = {
     "radius_percent": "largest departure of a radius, in per cent",
@@ -31,18 +31,18 @@ QUANTITIES = {
     "index": "of the glass",
     "abbe_percent": "of the glass",
 }
-"""What a process has prices for."""
+"""Quantities that a process can have prices for."""
 
 
 class Price(Section):
-    """What one tolerance costs: share * reference / tolerance, relative to a part without tolerances.
+    """Price of one tolerance: share * reference / tolerance, relative to a part without tolerances.
 
     Attributes
     ----------
     reference
-        Tolerance that costs the share, in the unit of its quantity.
+        Reference tolerance, in the unit of its quantity.
     share
-        Cost there.
+        Cost of the reference tolerance, as a fraction of the cost of a part without tolerances.
     """
 
     reference: Positive
@@ -50,14 +50,14 @@ class Price(Section):
 
 
 class Process(Section):
-    """Prices of a way of making; those it lacks it cannot price.
+    """Prices of one manufacturing process; other quantities have no price.
 
     Attributes
     ----------
     source
-        Where its numbers come from.
+        Source of the numbers.
     prices
-        By `QUANTITIES`.
+        Prices by the names of `QUANTITIES`.
     """
 
     source: Annotated[str, Field(min_length=1)]
@@ -65,20 +65,20 @@ class Process(Section):
 
 
 class CostTable(Section):
-    """What tolerances cost.
+    """Price table of tolerances.
 
     Attributes
     ----------
     title
-        What to call it.
+        Title of the table.
     default
-        Process of elements that `elements` does not name.
+        Name of the process of elements that `elements` does not list.
     mount
-        Process of what holds them.
+        Name of the process of the mount.
     elements
-        Processes by the number of the element, counted from 1.
+        Names of processes by the number of the element, counted from 1.
     processes
-        By name; the ``[process.NAME]`` tables.
+        Processes by name; the ``[process.NAME]`` tables.
     """
 
     title: str = ""
@@ -103,16 +103,16 @@ class CostTable(Section):
         return self
 
     def process_of(self, element: int) -> str:
-        """Name of the process of an element, counted from 0."""
+        """Return the name of the process of an element, counted from 0."""
         return self.elements.get(element + 1, self.default)
 
     def with_processes(self, items: Mapping[int | None, str]) -> CostTable:
-        """The table with other processes of elements, counted from 1, or by default (None).
+        """Return the table with other processes of elements, counted from 1, or of the default (None).
 
         Raises
         ------
         InputError
-            If there is no such process.
+            If a process does not exist.
         """
         for name in items.values():
             if name not in self.processes:
@@ -123,20 +123,30 @@ class CostTable(Section):
 
 
 def load_costs(path: str | os.PathLike[str] | None = None) -> CostTable:
-    """Read a table of costs; that of the package where left out.
+    """Read a price table.
+
+    Parameters
+    ----------
+    path
+        Price table (TOML); default: the table of the package.
 
     Raises
     ------
     DesignError
-        For each fault: which key and value, and what is allowed.
+        If a key or value is not allowed. The message lists every fault.
+
+    Examples
+    --------
+    >>> load_costs().default in load_costs().processes
+    True
     """
     file = RELATIVE if path is None else Path(path)
     table = read_toml(file)
     processes = {}
     for name, process in (table.pop("process", None) or {}).items():
-        parts = dict(process) if isinstance(process, dict) else {}
-        source = parts.pop("source", "")
-        processes[name] = {"source": source, "prices": parts}
+        prices = dict(process) if isinstance(process, dict) else {}
+        source = prices.pop("source", "")
+        processes[name] = {"source": source, "prices": prices}
     elements = table.pop("elements", None) or {}
     numbered = {int(k) if str(k).isdigit() else k: v for k, v in elements.items()}
     return validate(CostTable, {**table, "elements": numbered, "processes": processes}, str(file))

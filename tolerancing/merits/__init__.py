@@ -1,6 +1,4 @@
-"""What a perturbed lens is scored by: rays, reconstruction pupil, waves, bars, or Python; and what the
-reconstruction compensates before.
-"""
+"""Figures of merit of perturbed lenses, and compensators of the reconstruction."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Rays of perturbed systems as the sensor sees them."""
+"""Rays of perturbed systems in the coordinates of the sensor."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Arrival:
     Attributes
     ----------
     position_mm : ndarray, shape (trials, rays, 2)
-        From the sensor's middle.
+        Positions from the centre of the sensor.
     direction : ndarray, shape (trials, rays, 3)
         Direction cosines; the last is along the sensor's normal.
     ok : ndarray of bool, shape (trials, rays)
-        Which rays arrive.
+        True for rays that arrive.
     """
 
     position_mm: Array
@@ -43,9 +43,10 @@ def arriving_rays(
     pupil_points: Array,
     wavelength_um: float,
 ) -> Arrival:
-    """Trace field points through the stop of each trial's lens to the sensor.
+    """Trace rays from field points through the stop of each trial's lens to the sensor.
 
-    To move the object is to move lens and sensor the other way, so that rays start where they always do.
+    A shift of the object is treated as the opposite shift of lens and sensor, so that all trials have the
+    same starting points.
 
     Parameters
     ----------
@@ -54,23 +55,23 @@ def arriving_rays(
     batch
         The trials.
     field_points_mm
-        Object points (x, y), on the object.
-    pupil_points
-        Points on the stop as shares of its semi-diameter, shape (n, 2).
+        Object points (x, y) in mm.
+    pupil_points : ndarray, shape (n, 2)
+        Points on the stop in units of its semi-diameter.
     wavelength_um
-        The nominal wavelength.
+        The nominal vacuum wavelength.
 
     Raises
     ------
     InputError
-        If a trial's lens cannot be.
+        If a trial's lens is geometrically impossible.
     """
     from lensdesign.raytrace.bundles import launch_compiled
     from lensdesign.raytrace.compiled import compile_system
     from lensdesign.raytrace.rays import trace_compiled
 
     object_shift = batch.object_shift_mm(lens)
-    pose = moved(batch.poses(), -object_shift) if batch.moves_rays else batch.poses()
+    pose = shifted_pose(batch.poses(), -object_shift) if batch.moves_rays else batch.poses()
     system = compile_system(lens, wavelength_um, pose, batch.surface_perturbations(lens, wavelength_um))
     origins, directions = launch_compiled(
         system,
@@ -89,8 +90,8 @@ def arriving_rays(
     return _on_sensor(rays, batch.sensor_shift_mm(lens) - object_shift, batch.sensor_tilt_deg())
 
 
-def moved(pose: Pose, shift_mm: Array) -> Pose:
-    """A pose moved on, shift of shape (trials, 3)."""
+def shifted_pose(pose: Pose, shift_mm: Array) -> Pose:
+    """Return a pose with an additional shift of shape (trials, 3)."""
     x, y, z = shift_mm.T
     return replace(
         pose,
@@ -101,10 +102,10 @@ def moved(pose: Pose, shift_mm: Array) -> Pose:
 
 
 def _on_sensor(rays: RayTrace, shift_mm: Array, tilt_deg: Array) -> Arrival:
-    """Rays from the nominal plane to a sensor that is shifted and tilted about its middle."""
+    """Transfer rays from the nominal plane to a sensor that is shifted and tilted about its centre."""
     rotation = rotation_matrix(*np.deg2rad(tilt_deg).T)
-    middle = np.array([0.0, 0.0, 1.0]) * rays.position[:, :1, 2:] + shift_mm[:, None]
-    position = np.einsum("tji,trj->tri", rotation, rays.position - middle)
+    centre = np.array([0.0, 0.0, 1.0]) * rays.position[:, :1, 2:] + shift_mm[:, None]
+    position = np.einsum("tji,trj->tri", rotation, rays.position - centre)
     direction = np.einsum("tji,trj->tri", rotation, rays.direction)
     # A ray that did not arrive may have no direction along the axis.
     along = np.where(rays.ok, direction[..., 2], 1.0)
@@ -113,6 +114,6 @@ def _on_sensor(rays: RayTrace, shift_mm: Array, tilt_deg: Array) -> Arrival:
 
 
 def _repeated(rays: RayTrace, trials: int) -> RayTrace:
-    """Rays of one lens for as many trials, where no perturbation is of the lens."""
-    held = {name: values for name, values in vars(rays).items() if values is not None}
-    return replace(rays, **{name: np.repeat(values[None], trials, axis=0) for name, values in held.items()})
+    """Repeat the rays of one lens for all trials, for batches that do not perturb the lens."""
+    arrays = {name: values for name, values in vars(rays).items() if values is not None}
+    return replace(rays, **{name: np.repeat(values[None], trials, axis=0) for name, values in arrays.items()})

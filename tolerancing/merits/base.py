@@ -1,4 +1,4 @@
-"""What every merit has: a score for each trial, and the limit that a good part keeps."""
+"""Base class of merits: a score for each trial, and the limit that a good lens meets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tolerancing.perturbations.parameters import Name, PerturbedParameter, with_
 Level = Literal["auto", "ray", "pupil", "wave"]
 
 LARGEST_SCORE = 1e100
-"""Scores beyond it, either way, are none: sums and squares of them would not be finite."""
+"""Largest absolute value of a score. Sums and squares of larger scores might not be finite."""
 
 
 class Merit(Section):
@@ -31,18 +31,25 @@ class Merit(Section):
     kind
         Name in the registry of merits.
     name
-        Lower-case letters, digits and underscores; the kind where left out.
+        Lower-case letters, digits and underscores; default: the kind.
     at_least, at_most
-        The limit of a good part; one of the two.
+        Limit of a good lens; exactly one of the two.
     wavelength_um
-        The lens's first wavelength where left out.
+        Vacuum wavelength; default: the lens's first wavelength.
     level
-        What it is made of: rays, the reconstruction pupil, or waves carried through the perturbed lens and
-        back through the nominal one; ``auto`` is the cheapest that a few trials show to agree with the
-        dearest.
+        Model that computes the score: ``ray`` for traced rays, ``pupil`` for the reconstruction pupil,
+        ``wave`` for waves that propagate through the perturbed lens and back through the nominal lens.
+        ``auto`` selects the fastest level that agrees with the most accurate level in a few trials.
     predicted_by
-        Name of a cheaper merit that all trials are scored by; this one then scores those that the study's
-        `fidelity` chooses.
+        Name of a low-fidelity merit that scores all trials. This merit then scores only the trials that the
+        study's `fidelity` selects.
+
+    Examples
+    --------
+    >>> from tolerancing.merits.pupil import RmsWaves
+    >>> merit = RmsWaves(kind="rms_waves", at_most=0.07)
+    >>> merit.limit_text, merit.passed([0.05, 0.1]).tolist()
+    ('at most 0.07', [True, False])
     """
 
     kind: str
@@ -73,37 +80,37 @@ class Merit(Section):
 
     @property
     def used_level(self) -> str:
-        """The level, where ``auto`` leaves no choice or has been decided."""
+        """The selected level; for ``auto``, the fastest level that can score the merit."""
         return self.able_levels()[0] if self.level == "auto" else self.level
 
     def able_levels(self) -> tuple[str, ...]:
-        """The levels that can score what is asked for, the cheapest first."""
+        """Return the levels that can compute this merit, the fastest first."""
         return self.levels
 
     @property
     def file_name(self) -> str | None:
-        """A file beside the study that the merit needs."""
+        """Name of the file that the merit reads, relative to the study; None if it reads no file."""
         return None
 
     def loaded(self, folder: Path) -> Self:
-        """The merit with what its file holds; relative to the study's folder. Nothing of it is run."""
+        """Return the merit with the text of its file, read relative to `folder`. No code is run."""
         return self
 
-    def refused(self, why: str) -> Self:
-        """The merit without leave to run a user's code; where it would, that is an InputError: `why`."""
+    def without_user_code(self, reason: str) -> Self:
+        """Return the merit without permission to run user code; an attempt raises InputError(`reason`)."""
         return self
 
-    def get_ready(self) -> None:
-        """Make sure, before the first trial, that it can score.
+    def prepare(self) -> None:
+        """Check, before the first trial, that the merit can compute scores.
 
         Raises
         ------
         InputError
-            If the code of a user that it needs cannot be run, or is not to be.
+            If the merit needs user code that fails to load or may not be run.
         """
 
     def is_compensated(self, compensators: bool) -> bool:
-        """Whether refocusing, or the study's compensators if it has any, change the scores."""
+        """Return whether refocusing or, if `compensators` is true, compensators change the scores."""
         return False
 
     @property
@@ -113,19 +120,19 @@ class Merit(Section):
 
     @property
     def label(self) -> str:
-        """What to call the merit."""
+        """Name of the merit in tables and messages; default: the kind."""
         return self.name or self.kind
 
     @property
     def column(self) -> str:
-        """Name of the scores in tables, with the unit."""
+        """Column name of the scores in tables, with the unit."""
         return with_unit(self.label, self.unit)
 
     @property
     def limit(self) -> float:
-        """The limit, whichever way it works."""
+        """Value of the limit, lower or upper."""
         value = self.at_least if self.at_least is not None else self.at_most
-        assert value is not None  # the validator saw to it
+        assert value is not None  # guaranteed by the validator
         return value
 
     @property
@@ -135,62 +142,59 @@ class Merit(Section):
 
     @property
     def location(self) -> str:
-        """The field points at which it judges, in words; empty if it has none."""
+        """Field points of the merit, in words; empty if it has none."""
         return ""
 
     @property
     def details(self) -> tuple[str, ...]:
-        """What it was asked for beside its limit, in words."""
+        """Settings of the merit other than its limit, in words."""
         return () if self.wavelength_um is None else (f"light of {self.wavelength_um:g} um",)
 
     @property
     def meaning(self) -> str:
-        """What the merit is, in one sentence, and what it was asked for."""
-        sentence, asked = (type(self).__doc__ or "").splitlines()[0], ", ".join(self.details)
-        return f"{sentence} {asked[:1].upper()}{asked[1:]}." if asked else sentence
+        """Definition of the merit in one sentence, followed by its settings."""
+        sentence, settings = (type(self).__doc__ or "").splitlines()[0], ", ".join(self.details)
+        return f"{sentence} {settings[:1].upper()}{settings[1:]}." if settings else sentence
 
     def margin(self, scores: Any) -> Array:
-        """How far scores lie on the good side of the limit; NaN where there is no score."""
+        """Return the distance of scores from the limit, positive for good lenses; NaN for missing scores."""
         distance = np.asarray(scores, float) - self.limit
         return distance if self.at_least is not None else -distance
 
     def passed(self, scores: Any) -> NDArray[np.bool_]:
-        """Which scores keep the limit; one that is missing does not."""
+        """Return whether each score meets the limit; False for missing scores."""
         return self.margin(scores) >= 0.0
 
     def check(self, lens: Lens) -> None:
-        """Refuse what does not fit this lens.
+        """Check that the settings are possible for a lens.
 
         Raises
         ------
         ValueError
-            For a field point outside the lens's field of view.
+            If a field point is outside the field of view, or another setting does not fit the lens.
         """
 
     def check_perturbation(self, parameter: PerturbedParameter) -> None:
-        """Refuse a parameter whose deviations the merit cannot score.
+        """Check that the merit can score deviations of a parameter.
 
         Raises
         ------
         ValueError
-            Naming the parameter.
+            If it cannot. The message names the parameter.
         """
 
     @property
     def pupil_points(self) -> Points:
-        """Object points whose pupils tell compensators their values; none of merits without such points."""
+        """Object points whose pupils determine the values of compensators; empty without pupils."""
         return ()
 
     @property
     def varies_slices(self) -> bool:
-        """Whether the score depends on the reconstruction's number of slices."""
+        """True if the score depends on the reconstruction's number of slices."""
         return False
 
     def setups(self, context: Context, batch: PerturbationBatch) -> Mapping[Hashable, float]:
-        """What is set up once in a process before a batch is scored, and the seconds that each part takes.
-
-        Parts that are there already are left out.
-        """
+        """Return the setup steps that a process still needs before a batch, and the seconds of each step."""
         return {}
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
@@ -199,50 +203,50 @@ class Merit(Section):
         Parameters
         ----------
         context
-            The nominal lens and what merits share.
+            The nominal lens and the data that merits share.
         batch
-            The trials' perturbations.
+            Perturbations of the trials.
 
         Returns
         -------
         ndarray, shape (trials,)
-            NaN for a trial that cannot be scored.
+            Scores; NaN for a trial without a score.
 
         Raises
         ------
         TransferLensError
-            If a trial cannot be evaluated at all; whoever runs the batch then scores trials singly.
+            If a trial cannot be evaluated at all. The caller then scores the trials one by one.
         """
         raise NotImplementedError
 
     def uncompensated(self, context: Context, batch: PerturbationBatch) -> Array:
-        """As :meth:`scores`, without refocusing and compensators."""
+        """Score each trial of a batch without refocusing and compensators; see :meth:`scores`."""
         return self.scores(context, batch)
 
 
 def all_passed(merits: Sequence[Merit], scores: Array) -> NDArray[np.bool_]:
-    """Which lenses keep the limits of all merits, from their scores of shape (n, merits)."""
+    """Return whether each lens meets the limits of all merits, from scores of shape (n, merits)."""
     return np.all([merit.passed(scores[:, k]) for k, merit in enumerate(merits)], axis=0)
 
 
 def points_text(points: Sequence[tuple[float, float]]) -> str:
-    """Object points in words; the worst of several counts."""
+    """Return object points in words; the worst of several counts."""
     text = ", ".join(f"({x:g}, {y:g})" for x, y in points)
     return f"at {text} mm in the object" + (", the worst counting" if len(points) > 1 else "")
 
 
 def orientation_text(orientation: str) -> str:
-    """The axis along which bars follow each other, in words."""
+    """Return the axis along which the bars of a pattern repeat, in words."""
     return f"along {'the worse axis' if orientation == 'worse' else orientation}"
 
 
 def refocus_text(refocus: bool) -> str:
-    """Whether a reconstruction is refocused, in words."""
+    """Return in words whether a reconstruction is refocused."""
     return "refocused" if refocus else "not refocused"
 
 
 def check_field_point(lens: Lens, point: tuple[float, float], key: str) -> None:
-    """Refuse an object point outside the field of view, with a ValueError."""
+    """Raise a ValueError for an object point outside the field of view."""
     height = float(np.hypot(*point))
     if height > lens.half_field_mm * (1.0 + 1e-9):
         raise ValueError(

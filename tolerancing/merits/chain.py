@@ -1,11 +1,11 @@
 """Contrast of bars after the whole chain: perturbed lens, sensor, phase retrieval, nominal lens.
 
-An object in a round field stop, lit by a plane wave, sends its light through the perturbed lens (eikonal
-tiles) to the planes in which the sensor really stands. What its pixels record is reconstructed as if the lens
-were the nominal one and all stood where it should. Unlike in :class:`tolerancing.merits.line_pairs`, phases
-are not known behind the lens: they are found from intensities. That forgives errors which intensities hardly
-tell, such as a little defocus of an amplitude object, and does not forgive light that falls beside its place,
-such as the field stop's shadow behind a decentered lens.
+A plane wave illuminates an object in a round field stop. Its light propagates through the perturbed lens
+(eikonal tiles) to the actual sensor planes. The recorded intensities are reconstructed as if the lens and all
+positions were nominal. Unlike in :mod:`tolerancing.merits.line_pairs`, the phase behind the lens is not known
+but retrieved from intensities. The merit is therefore insensitive to errors that hardly change intensities,
+such as a small defocus of an amplitude object. It is sensitive to displaced light, such as the shadow of the
+field stop behind a decentered lens.
 """
 
 from __future__ import annotations
@@ -34,43 +34,43 @@ if TYPE_CHECKING:
 
 
 FRAMES = 2
-"""Keeps the noise of frames apart from that which level ``wave`` of line pairs adds along x and y."""
+"""Spawn key of the frames' noise, which differs from the keys 0 and 1 of line pairs at level ``wave``."""
 
-APART = SIDE + 2
-"""Between the middles of two sets, in line widths."""
+SET_SPACING = SIDE + 2
+"""Distance between the centres of two sets, in line widths."""
 
 ITERATIONS: dict[Method, int] = {"object": 30, "paper": 500}
-"""Of a reconstruction, where the study does not say."""
+"""Default of the largest number of iterations."""
 
 
 class ReconstructedContrast(Merit):
     """Contrast of bars about the axis after perturbed lens, sensor, retrieval and nominal lens.
 
-    Bars are judged where they show, so that an image beside its place is no blur. Lines that show reversed
-    count as displaced by their width, at the cost of the bar that is then beside them.
+    The contrast is evaluated at the displaced position of the bars, so a lateral shift of the image is not a
+    blur. Lines with reversed contrast count as displaced by one line width, which costs one bar.
 
     Attributes
     ----------
     line_width_um
-        Width of a bar and of a gap; five bars, as long as they are wide together.
+        Width of a bar and of a gap. A set has five bars and is square.
     orientation
-        Axis along which the bars follow each other, or the worse of both: then two sets lie side by side.
+        Axis along which the bars repeat, or the worse of both, with two sets side by side.
     ground
-        Opaque bars on a bright ground, or clear ones on a dark ground.
+        Polarity: opaque bars on a bright ground, or transparent bars on a dark ground.
     patch_mm
-        Diameter of the field stop about the axis, and side of the square that is reconstructed.
+        Diameter of the field stop about the axis, and side of the reconstructed square.
     electrons
-        In the brightest pixel of each frame: shot noise, 2 electrons of read noise, and rounding to counts.
-        Where left out, pixels tell the mean intensity on them exactly.
+        Electrons in the brightest pixel of each frame, with shot noise, 2 electrons of read noise and
+        rounding to counts; default: mean intensity of each pixel without noise.
     bits
-        Of a count.
+        Bits of a count.
     method
-        ``object``: an amplitude object is sought whose light makes the recorded amplitudes. ``paper``:
-        Appendix A finds the field behind the lens, which is carried back.
+        ``object``: finds the amplitude object that explains the recorded amplitudes. ``paper``: retrieves the
+        field behind the lens by Appendix A and propagates it back.
     iterations
-        At most; 30 of ``object``, 500 of ``paper`` where left out.
+        Largest number of iterations; default: 30 for ``object``, 500 for ``paper``.
     refocus
-        Whether the object is sought in the plane in which the perturbed lens's rays say that it shows sharp.
+        Whether the object is reconstructed in the plane in which rays of the perturbed lens show it in focus.
     """
 
     line_width_um: Positive
@@ -104,8 +104,8 @@ class ReconstructedContrast(Merit):
         )
 
     @model_validator(mode="after")
-    def _room(self) -> ReconstructedContrast:
-        sides = SIDE + (APART if self.orientation == "worse" else 0), SIDE
+    def _bars_fit(self) -> ReconstructedContrast:
+        sides = SIDE + (SET_SPACING if self.orientation == "worse" else 0), SIDE
         needed_mm = 1e-3 * self.line_width_um * math.hypot(*sides)
         if needed_mm > self.patch_mm:
             raise ValueError(
@@ -115,12 +115,12 @@ class ReconstructedContrast(Merit):
         return self
 
     def check(self, lens: Lens) -> None:
-        """Refuse a patch that this lens and its planes cannot reconstruct.
+        """Check that the lens and its planes allow a reconstruction of the patch.
 
         Raises
         ------
         InputError
-            For a patch larger than the field, or planes that tell too little of the phase.
+            If the patch is larger than the field, or the diversity of the planes is too small.
         """
         from wavesim.sensor.windows import LEAST_DIVERSITY, diversity
         from wavesim.targets.patch import object_patch
@@ -130,8 +130,8 @@ class ReconstructedContrast(Merit):
         if figure < LEAST_DIVERSITY:
             raise InputError(
                 f"patch_mm = {self.patch_mm:g}: the diversity of the design's planes, dz w^2 / (lambda f^2), "
-                f"is {figure:.3g}, and must be {LEAST_DIVERSITY:g} or more for their intensities to tell the "
-                "phase: take a larger patch, or a scaled-down twin of the lens (lensdesign scale)"
+                f"is {figure:.3g}, and must be {LEAST_DIVERSITY:g} or more for phase retrieval: use a larger "
+                "patch_mm, or a scaled-down twin of the lens (lensdesign scale)"
             )
 
     def is_compensated(self, compensators: bool) -> bool:
@@ -146,16 +146,19 @@ class ReconstructedContrast(Merit):
     def _scores(self, context: Context, batch: PerturbationBatch, refocused: bool) -> Array:
         if context.compensators:
             names = ", ".join(c.column for c in context.compensators)
-            raise InputError(f"{self.label}: reconstructs with the nominal lens, and cannot adapt {names}")
+            raise InputError(
+                f"{self.label}: reconstructs with the nominal lens, and cannot adapt {names}: remove the "
+                "compensators or the merit"
+            )
         self.check(context.lens)
         key = (self.line_width_um, self.orientation, self.ground, self.patch_mm, self.wavelength_um)
-        chain = context.kept(("chain", *key), lambda: self._chain(context.lens))
+        chain = context.cached(("chain", *key), lambda: self._chain(context.lens))
         systems = context.placements(batch, self.wavelength_um)
-        numbers = batch.numbers or (0,) * len(batch)
+        numbers = batch.trial_numbers or (0,) * len(batch)
         scores = []
         for system, number in zip(systems, numbers, strict=True):
             noise = np.random.SeedSequence(context.noise_seed, spawn_key=(number, NOISE_STREAM, FRAMES))
-            planes = chain.recorded(system, self.electrons, self.bits, noise)
+            planes = chain.record(system, self.electrons, self.bits, noise)
             scores.append(self._score(chain, system, planes, refocused))
         return np.array(scores)
 
@@ -170,8 +173,8 @@ class ReconstructedContrast(Merit):
             wavelength_um=self.wavelength_um,
             object_pitch_um=min(pitch_um, 0.5 * width_um),
         )
-        aside = 0.5e-3 * APART * width_um
-        sets: tuple[tuple[Axis, Point], ...] = (("x", (-aside, 0.0)), ("y", (aside, 0.0)))
+        offset = 0.5e-3 * SET_SPACING * width_um
+        sets: tuple[tuple[Axis, Point], ...] = (("x", (-offset, 0.0)), ("y", (offset, 0.0)))
         if self.orientation != "worse":
             sets = ((self.orientation, (0.0, 0.0)),)
         return Chain(lens, patch, sets, width_um, self.ground)
@@ -179,12 +182,12 @@ class ReconstructedContrast(Merit):
     def _score(
         self, chain: Chain, system: Placement, planes: Sequence[Measurement], refocused: bool
     ) -> float:
-        """Contrast of the worse set of bars in what is reconstructed from one trial's planes."""
+        """Return the contrast of the worse set of bars, reconstructed from one trial's planes."""
         from wavesim import refocus
         from wavesim.pupil import remove_shift
 
-        seen = (refocus if refocused else remove_shift)(chain.sampler.pupil(system))
-        found = chain.reconstructed(
-            planes, seen.refocus_um, self.method, self.iterations or ITERATIONS[self.method]
+        registered = (refocus if refocused else remove_shift)(chain.sampler.pupil(system))
+        found = chain.reconstruct(
+            planes, registered.refocus_um, self.method, self.iterations or ITERATIONS[self.method]
         )
-        return min(chain.contrasts(found, seen.shift_um))
+        return min(chain.contrasts(found, registered.shift_um))

@@ -1,9 +1,8 @@
-"""Compensators: what the reconstruction's model adapts to the lens as it is.
+"""Compensators: parameters of the reconstruction's model that adapt to the lens as built.
 
-A compensator is a parameter of the model that light is carried back through. With the model's path taken
-from that of the perturbed lens, what is left of the reconstruction pupils of all field points is made as
-small as it gets, in the least squares sense, within the compensators' bounds; shift and focus of each field
-point are free.
+A compensator is a parameter of the model through which light propagates back to the object. Bounded least
+squares over the compensators minimise the difference between the optical paths of the perturbed lens and of
+the model in the reconstruction pupils of all field points. Shift and focus of each field point are free.
 """
 
 from __future__ import annotations
@@ -28,14 +27,11 @@ if TYPE_CHECKING:
     from wavesim.pupil.patch_return import PerturbedPatch
 
 
-ROUNDS = 2
-"""Gauss-Newton steps; paths bend little over what a mount allows."""
+GAUSS_NEWTON_STEPS = 2
+"""Two steps converge, because paths are nearly linear over mounting tolerances."""
 
-LEAST_EFFECT_WAVES = 1e-3
-"""Root mean square below which a compensator at its limit does nothing that refocusing would not."""
-
-STEP_SHARE = 1e-2
-"""Of the limit, for the derivatives of the model's path."""
+STEP_FRACTION = 1e-2
+"""Step of the finite differences of the model's path, as a fraction of the compensator's limit."""
 
 
 class Compensator(PerturbedParameter):
@@ -44,7 +40,12 @@ class Compensator(PerturbedParameter):
     Attributes
     ----------
     limit
-        Largest value of either sign that it may take, in the parameter's unit.
+        Largest value of either sign, in the parameter's unit.
+
+    Examples
+    --------
+    >>> Compensator(target="lens", parameter="decenter_x_mm", limit=0.2).column
+    'lens_decenter_x_mm'
     """
 
     limit: Positive
@@ -58,18 +59,18 @@ class Compensator(PerturbedParameter):
 
 @dataclass(frozen=True, eq=False)
 class ModelPupils:
-    """Pupils of the reconstruction's model at one field point, and how its path follows the compensators.
+    """The reconstruction's model at one field point, with derivatives of its path by the compensators.
 
     Attributes
     ----------
     sampler
-        Of the field point.
+        Sampler of pupils at the field point.
     compensators
-        What adapts.
+        Adaptable parameters of the model.
     pivot_z_mm
-        Where on the axis the model's lens turns.
+        Position on the axis about which the model's lens tilts, from its front vertex.
     slopes : ndarray, shape (compensators, n)
-        Change of path in mm for each compensator's limit, less what shift and refocus take.
+        Change of path in mm for each compensator's limit, without lateral shift and focus.
     """
 
     sampler: PupilSampler
@@ -78,14 +79,14 @@ class ModelPupils:
     slopes: Array
 
     def pupil(self, values: Array) -> ReconstructionPupil:
-        """Of the model, with compensators at these values."""
+        """Return the pupil of the model with compensators at these values."""
         return model_pupil(self.sampler, self.compensators, values, self.pivot_z_mm)
 
 
 def model_pupil(
     sampler: PupilSampler, compensators: tuple[Compensator, ...], values: Array, pivot_z_mm: float
 ) -> ReconstructionPupil:
-    """Reconstruction pupil between a model with compensators at some values and the nominal lens."""
+    """Return the pupil of a model with compensators at some values, relative to the nominal lens."""
     wavelength = sampler.grid.wavelength_um
     return sampler.pupil(_model(sampler.lens, compensators, values, pivot_z_mm, wavelength))
 
@@ -105,106 +106,112 @@ def less_model_patch(
     values: Array,
     pivot_z_mm: float,
 ) -> PerturbedPatch:
-    """A patch that is carried back through the model with compensators at some values.
+    """Return a patch that propagates back through the model with compensators at some values.
 
-    The model's path takes the place of the nominal lens's; its directions are taken as the nominal ones.
+    The path of the model replaces that of the nominal lens. Ray directions remain those of the nominal lens.
     """
     if not np.any(values):
         return patch
     wavelength = patch.patch.wavelength_um
     system = _model(chain.lens, compensators, values, pivot_z_mm, wavelength)
     pupil, model = patch.pupil, chain.perturbed(system).pupil
-    left = replace(pupil, opd_mm=pupil.opd_mm - model.opd_mm, valid=pupil.valid & model.valid)
-    return replace(patch, pupil=left)
+    residual = replace(pupil, opd_mm=pupil.opd_mm - model.opd_mm, valid=pupil.valid & model.valid)
+    return replace(patch, pupil=residual)
 
 
 def model_pupils(
     sampler: PupilSampler, compensators: tuple[Compensator, ...], pivot_z_mm: float
 ) -> ModelPupils:
-    """Trace what the compensators do at one field point.
+    """Trace the effect of the compensators at one field point.
 
     Raises
     ------
     InputError
-        If one does nothing beside what shift and refocus do.
+        If a compensator has no effect other than shift and focus.
     """
+    # Root mean square below which a compensator at its limit has no effect beyond shift and focus.
+    least_effect_waves = 1e-3
     slopes = []
     for k, compensator in enumerate(compensators):
         step = np.zeros(len(compensators))
-        step[k] = STEP_SHARE * compensator.limit
+        step[k] = STEP_FRACTION * compensator.limit
         ends = [
             registered(model_pupil(sampler, compensators, sign * step, pivot_z_mm)) for sign in (1.0, -1.0)
         ]
-        slopes.append((ends[0] - ends[1]) / (2.0 * STEP_SHARE))
+        slopes.append((ends[0] - ends[1]) / (2.0 * STEP_FRACTION))
         effect = float(np.sqrt(np.mean(slopes[-1] ** 2))) * 1e3 / sampler.grid.wavelength_um
-        if effect < LEAST_EFFECT_WAVES:
+        if effect < least_effect_waves:
             raise InputError(
                 f"compensator {compensator.column}: at its limit of {compensator.limit:g} {compensator.unit} "
-                f"it changes the pupil by {effect:.2g} waves rms beside shift and refocus, at least "
-                f"{LEAST_EFFECT_WAVES:g} is needed: leave it out, or give it a larger limit"
+                f"it changes the pupil by only {effect:.2g} waves rms beyond shift and focus, at least "
+                f"{least_effect_waves:g} is needed: remove it, or give it a larger limit"
             )
     return ModelPupils(sampler, compensators, pivot_z_mm, np.array(slopes))
 
 
 def registered(pupil: ReconstructionPupil) -> Array:
-    """Path in mm at the samples once shift and focus are taken out; 0 where not valid."""
+    """Return the path in mm at the samples without lateral shift and focus; 0 at invalid samples."""
     from wavesim import refocus
 
     return refocus(pupil).pupil.opd_mm
 
 
 def compensate(pupils: Sequence[ReconstructionPupil], models: Sequence[ModelPupils]) -> Array:
-    """Values of the compensators that leave the least of one perturbed lens's pupils.
+    """Fit the compensators to the pupils of one perturbed lens.
 
     Parameters
     ----------
     pupils, models
-        One for each field point.
+        Pupil of the perturbed lens and model, one for each field point.
 
     Returns
     -------
     ndarray, shape (compensators,)
-        In the compensators' units, within their limits.
+        Values in the compensators' units, within their limits.
     """
     limits = np.array([c.limit for c in models[0].compensators])
-    shares = np.zeros(len(limits))
-    for _ in range(ROUNDS):
-        matrix, wanted = np.zeros((len(limits), len(limits))), np.zeros(len(limits))
+    fractions = np.zeros(len(limits))
+    for _ in range(GAUSS_NEWTON_STEPS):
+        hessian, gradient = np.zeros((len(limits), len(limits))), np.zeros(len(limits))
         for pupil, model in zip(pupils, models, strict=True):
-            rest = less_model(pupil, model, shares * limits)
-            # Samples that do not arrive say nothing, nor may their slopes.
-            slopes = np.where(rest.valid, model.slopes, 0.0) / len(rest.valid)
-            matrix += slopes @ model.slopes.T
-            wanted += slopes @ registered(rest)
-        shares = np.clip(shares + bounded_change(matrix, wanted, shares), -1.0, 1.0)
-    return np.asarray(shares * limits)
+            residual = less_model(pupil, model, fractions * limits)
+            # Samples that do not arrive must not contribute slopes either.
+            slopes = np.where(residual.valid, model.slopes, 0.0) / len(residual.valid)
+            hessian += slopes @ model.slopes.T
+            gradient += slopes @ registered(residual)
+        fractions = np.clip(fractions + bounded_step(hessian, gradient, fractions), -1.0, 1.0)
+    return np.asarray(fractions * limits)
 
 
-def bounded_change(matrix: Array, wanted: Array, shares: Array) -> Array:
-    """Change of shares that solves normal equations in the least squares sense, shares staying within +-1.
+def bounded_step(hessian: Array, gradient: Array, fractions: Array) -> Array:
+    """Return the step that solves normal equations while `fractions` stay within -1 and 1.
 
     Parameters
     ----------
-    matrix : ndarray, shape (k, k)
-    wanted, shares : ndarray, shape (k,)
+    hessian : ndarray, shape (k, k)
+        Matrix of the normal equations.
+    gradient : ndarray, shape (k,)
+        Right-hand side of the normal equations.
+    fractions : ndarray, shape (k,)
+        Current values as fractions of the limits.
     """
     from scipy.optimize import lsq_linear
 
-    triangle = np.linalg.cholesky(steadied(matrix))
-    bounds = (-1.0 - shares, 1.0 - shares)
+    triangle = np.linalg.cholesky(regularised(hessian))
+    bounds = (-1.0 - fractions, 1.0 - fractions)
     return np.asarray(
-        lsq_linear(triangle.T, np.linalg.solve(triangle, wanted), bounds=bounds, method="bvls").x
+        lsq_linear(triangle.T, np.linalg.solve(triangle, gradient), bounds=bounds, method="bvls").x
     )
 
 
-def steadied(matrix: Array) -> Array:
-    """Normal equations whose directions that do next to nothing are held where they are."""
-    floor = 1e-9 * np.trace(matrix) / len(matrix) + np.finfo(float).tiny
-    return np.asarray(matrix + floor * np.eye(len(matrix)))
+def regularised(hessian: Array) -> Array:
+    """Return normal equations in which directions with almost no effect stay at their values."""
+    floor = 1e-9 * np.trace(hessian) / len(hessian) + np.finfo(float).tiny
+    return np.asarray(hessian + floor * np.eye(len(hessian)))
 
 
 def less_model(pupil: ReconstructionPupil, model: ModelPupils, values: Array) -> ReconstructionPupil:
-    """The pupil between a perturbed lens and the model with compensators at some values."""
+    """Return the pupil of a perturbed lens minus that of the model with compensators at some values."""
     if not np.any(values):
         return pupil
     own = model.pupil(values)

@@ -1,4 +1,4 @@
-"""A user's code kept to its call: whatever it does to leave the program is a fault of the code alone."""
+"""Calls of a user's Python code in which every exception becomes a failure of the trial."""
 
 from __future__ import annotations
 
@@ -13,40 +13,42 @@ Result = TypeVar("Result")
 
 
 def run_user_code(work: Callable[[], Result], file: str) -> Result:
-    """Do what a user's code does.
+    """Call a user's code and return its result.
 
-    Exceptions of every kind become ordinary ones, ``sys.exit`` among them: it would end a run with status 0,
-    as if all were done. An interrupt is the user's, and passes.
+    Exceptions of every kind become a TransferLensError. This includes ``sys.exit``, which would otherwise end
+    a run with status 0, as if all trials were done. KeyboardInterrupt passes, because it comes from the user.
+    Code that ends the process itself (``os._exit``, a signal) is handled by the pool of workers.
 
     Parameters
     ----------
     work
-        What to do.
+        Function to call.
     file
-        Name of the code's file.
+        Name of the file that holds the code.
 
     Raises
     ------
     TransferLensError
-        Whatever the code raised, with its kind and the line of the file, in printable characters.
+        If the code raises an exception. The message holds the type of the exception and the line of the
+        file, in printable characters.
     """
     try:
         return work()
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise TransferLensError(_told(error, file)) from error
+        raise TransferLensError(_error_text(error, file)) from error
 
 
-def _told(error: BaseException, file: str) -> str:
-    """What an exception says, and where; one of a user's may fail even at that."""
+def _error_text(error: BaseException, file: str) -> str:
+    """Return the message, type and line of an exception. An exception of a user may fail even at that."""
     try:
         text = str(error)
     except BaseException:
-        text = "it cannot say why"
+        text = "no message (its __str__ failed)"
     if isinstance(error, SystemExit):
         text = f"{text or 0}: asks for the end of the run"
     kind = "" if isinstance(error, TransferLensError) else f"{type(error).__name__}: "
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    place = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""
-    return visible(kind + text) + visible(place)
+    location = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""
+    return visible(kind + text) + visible(location)

@@ -1,4 +1,4 @@
-"""What merits share: the nominal lens, and the rays and pupils of the batch at hand."""
+"""Data shared by merits: the nominal lens, and cached rays and pupils of the current batch."""
 
 from __future__ import annotations
 
@@ -29,17 +29,23 @@ Points = tuple[tuple[float, float], ...]
 
 
 class Sampling(Section):
-    """How finely merits are sampled.
+    """Sampling of rays and pupils for merits.
 
     Attributes
     ----------
     rings, arms
-        Rays through the stop: rings, and rays on each; one more ring runs along the rim.
+        Number of rings of rays through the stop, and number of rays on each ring. One additional ring is on
+        the edge of the stop.
     pupil_samples
         Samples across the reconstruction pupil.
     plane_distance_mm
-        Plane behind the exit vertex on which a perturbed lens is compared with the nominal one; the sensor
-        tilts about its middle.
+        Distance of the comparison plane behind the exit vertex. The path of a perturbed lens is compared with
+        that of the nominal lens on this plane, and the sensor tilts about the centre of the plane.
+
+    Examples
+    --------
+    >>> Sampling(pupil_samples=128).rings
+    6
     """
 
     rings: Annotated[int, Field(ge=1, le=200)] = 6
@@ -49,25 +55,34 @@ class Sampling(Section):
 
 
 class Context:
-    """The nominal lens with all that is worked out only once in a process.
+    """The nominal lens with cached results that all merits share.
 
-    Rays and pupils are kept for as long as their batch lives, so that merits of the same field point
-    share them.
+    Rays and pupils of a batch are cached as long as the batch exists, so that merits of the same field point
+    share them. Other results are cached as long as the context exists.
 
     Parameters
     ----------
     lens
         The nominal lens.
     sampling
-        How finely merits are sampled.
+        Sampling of rays and pupils.
     compensators
-        What the reconstruction's model adapts.
+        Parameters of the reconstruction's model that adapt to each trial.
     compensated_points
-        Field points and wavelengths whose pupils together tell the compensators their values.
+        Field points and wavelengths (None: the first of the lens) whose pupils together determine the values
+        of the compensators.
     pivot_z_mm
-        Where on the axis the model's lens turns.
+        Position on the axis about which the model's lens tilts, from its front vertex.
     noise_seed
-        Of the sensor's noise, with the trial's number.
+        Seed of the sensor noise, used together with the trial's number.
+
+    Examples
+    --------
+    >>> from lensdesign.files.design import load_design
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> context = Context(lens, Sampling(rings=3, arms=8))
+    >>> context.wavelength_um(None) == lens.wavelengths_um[0]
+    True
     """
 
     def __init__(
@@ -85,11 +100,11 @@ class Context:
         self._compensated_points = compensated_points
         self.noise_seed = noise_seed
         self._pivot_z_mm = pivot_z_mm
-        self._kept: dict[Any, Any] = {}
-        self._shared: WeakKeyDictionary[PerturbationBatch, dict[Any, Any]] = WeakKeyDictionary()
+        self._cache: dict[Any, Any] = {}
+        self._batch_caches: WeakKeyDictionary[PerturbationBatch, dict[Any, Any]] = WeakKeyDictionary()
 
     def stop_samples(self) -> PupilSamples:
-        """Points on the stop through which rays go, with weights; the last ring is the rim."""
+        """Return the sample points on the stop, with weights; the last ring is the edge of the stop."""
         from lensdesign.raytrace.bundles import pupil_rings
 
         return pupil_rings(self.sampling.rings, self.sampling.arms, edge=True)
@@ -98,28 +113,35 @@ class Context:
         self,
         parameters: Sequence[PerturbedParameter],
         values: NDArray[np.float64],
-        numbers: Sequence[int] | None = None,
+        trial_numbers: Sequence[int] | None = None,
     ) -> PerturbationBatch:
-        """Lenses with given deltas of some parameters, shape (lenses, parameters), all else nominal.
+        """Return a batch with the given deltas; all other parameters are nominal.
 
-        Shapes of irregularities are those of the trials `numbers`, of trial 0 where left out.
+        Parameters
+        ----------
+        parameters
+            Perturbed parameters.
+        values : ndarray, shape (lenses, parameters)
+            Deltas in the units of the parameters.
+        trial_numbers
+            Trials whose random figures the irregularities have; default: trial 0 for all lenses.
         """
-        return batch_of(parameters, values, self._pivot_z_mm, self.noise_seed, numbers)
+        return batch_of(parameters, values, self._pivot_z_mm, self.noise_seed, trial_numbers)
 
     def extreme_samples(
         self, field_points_mm: Points, wavelength_um: float | None, plane_distances_mm: tuple[float, ...]
     ) -> PupilSamples:
-        """As :meth:`stop_samples`, with the extreme rays of the nominal lens, which have no weight."""
+        """Return :meth:`stop_samples` and the extreme rays of the nominal lens, which have no weight."""
         wavelength = self.wavelength_um(wavelength_um)
 
-        def work() -> PupilSamples:
+        def compute() -> PupilSamples:
             from lensdesign.analysis.extreme_rays import with_extreme_rays
 
             return with_extreme_rays(
                 self.lens, field_points_mm, self.stop_samples(), wavelength, plane_distances_mm
             )
 
-        return self.kept(("extreme rays", field_points_mm, wavelength, plane_distances_mm), work)
+        return self.cached(("extreme rays", field_points_mm, wavelength, plane_distances_mm), compute)
 
     def rays(
         self,
@@ -128,7 +150,7 @@ class Context:
         wavelength_um: float | None,
         stop: PupilSamples | None = None,
     ) -> Arrival:
-        """Rays from field points through the stop to the first sensor plane, as the sensor sees them.
+        """Trace rays from field points through the stop to the first sensor plane.
 
         Parameters
         ----------
@@ -137,30 +159,33 @@ class Context:
         field_points_mm
             Object points (x, y).
         wavelength_um
-            Vacuum wavelength; None is the first of the lens.
+            Vacuum wavelength; None: the first of the lens.
         stop
             Samples of the stop; default: :meth:`stop_samples`.
 
         Returns
         -------
         Arrival
-            Arrays of shape (trials, field points * stop samples, ...), field point by field point.
+            Rays in the sensor's coordinates, arrays of shape (trials, field points * stop samples, ...),
+            ordered by field point.
         """
         wavelength = self.wavelength_um(wavelength_um)
 
-        def work() -> Arrival:
+        def compute() -> Arrival:
             from tolerancing.merits.arrival import arriving_rays
 
             samples = self.stop_samples() if stop is None else stop
             return arriving_rays(self.lens, batch, field_points_mm, samples.points, wavelength)
 
-        # Samples are made once and kept, so that they are one by being the same object.
-        return self.once(batch, ("rays", field_points_mm, wavelength, id(stop)), work)
+        # Sample objects are cached, so equal samples have the same identity.
+        return self.cached_for(batch, ("rays", field_points_mm, wavelength, id(stop)), compute)
 
     def placements(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Placement]:
-        """The perturbed systems of a batch."""
+        """Return the perturbed systems of a batch."""
         wavelength = self.wavelength_um(wavelength_um)
-        return self.once(batch, ("placements", wavelength), lambda: batch.placements(self.lens, wavelength))
+        return self.cached_for(
+            batch, ("placements", wavelength), lambda: batch.placements(self.lens, wavelength)
+        )
 
     def pupils(
         self,
@@ -170,7 +195,21 @@ class Context:
         refocused: bool,
         compensated: bool = False,
     ) -> list[ReconstructionPupil]:
-        """Reconstruction pupil of each trial, registered sideways; refocused and compensated if asked for."""
+        """Return the registered reconstruction pupil of each trial.
+
+        Parameters
+        ----------
+        batch
+            The trials.
+        field_mm
+            Object point (x, y).
+        wavelength_um
+            Vacuum wavelength; None: the first of the lens.
+        refocused
+            Whether focus is removed in addition to the lateral shift.
+        compensated
+            Whether the path of the adapted model is subtracted, if there are compensators.
+        """
         wavelength = self.wavelength_um(wavelength_um)
         compensated = compensated and bool(self.compensators)
 
@@ -181,7 +220,8 @@ class Context:
             register = refocus if refocused else remove_shift
             return [register(p).pupil for p in self.raw_pupils(batch, field_mm, wavelength, compensated)]
 
-        return self.once(batch, ("registered", field_mm, wavelength, refocused, compensated), registered)
+        key = ("registered", field_mm, wavelength, refocused, compensated)
+        return self.cached_for(batch, key, registered)
 
     def raw_pupils(
         self,
@@ -190,14 +230,14 @@ class Context:
         wavelength_um: float | None,
         compensated: bool = False,
     ) -> list[ReconstructionPupil]:
-        """Reconstruction pupil of each trial, where it is and as blurred as it is."""
+        """Return the reconstruction pupil of each trial with its lateral shift and defocus."""
         wavelength = self.wavelength_um(wavelength_um)
 
         def raw() -> list[ReconstructionPupil]:
             sampler = self.sampler(field_mm, wavelength)
             return [sampler.pupil(one) for one in self.placements(batch, wavelength)]
 
-        pupils = self.once(batch, ("pupils", field_mm, wavelength), raw)
+        pupils = self.cached_for(batch, ("pupils", field_mm, wavelength), raw)
         if not (compensated and self.compensators):
             return pupils
         from tolerancing.merits.compensators import less_model
@@ -213,12 +253,12 @@ class Context:
         wavelength_um: float | None,
         compensated: bool = False,
     ) -> list[PerturbedPatch]:
-        """A patch carried through each trial's lens and back through the nominal one or the adapted model."""
+        """Propagate a patch through each trial's lens and back through the nominal or the adapted lens."""
 
-        def work() -> list[PerturbedPatch]:
+        def compute() -> list[PerturbedPatch]:
             return [chain.perturbed(one) for one in self.placements(batch, wavelength_um)]
 
-        patches = self.once(batch, ("patches", chain), work)
+        patches = self.cached_for(batch, ("patches", chain), compute)
         if not (compensated and self.compensators):
             return patches
         from tolerancing.merits.compensators import less_model_patch
@@ -232,7 +272,7 @@ class Context:
     def patch_chain(
         self, field_mm: tuple[float, float], wavelength_um: float | None, patch_um: float, line: bool
     ) -> PatchChain:
-        """The chain for a patch about one field point, on a meridional line or in the plane."""
+        """Return the imaging chain of a patch about one field point, on a meridional line or in the plane."""
         wavelength = self.wavelength_um(wavelength_um)
 
         def make() -> PatchChain:
@@ -242,12 +282,12 @@ class Context:
                 self.lens, field_mm, wavelength, self.sampling.plane_distance_mm, patch_um, line=line
             )
 
-        return self.kept(("patch", field_mm, wavelength, patch_um, line), make)
+        return self.cached(("patch", field_mm, wavelength, patch_um, line), make)
 
     def compensator_values(self, batch: PerturbationBatch) -> NDArray[np.float64]:
-        """What the compensators take in each trial, shape (trials, compensators)."""
+        """Return the fitted values of the compensators, shape (trials, compensators)."""
 
-        def work() -> NDArray[np.float64]:
+        def compute() -> NDArray[np.float64]:
             import numpy as np
 
             from tolerancing.merits.compensators import compensate
@@ -256,21 +296,21 @@ class Context:
             pupils = [self.raw_pupils(batch, field, w) for field, w in self._compensated_points]
             return np.array([compensate(own, models) for own in zip(*pupils, strict=True)])
 
-        return self.once(batch, "compensators", work)
+        return self.cached_for(batch, "compensators", compute)
 
-    def kept(self, key: Any, work: Callable[[], Result]) -> Result:
-        """Something that is worked out once in a process, whatever the batch."""
-        if key not in self._kept:
-            self._kept[key] = work()
-        result: Result = self._kept[key]
+    def cached(self, key: Any, compute: Callable[[], Result]) -> Result:
+        """Return a result that does not depend on the batch; it is computed once in a process."""
+        if key not in self._cache:
+            self._cache[key] = compute()
+        result: Result = self._cache[key]
         return result
 
     def wavelength_um(self, wavelength_um: float | None) -> float:
-        """A wavelength, or the lens's first one in place of None."""
+        """Return a wavelength; None means the first wavelength of the lens."""
         return self.lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
 
     def sampler(self, field_mm: tuple[float, float], wavelength_um: float) -> PupilSampler:
-        """Pupils of one field point."""
+        """Return the sampler of reconstruction pupils at one field point."""
 
         def make() -> PupilSampler:
             from wavesim import PupilSampler
@@ -283,22 +323,22 @@ class Context:
                 samples=self.sampling.pupil_samples,
             )
 
-        return self.kept(("sampler", field_mm, wavelength_um), make)
+        return self.cached(("sampler", field_mm, wavelength_um), make)
 
     def _model(self, field_mm: tuple[float, float], wavelength_um: float) -> ModelPupils:
         from tolerancing.merits.compensators import model_pupils
 
-        return self.kept(
+        return self.cached(
             ("model", field_mm, wavelength_um),
             lambda: model_pupils(self.sampler(field_mm, wavelength_um), self.compensators, self._pivot_z_mm),
         )
 
-    def once(self, batch: PerturbationBatch, key: Any, work: Callable[[], Result]) -> Result:
-        """Something that is worked out once for a batch, or once for the batch that a trial is from."""
-        shared = self._shared.setdefault(batch, {})
-        if key not in shared:
-            parent, place = batch.origin or (None, 0)
-            whole = self._shared.get(parent, {}).get(key) if parent is not None else None
-            shared[key] = [whole[place]] if isinstance(whole, list) else work()
-        result: Result = shared[key]
+    def cached_for(self, batch: PerturbationBatch, key: Any, compute: Callable[[], Result]) -> Result:
+        """Return a result of a batch; it is computed once, also for single trials of the batch."""
+        cache = self._batch_caches.setdefault(batch, {})
+        if key not in cache:
+            parent, index = batch.origin or (None, 0)
+            whole = self._batch_caches.get(parent, {}).get(key) if parent is not None else None
+            cache[key] = [whole[index]] if isinstance(whole, list) else compute()
+        result: Result = cache[key]
         return result

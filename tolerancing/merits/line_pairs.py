@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 BARS = 5
 
 NOISE_STREAM = 0x6E6F6973
-"""Keeps the noise of a trial apart from its deltas."""
+"""Spawn key of the noise of a trial, which separates it from the trial's deltas."""
 
 
 class LinePairContrast(PupilMerit):
-    """Contrast of the reconstructed line pairs; negative where bright and dark trade places.
+    """Contrast of the reconstructed line pairs; negative if bright and dark are exchanged.
 
     Attributes
     ----------
     line_width_um
         Width of a bar and of a gap.
     orientation
-        Axis along which the bars follow each other, or the worse of both.
+        Axis along which the bars repeat, or the worse of both.
     patch_um
-        At level ``wave``: side of the patch that is carried.
+        Side of the simulated patch, at level ``wave``.
     line
-        At level ``wave``: whether on a meridional line, with bars along y, in place of the plane.
+        Whether level ``wave`` simulates a meridional line, with bars along y, instead of the plane.
     electrons
-        At level ``wave``: electrons in the brightest pixel, whose noise an ideal retrieval passes on; no
-        noise where left out.
+        Electrons in the brightest pixel, at level ``wave``. An ideal retrieval passes their noise on;
+        default: no noise.
     """
 
     line_width_um: Positive
@@ -62,13 +62,14 @@ class LinePairContrast(PupilMerit):
     @model_validator(mode="after")
     def _waves(self) -> LinePairContrast:
         if self.level == "pupil" and self.electrons is not None:
-            raise ValueError("electrons: noise needs waves; give level = 'wave', or leave it out")
+            raise ValueError("electrons: noise needs level = 'wave'; change the level, or remove electrons")
         if self.line and self.orientation == "x":
-            raise ValueError("orientation = 'x': a meridional line has bars along y")
+            raise ValueError("orientation = 'x': line = true has bars along y; use orientation = 'y'")
         length = (2 * BARS - 1) * self.line_width_um
         if self.used_level == "wave" and length > self.patch_um:
             raise ValueError(
-                f"patch_um = {self.patch_um:g}: {BARS} bars of {self.line_width_um:g} um take {length:g} um"
+                f"patch_um = {self.patch_um:g}: {BARS} bars of {self.line_width_um:g} um need {length:g} um "
+                "or more"
             )
         return self
 
@@ -86,10 +87,10 @@ class LinePairContrast(PupilMerit):
             return super().scores_at(point, context, batch, compensated)
         chain = context.patch_chain(point, self.wavelength_um, self.patch_um, self.line)
         patches = context.patches(batch, chain, self.wavelength_um, compensated)
-        numbers = batch.numbers or (0,) * len(batch)
+        numbers = batch.trial_numbers or (0,) * len(batch)
         return np.array(
             [
-                self._of_patch(patch, compensated and self.refocus, context.noise_seed, number)
+                self._patch_contrast(patch, compensated and self.refocus, context.noise_seed, number)
                 for patch, number in zip(patches, numbers, strict=True)
             ]
         )
@@ -105,7 +106,7 @@ class LinePairContrast(PupilMerit):
 
         return worse(best, self.orientation)
 
-    def _of_patch(self, patch: PerturbedPatch, refocused: bool, seed: int, number: int) -> float:
+    def _patch_contrast(self, patch: PerturbedPatch, refocused: bool, seed: int, number: int) -> float:
         from wavesim.pupil import chain_contrast
 
         def contrast(axis: Axis) -> float:
@@ -127,12 +128,12 @@ class LinePairContrast(PupilMerit):
 def line_pairs_in_focus(
     pupil: ReconstructionPupil, line_width_um: float, axis: Axis
 ) -> tuple[float, ReconstructionPupil]:
-    """Contrast of line pairs in the focus where it is best, and the pupil there."""
+    """Return the contrast of line pairs in their best focus, and the refocused pupil."""
     from wavesim import line_pair_contrast
     from wavesim.pupil import best_focus
 
-    def contrast(seen: ReconstructionPupil) -> float:
-        return line_pair_contrast(seen, line_width_um, axis, BARS)
+    def contrast(refocused: ReconstructionPupil) -> float:
+        return line_pair_contrast(refocused, line_width_um, axis, BARS)
 
     found = best_focus(pupil, contrast).pupil
     return contrast(found), found

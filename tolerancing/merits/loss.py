@@ -1,4 +1,4 @@
-"""The loss that is expected of a reconstruction, from the linearised chain."""
+"""Expected loss of correlation of a reconstruction, from the linearised imaging chain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import check_field_point, points_text
-from tolerancing.merits.compensators import ROUNDS, STEP_SHARE, Compensator
+from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, STEP_FRACTION, Compensator, bounded_step
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
     from wavesim.pupil import LinearisedChain
 
 AZIMUTHS_DEG = (0.0, 90.0)
-"""Of the meridians: along x and along y."""
+"""Azimuths of the two meridians."""
 
 
 class ReconstructionLoss(PupilMerit):
     """Correlation that an object-domain reconstruction is expected to lose: 0 is none, 1 is all.
 
-    Random objects on two meridians at right angles, each through the linearised chain
-    (:mod:`wavesim.pupil.linearised_chain`). What intensities cannot tell costs nothing; compensators of the
-    study are those of a calibrated reconstruction, fitted to what intensities see.
+    The loss is the mean over random objects on two perpendicular meridians in the linearised chain
+    (:mod:`wavesim.pupil.linearised_chain`). Path errors that do not change intensities cause no loss. The
+    study's compensators are fitted to changes of intensity, as a calibration from frames would do.
 
     Attributes
     ----------
     patch_mm
         Diameter of the field stop about each field point.
     object
-        ``amplitude`` for one that is real, or ``complex``.
+        ``amplitude`` for a real transmission, or ``complex``.
     planes_mm
-        Where the sensor records, from the exit vertex; the design's planes where left out.
+        Distances of the sensor planes from the exit vertex; default: the planes of the design.
     electrons
-        In the brightest pixel of each plane.
+        Electrons in the brightest pixel of each plane.
     """
 
     patch_mm: Positive
@@ -83,14 +83,16 @@ class ReconstructionLoss(PupilMerit):
         from wavesim.pupil import expected_loss
 
         key = (point, self.patch_mm, self.object, self.planes_mm, self.electrons, self.wavelength_um)
-        chains = context.kept(("meridians", *key), lambda: self.chains(context.lens, point))
-        adapted: _Adapted | None = None
+        chains = context.cached(("meridians", *key), lambda: self.chains(context.lens, point))
+        model: _AdaptedModel | None = None
         if compensated and context.compensators:
-            adapted = context.kept(("adapted", *key), lambda: _Adapted(context, chains, self.wavelength_um))
+            model = context.cached(
+                ("adapted", *key), lambda: _AdaptedModel(context, chains, self.wavelength_um)
+            )
         scores = []
         for system in context.placements(batch, self.wavelength_um):
             waves = [chain.meridian.waves(system) for chain in chains]
-            scores.append(expected_loss(chains, adapted.left(waves) if adapted else waves))
+            scores.append(expected_loss(chains, model.residual(waves) if model else waves))
         return np.array(scores)
 
     def chains(self, lens: Lens, point: tuple[float, float]) -> list[LinearisedChain]:
@@ -108,17 +110,17 @@ class ReconstructionLoss(PupilMerit):
         ]
 
 
-class _Adapted:
-    """The reconstruction's model, its compensators fitted to what intensities see of a perturbed lens.
+class _AdaptedModel:
+    """The reconstruction's model, with compensators fitted to the visible path error of a perturbed lens.
 
     Parameters
     ----------
     context
-        Whose compensators they are.
+        Context with the compensators.
     chains
-        On the meridians of one field point.
+        Linearised chains on the meridians of one field point.
     wavelength_um
-        Of the light; the design's first one if None.
+        Vacuum wavelength; None: the first of the design.
     """
 
     def __init__(
@@ -128,26 +130,23 @@ class _Adapted:
         self._compensators: tuple[Compensator, ...] = context.compensators
         self._limits = np.array([c.limit for c in self._compensators])
         slopes = []
-        for step in np.diag(STEP_SHARE * self._limits):
+        for step in np.diag(STEP_FRACTION * self._limits):
             ends = [self._visible(self._waves(sign * step)) for sign in (1.0, -1.0)]
-            slopes.append((ends[0] - ends[1]) / (2.0 * STEP_SHARE))
+            slopes.append((ends[0] - ends[1]) / (2.0 * STEP_FRACTION))
         self._slopes = np.array(slopes)
-        self._products = self._slopes @ self._slopes.T
+        self._hessian = self._slopes @ self._slopes.T
 
-    def left(self, waves: list[list[Array]]) -> list[list[Array]]:
-        """Of a change of path, what the fitted model leaves."""
-        from scipy.optimize import lsq_linear
-
-        shares, rest = np.zeros(len(self._limits)), waves
-        # Directions that do next to nothing are held where they are.
-        floor = 1e-9 * np.trace(self._products) / len(shares) + np.finfo(float).tiny
-        triangle = np.linalg.cholesky(self._products + floor * np.eye(len(shares)))
-        for _ in range(ROUNDS):
-            wanted = np.linalg.solve(triangle, self._slopes @ self._visible(rest))
-            shares = shares + lsq_linear(triangle.T, wanted, (-1.0 - shares, 1.0 - shares), method="bvls").x
-            model = self._waves(np.clip(shares, -1.0, 1.0) * self._limits)
-            rest = [[a - b for a, b in zip(*pair, strict=True)] for pair in zip(waves, model, strict=True)]
-        return rest
+    def residual(self, waves: list[list[Array]]) -> list[list[Array]]:
+        """Return the path error in waves that remains after the model is fitted."""
+        fractions, residual = np.zeros(len(self._limits)), waves
+        for _ in range(GAUSS_NEWTON_STEPS):
+            gradient = self._slopes @ self._visible(residual)
+            fractions = fractions + bounded_step(self._hessian, gradient, fractions)
+            model = self._waves(np.clip(fractions, -1.0, 1.0) * self._limits)
+            residual = [
+                [a - b for a, b in zip(*pair, strict=True)] for pair in zip(waves, model, strict=True)
+            ]
+        return residual
 
     def _visible(self, waves: list[list[Array]]) -> Array:
         return np.concatenate([c.visible(own) for c, own in zip(self._chains, waves, strict=True)])

@@ -1,4 +1,4 @@
-"""Merits of the reconstruction pupil: what a perturbed lens does to a reconstruction by the nominal one."""
+"""Merits of the reconstruction pupil: path of the perturbed lens minus path of the nominal lens."""
 
 from __future__ import annotations
 
@@ -20,10 +20,6 @@ if TYPE_CHECKING:
 
 Axis = Literal["x", "y"]
 Orientation = Literal["x", "y", "worse"]
-FINER = 0.98
-"""Lines for which a pupil is focused anew, over those that are resolved."""
-
-Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 class PupilMerit(Merit):
@@ -34,11 +30,11 @@ class PupilMerit(Merit):
     field_mm
         Object point (x, y).
     field_points_mm
-        Several object points in its place; the worst of their scores counts.
+        Several object points instead of one; the worst of their scores counts.
     refocus
-        Whether the reconstruction is refocused before it is judged: to where its phase is flattest, which is
-        where the smallest root mean square and the highest Strehl ratio are; contrasts go on from there to
-        where they are best, within :data:`wavesim.pupil.focus.FOCUS_RANGE`. It is always registered sideways.
+        Whether the reconstruction is refocused to the plane of the flattest phase, which gives the smallest
+        root mean square and the highest Strehl ratio. Contrasts are then refocused to their best value within
+        :data:`wavesim.pupil.focus.FOCUS_RANGE`. The lateral shift is always removed.
     """
 
     field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
@@ -50,7 +46,7 @@ class PupilMerit(Merit):
     _points = field_validator("field_points_mm", mode="before")(rows)
 
     @model_validator(mode="after")
-    def _one_way(self) -> PupilMerit:
+    def _one_field_key(self) -> PupilMerit:
         if self.field_points_mm and "field_mm" in self.model_fields_set:
             raise ValueError("give field_mm or field_points_mm, not both")
         return self
@@ -88,22 +84,22 @@ class PupilMerit(Merit):
     def scores_at(
         self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool
     ) -> Array:
-        """Scores at one object point, with or without refocusing and compensators."""
+        """Return the scores at one object point, with or without refocusing and compensators."""
         refocused = compensated and self.refocus
         pupils = context.pupils(batch, point, self.wavelength_um, refocused, compensated)
         return np.array([self.best_score(pupil) if refocused else self.score(pupil) for pupil in pupils])
 
     def worst(self, scores: list[Array]) -> Array:
-        """The worst of the object points' scores, by trial; NaN where one is missing."""
+        """Return the worst score of the object points for each trial; NaN if one is missing."""
         stacked = np.stack(scores)
         return np.asarray(stacked.min(axis=0) if self.at_least is not None else stacked.max(axis=0))
 
     def score(self, pupil: ReconstructionPupil) -> float:
-        """Score of one reconstruction pupil."""
+        """Return the score of one reconstruction pupil."""
         raise NotImplementedError
 
     def best_score(self, pupil: ReconstructionPupil) -> float:
-        """Score of a pupil whose phase is as flat as it gets, in the focus that suits the merit."""
+        """Return the score of a refocused pupil in the best focus for this merit."""
         return self.score(pupil)
 
 
@@ -135,7 +131,7 @@ class ModulationTransfer(PupilMerit):
     frequency_lp_per_mm
         Line pairs per mm in the object plane.
     orientation
-        Axis of the modulation, or the worse of both.
+        Axis of the modulation, or the worse axis.
     """
 
     frequency_lp_per_mm: Positive
@@ -161,17 +157,17 @@ class ModulationTransfer(PupilMerit):
 
 
 class SmallestResolvedLine(PupilMerit):
-    """Width of the finest line pairs down to which all wider ones reach a contrast; infinite without any.
+    """Width of the finest line pairs down to which all wider ones reach a contrast; infinite if none does.
 
     Attributes
     ----------
     contrast
-        That counts as resolved.
+        Contrast that counts as resolved.
     orientation
-        Axis along which the bars follow each other, or the worse of both.
+        Axis along which the bars repeat, or the worse axis.
     """
 
-    contrast: Share = 0.2
+    contrast: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.2
     orientation: Orientation = "worse"
 
     kind_unit: ClassVar[str] = "um"
@@ -191,13 +187,13 @@ class SmallestResolvedLine(PupilMerit):
         return -worse(lambda axis: -self._finest(pupil, axis), self.orientation)
 
     def _finest(self, pupil: ReconstructionPupil, axis: Axis) -> float:
-        """The finest lines along an axis, focused for those that are a little finer, as long as it helps."""
+        """Return the finest resolved lines, refocusing for slightly finer lines as long as this helps."""
         from wavesim import line_pair_contrast
         from wavesim.pupil import best_focus, smallest_resolved_line_width_um
 
         finest = smallest_resolved_line_width_um(pupil, axis, self.contrast)
         while np.isfinite(finest):
-            width = FINER * finest
+            width = 0.98 * finest
             focused = best_focus(pupil, lambda p, w=width: line_pair_contrast(p, w, axis)).pupil  # type: ignore[misc]
             reached = smallest_resolved_line_width_um(focused, axis, self.contrast)
             if not reached < finest:
@@ -207,7 +203,7 @@ class SmallestResolvedLine(PupilMerit):
 
 
 class ImageShift(PupilMerit):
-    """Distance in the object plane by which the reconstruction stands beside its place."""
+    """Lateral displacement of the reconstruction in the object plane."""
 
     kind_unit: ClassVar[str] = "um"
 
@@ -223,13 +219,13 @@ class ImageShift(PupilMerit):
 
 
 def in_best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil], float]) -> float:
-    """A score in the focus where it is best."""
+    """Return a score in its best focus."""
     from wavesim.pupil import best_focus
 
     return score(best_focus(pupil, score).pupil)
 
 
 def worse(score: Callable[[Axis], float], orientation: Orientation) -> float:
-    """A score along one axis, or the lower of those along both."""
+    """Return a score along one axis, or the lower score of both axes."""
     axes: tuple[Axis, ...] = ("x", "y") if orientation == "worse" else (orientation,)
     return min(score(axis) for axis in axes)

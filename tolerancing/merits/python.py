@@ -1,4 +1,4 @@
-"""A merit of the user's own: one Python function in a file beside the study."""
+"""User-defined merits: a Python function in a file next to the study."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What a user's merit is given: one perturbed system.
+    """One perturbed system, the argument of a user-defined merit.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Trial:
     placement : Placement
         Pose, surface perturbations, shifts of object and sensor, wavelength.
     deltas : dict of str to float
-        Deviations from nominal by the perturbations' columns, in their units.
+        Deviations from nominal by the columns of the perturbations, in their units.
     number : int or None
-        Of the trial; None in a sweep.
+        Number of the trial; None in a sweep.
     """
 
     lens: Lens
@@ -50,26 +50,26 @@ class Trial:
     _wavelength_um: float | None
 
     def rays(self, *field_points_mm: tuple[float, float]) -> Arrival:
-        """Rays from object points through the stop to the sensor; arrays of shape (1, rays, ...)."""
+        """Trace rays from object points through the stop to the sensor; arrays have shape (1, rays, ...)."""
         return self._context.rays(self._batch, field_points_mm, self._wavelength_um)
 
     def pupil(
         self, field_mm: tuple[float, float] = (0.0, 0.0), *, refocus: bool = True
     ) -> ReconstructionPupil:
-        """Reconstruction pupil of an object point, registered, and refocused unless told otherwise."""
+        """Return the reconstruction pupil of an object point without lateral shift and, by default, focus."""
         (pupil,) = self._context.pupils(self._batch, field_mm, self._wavelength_um, refocus, True)
         return pupil
 
 
 class PythonMerit(Merit):
-    """A function of the user's own.
+    """A user-defined function.
 
     Attributes
     ----------
     function
-        ``file.py:name``, the file relative to the study. It is called with a :class:`Trial` and returns a
-        number. Whatever it raises is that trial's failure, leaving the program too, and so is a number that
-        is not finite, or beyond :data:`LARGEST_SCORE`.
+        ``file.py:name``, with the file relative to the study. The function receives a :class:`Trial` and
+        returns a number. The trial fails if the function raises, tries to exit, or returns a number that is
+        not finite or larger than :data:`LARGEST_SCORE`.
     score_unit
         Unit of the scores, for columns and reports.
     """
@@ -89,7 +89,7 @@ class PythonMerit(Merit):
     def _function(cls, value: str) -> str:
         file, _, name = value.rpartition(":")
         if not file.endswith(".py") or not name.isidentifier():
-            raise ValueError(f"{value!r}: must be file.py:name, a function in a file beside the study")
+            raise ValueError(f"{value!r}: must be file.py:name, a function in a file next to the study")
         return value
 
     @property
@@ -107,12 +107,12 @@ class PythonMerit(Merit):
         own._source = read_text(folder / self.file_name)
         return own
 
-    def refused(self, why: str) -> Self:
+    def without_user_code(self, reason: str) -> Self:
         own = self.model_copy()
-        own._refusal = why
+        own._refusal = reason
         return own
 
-    def get_ready(self) -> None:
+    def prepare(self) -> None:
         self._runnable()
 
     def scores(self, context: Context, batch: PerturbationBatch) -> NDArray[np.float64]:
@@ -140,7 +140,7 @@ class PythonMerit(Merit):
             lens=context.lens,
             placement=system,
             deltas=dict(zip(columns, one.values[0].tolist(), strict=True)),
-            number=one.numbers[0] if one.numbers else None,
+            number=one.trial_numbers[0] if one.trial_numbers else None,
             _context=context,
             _batch=one,
             _wavelength_um=self.wavelength_um,
@@ -163,12 +163,12 @@ def _number(value: Any, function: str) -> float:
 
 @lru_cache(maxsize=32)
 def function_of(source: str, function: str) -> Any:
-    """The function in the text of a file, which is run.
+    """Run the text of a file and return one of its functions.
 
     Raises
     ------
     DesignError
-        If the text is no Python, fails when run, or has no such function.
+        If the text is not valid Python, fails when it runs, or has no such function.
     """
     file, _, name = function.rpartition(":")
     namespace: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lensdesign.raytrace.bundles import PupilSamples
 
 SAME_HEIGHT = 1e-6
-"""Field heights that differ by less than this fraction of the half field are one."""
+"""Field heights that differ by less than this fraction of the half field count as equal."""
 
 
 class RayMerit(Merit):
@@ -29,8 +29,8 @@ class RayMerit(Merit):
     Attributes
     ----------
     field_points_mm
-        Object points (x, y). Default: the whole field, that is its axis, eight points on its rim, and eight
-        more at the height where the nominal lens has its largest angle, if that is neither of both.
+        Object points (x, y). Default: the axis, eight points on the edge of the field, and eight points at
+        the height of the largest ray angle of the nominal lens if that is another height.
     """
 
     field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
@@ -53,35 +53,35 @@ class RayMerit(Merit):
         return self.location, *super().details
 
     def points(self, lens: Lens) -> Points:
-        """The field points at which this lens is judged."""
+        """Return the field points at which a lens is evaluated."""
         if self.field_points_mm:
             return self.field_points_mm
         return ((0.0, 0.0), *_ring(lens.half_field_mm))
 
     def extreme_points(self, context: Context) -> Points:
-        """The field points, and behind them those of the extreme rays of the nominal lens."""
+        """Return the field points, followed by those of the extreme rays of the nominal lens."""
         points, lens = self.points(context.lens), context.lens
         if self.field_points_mm:
             return points
         wavelength = context.wavelength_um(self.wavelength_um)
 
-        def work() -> Points:
+        def compute() -> Points:
             from lensdesign.analysis.spread import largest_spread
 
             height = float(np.hypot(*largest_spread(lens, wavelength).field_mm))
-            known = min(height, lens.half_field_mm - height)
-            return points if known <= SAME_HEIGHT * lens.half_field_mm else (*points, *_ring(height))
+            difference = min(height, lens.half_field_mm - height)
+            return points if difference <= SAME_HEIGHT * lens.half_field_mm else (*points, *_ring(height))
 
-        return context.kept(("extreme field points", wavelength), work)
+        return context.cached(("extreme field points", wavelength), compute)
 
     def stop_samples(self, context: Context, plane_mm: float | None = None) -> PupilSamples:
-        """Points on the stop through which rays go; extreme rays of the nominal lens have no weight."""
+        """Return the sample points on the stop; extreme rays of the nominal lens have no weight."""
         own = () if plane_mm is None else (plane_mm,)
         planes = tuple(dict.fromkeys((*context.lens.sensor.plane_distances_mm, *own)))
         return context.extreme_samples(self.extreme_points(context), self.wavelength_um, planes)
 
     def rays_of(self, context: Context, batch: PerturbationBatch, plane_mm: float | None = None) -> Arrival:
-        """Rays to the first sensor plane, shape (trials, field points * stop points, ...)."""
+        """Trace rays to the first sensor plane, shape (trials, field points * stop points, ...)."""
         stop = self.stop_samples(context, plane_mm)
         return context.rays(batch, self.extreme_points(context), self.wavelength_um, stop)
 
@@ -103,8 +103,8 @@ class FootprintRadius(RayMerit):
     Attributes
     ----------
     plane_distance_mm
-        The plane, from the nominal exit vertex; the last sensor plane where left out. It moves and tilts
-        with the sensor.
+        Distance of the plane from the nominal exit vertex; default: the last sensor plane. The plane moves
+        and tilts with the sensor.
     """
 
     plane_distance_mm: Positive | None = None
@@ -129,7 +129,7 @@ class FootprintRadius(RayMerit):
 
 
 class Throughput(RayMerit):
-    """Share of the light through the stop that arrives, all field points weighing the same."""
+    """Fraction of the light through the stop that reaches the sensor, with equal weights for field points."""
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         rays, weighted = self.rays_of(context, batch), len(self.points(context.lens))
@@ -140,12 +140,12 @@ class Throughput(RayMerit):
 
 
 def _largest(values: Array, ok: NDArray[np.bool_]) -> Array:
-    """Largest value of the rays that arrived, by trial; NaN where none did."""
+    """Return the largest value of the rays that arrived, for each trial; NaN if none arrived."""
     largest = np.max(np.where(ok, values, -np.inf), axis=-1)
     return np.where(np.isfinite(largest), largest, np.nan)
 
 
 def _ring(height_mm: float) -> Points:
-    """Eight field points at one height."""
+    """Return eight field points at one height."""
     angles = np.arange(8) * np.pi / 4.0
     return tuple((float(height_mm * np.cos(a)), float(height_mm * np.sin(a))) for a in angles)

@@ -35,15 +35,27 @@ MERITS: dict[str, type[Merit]] = {
     "reconstruction": Reconstruction,
     "python": PythonMerit,
 }
-"""Merits by the kind that a study file gives."""
+"""Merits by their kind in a study file."""
 
 
 def merit_from_table(table: dict[str, Any], source: str) -> Merit:
     """Read one ``[[merit]]`` table.
 
+    Parameters
+    ----------
+    table
+        Keys and values of the table.
+    source
+        File and table, for error messages.
+
     Raises
     ------
     DesignError
-        For each fault: which key and value, and what is allowed.
+        If a key or value is not allowed. The message lists every fault.
+
+    Examples
+    --------
+    >>> merit_from_table({"kind": "strehl", "at_least": 0.8}, "study.toml").column
+    'strehl'
     """
     return validate(pick(MERITS, table, "kind", source), table, source)

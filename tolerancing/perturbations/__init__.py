@@ -1,6 +1,4 @@
-"""What can be wrong with a lens as made and mounted, and how likely: parameters, distributions, draws, and
-the perturbed systems that follow.
-"""
+"""Perturbations: parameters, their distributions, random draws, and the perturbed systems."""
 
 import lazy_loader
 

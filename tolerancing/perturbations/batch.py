@@ -1,4 +1,4 @@
-"""Realised perturbations: from drawn deltas to the lens, object, sensor and light of each trial."""
+"""Sampled perturbations: from drawn deltas to the lens, object, sensor and light of each trial."""
 
 from __future__ import annotations
 
@@ -25,74 +25,76 @@ from tolerancing.perturbations.parameters import (
 )
 from wavesim.scene.placement import Placement
 
-D_LINE_UM = 0.5875618
-"""Of helium, at which catalogues state n_d and the Abbe number."""
-
-ACROSS = ("decenter_x_mm", "decenter_y_mm")
+LATERAL = ("decenter_x_mm", "decenter_y_mm")
 
 
 @dataclass(frozen=True, eq=False)
 class PerturbationBatch:
-    """Realised deltas of several trials.
+    """Sampled deltas of several trials.
 
     Attributes
     ----------
     parameters : tuple of PerturbedParameter
-        What the columns of `values` perturb; columns of one and the same parameter add up.
+        Perturbed parameters, one for each column of `values`. Columns of the same parameter add up.
     values : ndarray, shape (trials, parameters)
         Deltas from nominal, in the units of the parameters.
     pivot_z_mm
-        Where on the axis the whole lens turns, from its front vertex.
+        Position on the axis about which the whole lens tilts, from its front vertex.
     shapes : mapping of int to ndarray
-        By the column of an irregularity: each trial's figure, as :func:`irregularity.draw_shape` draws it,
-        shape (trials, terms).
-    numbers : tuple of int
-        Of the trials; empty where they have none.
+        For each column of an irregularity the figures of the trials, shape (trials, terms), as drawn by
+        :func:`irregularity.draw_shape`.
+    trial_numbers : tuple of int
+        Numbers of the trials in their study; empty if the trials have no numbers.
     origin : tuple of PerturbationBatch and int, or None
-        The batch, and the place in it, that a batch of one trial was taken from.
+        The batch that a batch of one trial was selected from, and the index of the trial in it.
     """
 
     parameters: tuple[PerturbedParameter, ...]
     values: Array
     pivot_z_mm: float = 0.0
     shapes: Mapping[int, Array] = field(default_factory=dict)
-    numbers: tuple[int, ...] = ()
+    trial_numbers: tuple[int, ...] = ()
     origin: tuple[PerturbationBatch, int] | None = None
 
     def __len__(self) -> int:
         return len(self.values)
 
     def trial(self, i: int) -> PerturbationBatch:
-        """A batch of one of these trials, counted from 0 within the batch."""
+        """Return a batch of one of these trials, counted from 0 within the batch."""
         one = slice(i, i + 1)
         shapes = {column: shape[one] for column, shape in self.shapes.items()}
         return PerturbationBatch(
-            self.parameters, self.values[one], self.pivot_z_mm, shapes, self.numbers[one], (self, i)
+            self.parameters, self.values[one], self.pivot_z_mm, shapes, self.trial_numbers[one], (self, i)
         )
 
-    def part(self, rows: slice) -> PerturbationBatch:
-        """A batch of some of these trials, which shares nothing with this one."""
-        shapes = {column: shape[rows] for column, shape in self.shapes.items()}
-        return replace(self, values=self.values[rows], shapes=shapes, numbers=self.numbers[rows], origin=None)
+    def subset(self, rows: slice) -> PerturbationBatch:
+        """Return a batch of some of these trials, which shares no cached results with this batch."""
+        return replace(
+            self,
+            values=self.values[rows],
+            shapes={column: shape[rows] for column, shape in self.shapes.items()},
+            trial_numbers=self.trial_numbers[rows],
+            origin=None,
+        )
 
     def single_trials(self) -> list[PerturbationBatch]:
-        """A batch of its own for each of these trials."""
+        """Return one batch for each of these trials."""
         return [self.trial(i) for i in range(len(self))]
 
     def poses(self) -> Pose:
-        """Poses of the lens, each perturbed value of shape (trials,)."""
+        """Return the poses of the lens, each perturbed value of shape (trials,)."""
         deltas = {name: self._sum("lens", name) for name in LENS_PARAMETERS if self._has("lens", name)}
         return Pose(**deltas, pivot_z_mm=self.pivot_z_mm)
 
     def surface_perturbations(self, lens: Lens, wavelength_um: float) -> dict[int, SurfacePerturbation]:
-        """Perturbations by surface index, each perturbed value of shape (trials,).
+        """Return perturbations by surface index, each perturbed value of shape (trials,).
 
         Parameters
         ----------
         lens
             The nominal lens.
         wavelength_um
-            The nominal wavelength; a perturbed one shows in the indices.
+            The nominal vacuum wavelength. A perturbed wavelength enters as a change of the indices.
         """
         deltas: dict[int, dict[str, Any]] = {}
 
@@ -128,51 +130,51 @@ class PerturbationBatch:
         return {surface: _perturbed(own) for surface, own in sorted(deltas.items())}
 
     def object_shift_mm(self, lens: Lens) -> Array:
-        """How far the object stands from where it should, shape (trials, 3)."""
-        across = [self._sum("object", name) for name in ACROSS]
+        """Return the shift of the object from its nominal position, shape (trials, 3)."""
+        lateral = [self._sum("object", name) for name in LATERAL]
         away = self._sum("object", "working_distance_mm")
         for column, parameter in self._heated():
             away += heat_shifts_mm(lens, self.values[:, column], parameter.mount_expansion_per_k)[0]
-        return np.column_stack([*across, -away])
+        return np.column_stack([*lateral, -away])
 
     def sensor_shift_mm(self, lens: Lens) -> Array:
-        """How far the sensor stands from where it should, shape (trials, 3).
+        """Return the shift of the sensor from its nominal position, shape (trials, 3).
 
-        Planes that err by different distances are taken by their mean: the field retrieved from them can
-        stand in one place only.
+        If the planes have different distance errors, the shift along z is their mean, because the field that
+        is retrieved from the planes has a single position.
         """
         along = self.plane_distances_mm(lens).mean(axis=1)
-        return np.column_stack([*(self._sum("sensor", name) for name in ACROSS), along])
+        return np.column_stack([*(self._sum("sensor", name) for name in LATERAL), along])
 
     def plane_distances_mm(self, lens: Lens) -> Array:
-        """How much farther each plane is than it should be, shape (trials, planes)."""
+        """Return the error of each plane's distance from the lens, shape (trials, planes)."""
         common, planes = self._sum("sensor", "distance_mm"), len(lens.sensor.plane_distances_mm)
-        farther = np.column_stack(
+        errors = np.column_stack(
             [common + self._sum("sensor", f"plane_distance_{n}_mm") for n in range(1, planes + 1)]
         )
         for column, parameter in self._heated():
-            farther += heat_shifts_mm(lens, self.values[:, column], parameter.mount_expansion_per_k)[1]
-        return farther
+            errors += heat_shifts_mm(lens, self.values[:, column], parameter.mount_expansion_per_k)[1]
+        return errors
 
     def sensor_tilt_deg(self) -> Array:
-        """Of the sensor about x and y, shape (trials, 2)."""
+        """Return the tilts of the sensor about x and y, shape (trials, 2)."""
         return np.column_stack([self._sum("sensor", name) for name in TILTS])
 
     def wavelength_shift_um(self) -> Array:
-        """How much longer the wavelength is than it should be, shape (trials,)."""
+        """Return the deviation of the wavelength from nominal, shape (trials,)."""
         return self._sum("light", "wavelength_um")
 
     def reconstruction_slices(self) -> Array:
-        """Number of slices of the reconstruction, shape (trials,); 0 leaves it to the merit."""
+        """Return the number of slices of the reconstruction, shape (trials,); 0 means the merit's default."""
         return self._sum("reconstruction", "slices")
 
     @property
     def moves_rays(self) -> bool:
-        """Whether object or sensor are perturbed."""
+        """True if the object, the sensor or the temperature is perturbed."""
         return any(p.target in ("object", "sensor", "environment") for p in self.parameters)
 
     def placements(self, lens: Lens, wavelength_um: float) -> list[Placement]:
-        """The perturbed systems, trial by trial, each with its wavelength."""
+        """Return the perturbed systems, one for each trial, each with its wavelength."""
         return [one._placement(lens, wavelength_um) for one in self.single_trials()]
 
     def _placement(self, lens: Lens, wavelength_um: float) -> Placement:
@@ -188,7 +190,7 @@ class PerturbationBatch:
         )
 
     def _heated(self) -> list[tuple[int, PerturbedParameter]]:
-        """Columns of temperatures."""
+        """Return the columns that perturb the temperature, with their indices."""
         return [(k, p) for k, p in enumerate(self.parameters) if p.target == "environment"]
 
     def _has(self, target: str, name: str) -> bool:
@@ -202,7 +204,7 @@ class PerturbationBatch:
         from tolerancing.perturbations.irregularity import random_figures
 
         semi_diameter = lens.surfaces[surface].semi_diameter_mm
-        assert semi_diameter is not None  # the study's check saw to it
+        assert semi_diameter is not None  # guaranteed by PerturbedParameter.check
         quantity = self.parameters[column].parameter.split("_")[1]
         figure = random_figures(self.shapes[column], self.values[:, column], quantity, semi_diameter)
         if "figure" in own:
@@ -211,22 +213,22 @@ class PerturbationBatch:
         own["figure"] = figure
 
     def _dispersion(self, lens: Lens, wavelength_um: float) -> dict[int, Array]:
-        """Change of index behind each surface, by surface, that perturbed wavelengths bring."""
-        shifts, places = np.unique(self.wavelength_shift_um(), return_inverse=True)
+        """Return the change of index behind each surface that follows from perturbed wavelengths."""
+        shifts, inverse = np.unique(self.wavelength_shift_um(), return_inverse=True)
         nominal = lens.indices(wavelength_um)
-        changes = np.stack([lens.indices(wavelength_um + shift) - nominal for shift in shifts])[places]
+        changes = np.stack([lens.indices(wavelength_um + shift) - nominal for shift in shifts])[inverse]
         return {i: changes[:, i + 1] for i in range(len(lens.surfaces)) if np.any(changes[:, i + 1])}
 
 
 def _perturbed(deltas: Mapping[str, Any]) -> SurfacePerturbation:
-    """A surface's perturbation from deltas by the names of parameters."""
+    """Return a surface's perturbation from deltas by parameter name."""
     named = vars(SurfacePerturbation())
     shape = {name: delta for name, delta in deltas.items() if name not in named}
     return SurfacePerturbation(**{n: delta for n, delta in deltas.items() if n in named}, shape=shape)
 
 
 def _first(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of the first trial."""
+    """Return the values of the first trial."""
 
     def first(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -239,17 +241,18 @@ def _first(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def radius_delta_mm(lens: Lens, surface: int, name: str, value: Array) -> Array:
-    """Change of radius for mm, percents, or for fringes of 632.8 nm over the clear semi-diameter.
+    """Convert a radius tolerance in mm, per cent or fringes to a change of radius in mm.
 
-    One fringe is half a wave of sag at the rim, h^2 dR / (2 R^2); more of either makes a surface flatter.
+    Fringes are those of 632.8 nm over the clear semi-diameter. One fringe is half a wave of sag at the edge,
+    h^2 dR / (2 R^2). A positive value makes the surface flatter.
     """
     from lensdesign.analysis.form_error import TEST_WAVELENGTH_UM
 
     if name.endswith("_mm"):
         return value
-    held = lens.surfaces[surface]
-    radius, semi_diameter = getattr(held, RADII[name]), held.semi_diameter_mm
-    assert radius is not None  # the study's check saw to it
+    nominal = lens.surfaces[surface]
+    radius, semi_diameter = getattr(nominal, RADII[name]), nominal.semi_diameter_mm
+    assert radius is not None  # guaranteed by PerturbedParameter.check
     if name.endswith("_percent"):
         return 0.01 * radius * value
     assert semi_diameter is not None
@@ -257,12 +260,13 @@ def radius_delta_mm(lens: Lens, surface: int, name: str, value: Array) -> Array:
 
 
 def abbe_index_delta(lens: Lens, surface: int, wavelength_um: float, percent: Array) -> Array:
-    """Change of index at a wavelength if the Abbe number is larger by so many per cent.
+    """Return the change of index at a wavelength for a relative error of the Abbe number in per cent.
 
-    The index at the helium d line stays; its difference from there shrinks as the Abbe number grows.
+    The index at the helium d line stays; the dispersion is inversely proportional to the Abbe number.
     """
-    at_d, here = (lens.indices(w)[surface + 1] for w in (D_LINE_UM, wavelength_um))
-    return (here - at_d) * (1.0 / (1.0 + 0.01 * percent) - 1.0)
+    d_line_um = 0.5875618
+    n_d, n = (lens.indices(w)[surface + 1] for w in (d_line_um, wavelength_um))
+    return (n - n_d) * (1.0 / (1.0 + 0.01 * percent) - 1.0)
 
 
 def batch_of(
@@ -270,26 +274,38 @@ def batch_of(
     values: Array,
     pivot_z_mm: float,
     seed: int,
-    numbers: Sequence[int] | None = None,
+    trial_numbers: Sequence[int] | None = None,
 ) -> PerturbationBatch:
-    """A batch with the figures of its irregularities.
+    """Return a batch together with the random figures of its irregularities.
 
     Parameters
     ----------
-    parameters, values, pivot_z_mm
-        As of :class:`PerturbationBatch`.
+    parameters : sequence of PerturbedParameter
+        Perturbed parameters, one for each column of `values`.
+    values : ndarray, shape (trials, parameters)
+        Deltas from nominal, in the units of the parameters.
+    pivot_z_mm
+        Position on the axis about which the whole lens tilts, from its front vertex.
     seed
-        The study's seed; a figure's shape depends on it, on the trial's number and on the column.
-    numbers
-        Of the trials; where left out, all have the shapes of trial 0.
+        Seed of the study. The shape of a figure depends on the seed, the trial's number and the column.
+    trial_numbers
+        Numbers of the trials; default: all trials have the shapes of trial 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> decenter = PerturbedParameter(target="lens", parameter="decenter_x_mm")
+    >>> batch = batch_of([decenter], np.array([[0.1], [-0.2]]), pivot_z_mm=0.0, seed=1)
+    >>> batch.poses().decenter_x_mm
+    array([ 0.1, -0.2])
     """
     from tolerancing.perturbations.draws import shape_generator
     from tolerancing.perturbations.irregularity import draw_shape
 
-    trials = [0] * len(values) if numbers is None else numbers
+    trials = [0] * len(values) if trial_numbers is None else trial_numbers
     shapes = {
         column: np.stack([draw_shape(shape_generator(seed, trial, column)) for trial in trials])
         for column, parameter in enumerate(parameters)
         if parameter.parameter in IRREGULARITIES
     }
-    return PerturbationBatch(tuple(parameters), values, pivot_z_mm, shapes, tuple(numbers or ()))
+    return PerturbationBatch(tuple(parameters), values, pivot_z_mm, shapes, tuple(trial_numbers or ()))

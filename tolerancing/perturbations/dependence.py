@@ -1,9 +1,9 @@
-"""What scatters together: groups that move as one, and a Gaussian copula for correlated perturbations.
+"""Dependent perturbations: groups that share one draw, and a Gaussian copula for correlations.
 
-Both act on probabilities, before distributions turn them into values, so that every perturbation keeps its
-own distribution. Correlated probabilities u become normal scores, are mixed by a factor of the correlation
-matrix, and become probabilities again (Nelsen, An Introduction to Copulas, Springer 2006, section 2.8); a
-coefficient r then shows as a rank correlation of 6/pi asin(r/2).
+Both act on probabilities, before distributions turn them into values, so every perturbation keeps its own
+distribution. For a correlation, probabilities become normal scores, a factor of the correlation matrix mixes
+the scores, and the results become probabilities again (Nelsen, An Introduction to Copulas, Springer 2006,
+section 2.8). A coefficient r then gives a rank correlation of 6/pi asin(r/2).
 """
 
 from __future__ import annotations
@@ -25,10 +25,7 @@ from tolerancing.perturbations.parameters import UNITS, with_unit
 Coefficient = Annotated[float, Field(ge=-1.0, le=1.0, allow_inf_nan=False)]
 
 ROUNDING = 1e-9
-"""How far the numbers of a correlation matrix may be off before it counts as none."""
-
-SMALLEST_PIVOT = 1e-12
-"""Share of its variance below which a perturbation follows from those before it."""
+"""Rounding error of the entries of a correlation matrix that is accepted."""
 
 
 class Correlation(Section):
@@ -39,9 +36,15 @@ class Correlation(Section):
     names
         Columns of the perturbations, with or without their unit.
     coefficient
-        Correlation of each with each other.
+        Correlation coefficient of every pair.
     matrix
-        Correlation of each with each other, by rows, in place of one coefficient.
+        Correlation matrix by rows, in place of a single coefficient.
+
+    Examples
+    --------
+    >>> Correlation(names=("a", "b"), coefficient=0.5).full_matrix()
+    array([[1. , 0.5],
+           [0.5, 1. ]])
     """
 
     names: Annotated[tuple[str, ...], Field(min_length=2)]
@@ -57,7 +60,7 @@ class Correlation(Section):
     def _distinct(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         repeated = _repeated(value)
         if repeated:
-            raise ValueError(f"{repeated} stands twice")
+            raise ValueError(f"{repeated} is given twice; give each perturbation once")
         return value
 
     @model_validator(mode="after")
@@ -74,7 +77,7 @@ class Correlation(Section):
         return self
 
     def full_matrix(self) -> Array:
-        """The correlation matrix, in the order of `names`."""
+        """Return the correlation matrix, in the order of `names`."""
         if self.matrix is not None:
             return np.array(self.matrix)
         count = len(self.names)
@@ -83,14 +86,14 @@ class Correlation(Section):
 
 @dataclass(frozen=True)
 class Dependence:
-    """What the columns of a study have to do with each other.
+    """Dependences between the columns of a study.
 
     Attributes
     ----------
     leaders
-        Pairs of a column's index and that of the column that it moves with.
+        Pairs of a column's index and the index of the column whose draw it shares.
     mixtures
-        For each correlation the indices of its columns, and its lower triangular factor by rows.
+        For each correlation the indices of its columns and its lower triangular factor by rows.
     """
 
     leaders: tuple[tuple[int, int], ...] = ()
@@ -102,24 +105,24 @@ class Dependence:
         Parameters
         ----------
         probability
-            Shape (trials, columns), each within (0, 1). A trial's result depends on its own row alone.
+            Shape (trials, columns), each within (0, 1). A trial's result depends only on its own row.
 
         Returns
         -------
         ndarray, shape (trials, columns)
-            Each column still uniform; those that depend on no other as they were.
+            Dependent probabilities. Each column is still uniform; independent columns are unchanged.
         """
         from scipy.special import ndtr, ndtri
 
         result = np.array(probability, dtype=float)
-        for place, leader in self.leaders:
-            result[:, place] = probability[:, leader]
-        for places, factor in self.mixtures:
-            scores = [np.asarray(ndtri(probability[:, place])) for place in places]
-            for place, row in zip(places, factor, strict=True):
-                # Unlike a matrix product's, these sums come out alike however many trials there are.
-                mixed = sum(share * score for share, score in zip(row, scores, strict=True) if share)
-                result[:, place] = np.clip(ndtr(mixed), SMALLEST, LARGEST)
+        for column, leader in self.leaders:
+            result[:, column] = probability[:, leader]
+        for columns, factor in self.mixtures:
+            scores = [np.asarray(ndtri(probability[:, column])) for column in columns]
+            for column, row in zip(columns, factor, strict=True):
+                # Unlike a matrix product, these sums round alike for any number of trials.
+                mixed = sum(weight * score for weight, score in zip(row, scores, strict=True) if weight)
+                result[:, column] = np.clip(ndtr(mixed), SMALLEST, LARGEST)
         return result
 
 
@@ -128,86 +131,89 @@ def study_dependence(
     correlations: Sequence[Correlation],
     groups: Mapping[str, Sequence[str]],
 ) -> Dependence:
-    """The dependence of a study's perturbations.
+    """Return the dependence of a study's perturbations.
 
     Parameters
     ----------
     columns
         Columns of the perturbations, in their order.
     correlations
-        What is correlated.
+        Correlations of the study.
     groups
-        By the group's name, columns that move together: all take the probability of the first. As in
+        Names of groups and the columns of each group, which share the draw of the first. As in
         `correlations`, a column may be named without its unit.
 
     Raises
     ------
     DesignError
-        If a name is that of no column or of several, or stands in more than one group or correlation, or
-        if a group has fewer than two members.
+        If a name matches no column or several, or is in more than one group or correlation, or if a group has
+        fewer than two members.
     """
-    taken: dict[int, str] = {}
+    used_by: dict[int, str] = {}
     leaders, mixtures = [], []
     for group, names in groups.items():
-        places = _places(names, columns, f"group {group!r}", taken)
-        if len(places) < 2:
+        indices = _column_indices(names, columns, f"group {group!r}", used_by)
+        if len(indices) < 2:
             has = f"one member, {names[0]!r}" if names else "no members"
             raise DesignError(f"group {group!r}: has {has}: must be at least 2")
-        leaders += [(place, places[0]) for place in places[1:]]
+        leaders += [(index, indices[0]) for index in indices[1:]]
     for number, correlation in enumerate(correlations, start=1):
-        places = _places(correlation.names, columns, f"correlation {number}", taken)
+        indices = _column_indices(correlation.names, columns, f"correlation {number}", used_by)
         factor = lower_factor(correlation.full_matrix())
-        mixtures.append((places, tuple(tuple(row) for row in factor.tolist())))
+        mixtures.append((indices, tuple(tuple(row) for row in factor.tolist())))
     return Dependence(tuple(leaders), tuple(mixtures))
 
 
 def lower_factor(matrix: Array) -> Array:
-    """Lower triangular factor L of a correlation matrix L L', which may be singular; rows of length 1."""
+    """Return the Cholesky factor of a correlation matrix that may be singular; its rows have length 1."""
     count = len(matrix)
     factor = np.zeros((count, count))
     for k in range(count):
         pivot = matrix[k, k] - factor[k, :k] @ factor[k, :k]
-        if pivot > SMALLEST_PIVOT:
+        # With a smaller fraction of its variance left, a perturbation follows from those before it.
+        if pivot > 1e-12:
             factor[k, k] = np.sqrt(pivot)
             for i in range(k + 1, count):
                 factor[i, k] = (matrix[i, k] - factor[i, :k] @ factor[k, :k]) / factor[k, k]
     return factor / np.sqrt(np.sum(factor**2, axis=1, keepdims=True))
 
 
-def _places(
-    names: Sequence[str], columns: Sequence[str], where: str, taken: dict[int, str]
+def _column_indices(
+    names: Sequence[str], columns: Sequence[str], source: str, used_by: dict[int, str]
 ) -> tuple[int, ...]:
-    """Indices of named columns, none of which may be taken already; they then are."""
-    places = []
+    """Return the indices of named columns and mark them as used by `source`."""
+    indices = []
     for name in names:
-        place = _place(name, columns, where)
-        if place in taken:
-            before = f"twice in {where}" if taken[place] == where else f"in {taken[place]} and in {where}"
-            raise DesignError(
-                f"{name!r} stands {before}; a perturbation can depend on others in one way only"
+        index = _column_index(name, columns, source)
+        if index in used_by:
+            both = (
+                f"twice in {source}" if used_by[index] == source else f"in {used_by[index]} and in {source}"
             )
-        taken[place] = where
-        places.append(place)
-    return tuple(places)
+            raise DesignError(
+                f"{name!r} is given {both}; a perturbation can be in one group or correlation only"
+            )
+        used_by[index] = source
+        indices.append(index)
+    return tuple(indices)
 
 
-def _place(name: str, columns: Sequence[str], where: str) -> int:
+def _column_index(name: str, columns: Sequence[str], source: str) -> int:
     if name in columns:
         return list(columns).index(name)
-    meant = [column for column in columns if column in {with_unit(name, unit) for unit in UNITS}]
-    if len(meant) == 1:
-        return list(columns).index(meant[0])
-    if meant:
-        raise DesignError(f"{where}: {name!r} may be {' or '.join(meant)}; give the unit too")
+    matches = [column for column in columns if column in {with_unit(name, unit) for unit in UNITS}]
+    if len(matches) == 1:
+        return list(columns).index(matches[0])
+    if matches:
+        raise DesignError(f"{source}: {name!r} may be {' or '.join(matches)}; give the unit too")
     listed = ", ".join(columns) + did_you_mean(name, columns)
-    raise DesignError(f"{where}: there is no perturbation {name!r}; allowed: {listed}")
+    raise DesignError(f"{source}: there is no perturbation {name!r}; allowed: {listed}")
 
 
 def _check_coefficient(coefficient: float, count: int) -> None:
     lowest = -1.0 / (count - 1)
     if coefficient < lowest - ROUNDING:
         raise ValueError(
-            f"coefficient = {coefficient:g}: {count} perturbations cannot all be correlated so; "
+            f"coefficient = {coefficient:g}: impossible for every pair of {count} perturbations; "
             f"allowed: {lowest:.4g} to 1"
         )
 
@@ -237,10 +243,10 @@ def _check_symmetric(matrix: Array, names: Sequence[str]) -> None:
 def _check_positive(matrix: Array) -> None:
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest < -ROUNDING:
-        share = np.floor(1e4 / (1.0 - smallest)) / 1e4
+        factor = np.floor(1e4 / (1.0 - smallest)) / 1e4
         raise ValueError(
-            f"matrix: nothing can be correlated so: its smallest eigenvalue is {smallest:.4g}: must not be "
-            f"negative; with all off the diagonal multiplied by {share:.4f} it is a correlation matrix"
+            f"matrix: is not a correlation matrix: its smallest eigenvalue is {smallest:.4g}: must not be "
+            f"negative; multiply all entries off the diagonal by {factor:.4f}"
         )
 
 

@@ -1,8 +1,8 @@
-"""Glass elements that move as one, and surfaces that are wedged, as deltas of their surfaces.
+"""Perturbations of glass elements and wedge of surfaces, expressed as deltas of surfaces.
 
-An element that turns takes its surfaces along: each turns by the same angles about its own vertex, and its
-vertex moves on a circle about the pivot. Wedge is a tilt, stated by what a shop reads: the total indicator
-runout of a surface, or the difference of edge thickness of an element.
+A tilted element tilts both of its surfaces: each surface tilts by the same angles about its own vertex, and
+its vertex moves on a circle about the pivot. Wedge is a tilt that is stated by the quantity that a workshop
+measures: the total indicator runout of a surface, or the difference of edge thickness of an element.
 """
 
 from __future__ import annotations
@@ -25,21 +25,28 @@ from tolerancing.perturbations.parameters import (
 )
 
 Delta = tuple[int, str, Any]
-"""Index of a surface, name of a delta of a surface, and its values."""
+"""Index of a surface, name of a surface delta, and its values."""
 
 
 def element_deltas(lens: Lens, parameters: Sequence[PerturbedParameter], values: Array) -> Iterator[Delta]:
-    """What perturbed elements do to their surfaces.
+    """Yield the deltas of surfaces that follow from perturbed elements.
 
-    Tilts about x and y with the same seat make one rotation, about x and then about the turned y axis; what
-    else moves an element adds up.
+    Tilts about x and y with the same seat make one rotation, first about x and then about the rotated y axis.
+    All other deltas of an element add up.
 
     Parameters
     ----------
     lens
         The nominal lens.
-    parameters, values
-        Of a batch: columns, and deltas of shape (trials, parameters).
+    parameters : sequence of PerturbedParameter
+        Columns of the batch.
+    values : ndarray, shape (trials, parameters)
+        Deltas of the batch.
+
+    Yields
+    ------
+    tuple
+        Surface index, name of the delta, and values of shape (trials,).
     """
     rotations: dict[tuple[int, float], dict[str, Array]] = {}
     for column, parameter in enumerate(parameters):
@@ -47,8 +54,8 @@ def element_deltas(lens: Lens, parameters: Sequence[PerturbedParameter], values:
             continue
         value, front = values[:, column], lens.glass_fronts[parameter.element]
         if parameter.parameter in EDGE_DIFFERENCES:
-            reach = mechanical_semi_diameter_mm(lens, parameter.element)
-            yield front + 1, *wedge_tilt(parameter.parameter, value, reach)
+            edge_height = mechanical_semi_diameter_mm(lens, parameter.element)
+            yield front + 1, *wedge_tilt(parameter.parameter, value, edge_height)
         elif parameter.parameter in (*TILTS, *ROLLS):
             own = rotations.setdefault((parameter.element, _pivot_z_mm(lens, parameter)), {})
             name = parameter.parameter.replace("roll", "tilt")
@@ -57,36 +64,43 @@ def element_deltas(lens: Lens, parameters: Sequence[PerturbedParameter], values:
             for surface in (front, front + 1):
                 yield surface, parameter.parameter, value
     for (element, pivot), tilts in rotations.items():
-        yield from _turned(lens, lens.glass_fronts[element], pivot, tilts)
+        yield from _tilted_surfaces(lens, lens.glass_fronts[element], pivot, tilts)
 
 
-def wedge_tilt(name: str, difference_mm: Array, reach_mm: float) -> tuple[str, Array]:
-    """The tilt by which one rim of a surface lies farther along z than the opposite one.
+def wedge_tilt(name: str, difference_mm: Array, edge_height_mm: float) -> tuple[str, Array]:
+    """Return the tilt of a surface whose opposite edges differ in z.
 
     Parameters
     ----------
     name
-        Of a parameter with ``_x_`` or ``_y_``: the axis along which the rims lie.
-    difference_mm
-        z of the rim at positive x (or y) less that at negative.
-    reach_mm
-        Radial height of both rims.
+        Name of the parameter. Its ``_x_`` or ``_y_`` names the axis along which the two edges lie.
+    difference_mm : ndarray, shape (trials,)
+        z of the edge at positive x (or y) minus z of the edge at negative x (or y).
+    edge_height_mm
+        Distance of both edges from the axis.
+
+    Returns
+    -------
+    name : str
+        ``tilt_x_deg`` or ``tilt_y_deg``.
+    angle_deg : ndarray, shape (trials,)
+        The tilt.
     """
-    angle = np.rad2deg(np.arcsin(np.clip(difference_mm / (2.0 * reach_mm), -1.0, 1.0)))
-    # Right-handed: a turn about x raises the rim at positive y, one about y lowers that at positive x.
+    angle = np.rad2deg(np.arcsin(np.clip(difference_mm / (2.0 * edge_height_mm), -1.0, 1.0)))
+    # Right-handed: a tilt about x raises the edge at positive y; a tilt about y lowers that at positive x.
     return ("tilt_x_deg", angle) if "_y_" in name else ("tilt_y_deg", -angle)
 
 
 def runout_tilt(lens: Lens, surface: int, name: str, value: Array) -> tuple[str, Array]:
-    """The tilt of a surface that runs out by so much at its clear semi-diameter."""
+    """Return the tilt of a surface from its total indicator runout in mm at the clear semi-diameter."""
     assert name in RUNOUTS
-    reach = lens.surfaces[surface].semi_diameter_mm
-    assert reach is not None  # the study's check saw to it
-    return wedge_tilt(name, value, reach)
+    semi_diameter = lens.surfaces[surface].semi_diameter_mm
+    assert semi_diameter is not None  # guaranteed by PerturbedParameter.check
+    return wedge_tilt(name, value, semi_diameter)
 
 
 def _pivot_z_mm(lens: Lens, parameter: PerturbedParameter) -> float:
-    """Where on the axis an element turns, from the front vertex of the lens."""
+    """Return the position on the axis about which an element tilts, from the front vertex of the lens."""
     assert parameter.element is not None
     front = lens.glass_fronts[parameter.element]
     if isinstance(parameter.seat, float):
@@ -95,11 +109,12 @@ def _pivot_z_mm(lens: Lens, parameter: PerturbedParameter) -> float:
     vertex, radius = float(lens.vertex_z_mm[surface]), lens.surfaces[surface].radius_mm
     if parameter.parameter not in ROLLS:
         return vertex
-    assert radius is not None  # the study's check saw to it
+    assert radius is not None  # guaranteed by PerturbedParameter.check
     return vertex + radius
 
 
-def _turned(lens: Lens, front: int, pivot_z_mm: float, tilts: dict[str, Array]) -> Iterator[Delta]:
+def _tilted_surfaces(lens: Lens, front: int, pivot_z_mm: float, tilts: dict[str, Array]) -> Iterator[Delta]:
+    """Yield the deltas of the two surfaces of an element that tilts about a point on the axis."""
     rotation, shift = Pose(pivot_z_mm=pivot_z_mm, **tilts).transform()
     for surface in (front, front + 1):
         z = float(lens.vertex_z_mm[surface])

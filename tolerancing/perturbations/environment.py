@@ -1,4 +1,4 @@
-"""The lens at other temperatures: what heat does to surfaces, spaces and indices, as their deltas."""
+"""Thermal perturbations: deltas of surfaces, spaces and refractive indices at other temperatures."""
 
 from __future__ import annotations
 
@@ -18,35 +18,40 @@ from lensdesign.lens.temperature import growth, heated_keys, heated_material
 def heat_deltas(
     lens: Lens, change_c: Array, mount_expansion_per_k: float, wavelength_um: float
 ) -> Iterator[tuple[int, str, Array]]:
-    """Deltas of surfaces at temperatures, as perturbations know them: surface, parameter, shape (trials,).
+    """Yield the deltas of surfaces at other temperatures.
 
-    Clear apertures stay as they are: rays are clipped where they are in the nominal lens.
+    Clear apertures keep their nominal size, so rays are clipped as in the nominal lens.
 
     Parameters
     ----------
     lens
         The nominal lens.
     change_c : ndarray, shape (trials,)
-        Temperatures, from that at which the design holds.
+        Temperature differences from the temperature of the design.
     mount_expansion_per_k
-        Of what holds the spaces of air.
+        Coefficient of linear expansion of the mount, which sets the air spaces.
     wavelength_um
-        Of the light.
+        Vacuum wavelength.
+
+    Yields
+    ------
+    tuple
+        Surface index, name of the delta, and values of shape (trials,).
 
     Raises
     ------
     MaterialError
-        If it is not known what heat does to a glass.
+        If the thermal data of a glass are unknown.
     """
     grown, indices = growth(lens, mount_expansion_per_k), lens.indices(wavelength_um)
-    shifts, places = np.unique(change_c, return_inverse=True)
+    shifts, inverse = np.unique(change_c, return_inverse=True)
     for i, surface in enumerate(lens.surfaces):
-        shares = (grown.surfaces_per_k[i] * shifts).tolist()
-        moved = [surface.replaced(**heated_keys(surface, share)) for share in shares]
+        strains = (grown.surfaces_per_k[i] * shifts).tolist()
+        heated = [surface.replaced(**heated_keys(surface, strain)) for strain in strains]
         for name in surface.shape_parameters:
-            values = np.array([_value(one, name) - _value(surface, name) for one in moved])
+            values = np.array([_value(one, name) - _value(surface, name) for one in heated])
             if np.any(values):
-                yield i, name, values[places]
+                yield i, name, values[inverse]
         if i < len(lens.surfaces) - 1:
             yield i, "thickness_mm", float(grown.thickness_mm_per_k[i]) * change_c
         hot = [heated_material(lens, i, REFERENCE_C + shift) for shift in shifts.tolist()]
@@ -55,14 +60,19 @@ def heat_deltas(
             for m in hot
         ]
         if np.any(changes):
-            yield i, "index", np.array(changes)[places]
+            yield i, "index", np.array(changes)[inverse]
 
 
 def heat_shifts_mm(lens: Lens, change_c: Array, mount_expansion_per_k: float) -> tuple[Array, Array]:
-    """How much farther object and planes are at temperatures, shapes (trials,) and (trials, planes).
+    """Return the thermal shifts of the object and of the sensor planes, away from the lens.
 
-    The object from the front vertex; the planes from where they stand in the nominal lens, since the exit
-    vertex, from which they are measured, moves with the thicknesses.
+    Returns
+    -------
+    object_mm : ndarray, shape (trials,)
+        Change of the distance between the object and the front vertex.
+    planes_mm : ndarray, shape (trials, planes)
+        Shift of each plane from its nominal position. It includes the motion of the exit vertex, from which
+        plane distances are measured and which moves with the thicknesses.
     """
     grown = growth(lens, mount_expansion_per_k)
     planes = grown.planes_mm_per_k + grown.thickness_mm_per_k.sum()
@@ -70,7 +80,7 @@ def heat_shifts_mm(lens: Lens, change_c: Array, mount_expansion_per_k: float) ->
 
 
 def _value(surface: Surface, parameter: str) -> float:
-    """What a surface has of a parameter of its shape; 0 for the radius of a plane, which stays one."""
+    """Return a shape parameter of a surface; 0 for the radius of a plane, which stays a plane."""
     if parameter in surface.shape_class.KEYS:
         return float(getattr(surface, parameter) or 0.0)
     shape = surface.shape

@@ -1,8 +1,8 @@
-"""Starting tolerances: a study file to edit, from a design and a grade of workmanship.
+"""Starting tolerances: a study file to edit, made from a design and a manufacturing grade.
 
-Grades ``commercial``, ``precision`` and ``high_precision`` are what manufacturers' tolerance charts usually
-list under these names. Grade ``iso10110`` takes what ISO 10110-11 (1996 edition, table 1) says of data that a
-drawing gives no tolerance for. Neither replaces the shop's own figures, or the standard's current edition.
+The grades ``commercial``, ``precision`` and ``high_precision`` follow the usual tolerance charts of
+manufacturers. The grade ``iso10110`` uses the general tolerances of ISO 10110-11 (1996 edition, table 1),
+which apply if a drawing gives none. Neither replaces the values of the manufacturer or the current standard.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from lensdesign.errors import InputError
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.tolerances import GENERAL, MERCURY_LINE_UM
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 
 COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601
 
 PUPIL_SAMPLES = {"commercial": 256, "precision": 128, "high_precision": 128, "iso10110": 256}
-
-PATCH_RESOLUTIONS = 100
-"""Of the object that a loss is expected of: as many as a few milliseconds carry."""
-
-LARGEST_CONIC = 0.01
-LARGEST_RADIUS_PERCENT = 10.0
+"""Samples across the pupil that resolve the wavefront errors of each grade."""
 
 
 @dataclass(frozen=True)
 class Grade:
-    """Tolerances of one grade; each is the largest deviation either way.
+    """Tolerances of one grade; each is the largest deviation of either sign.
 
     Attributes
     ----------
-    radius_percent, thickness_mm, irregularity_pv_waves, wedge_deg
-        Of a glass part. Irregularity: of the surface, peak to valley, at 632.8 nm. Wedge: tilt of each
-        surface against the ground edge.
+    radius_percent, thickness_mm
+        Radius and centre thickness of a glass part.
+    irregularity_pv_waves
+        Irregularity of a surface, peak to valley, in waves of 632.8 nm.
+    wedge_deg
+        Tilt of each surface of a glass part against the ground edge.
     asphere_decenter_mm
-        Of a conic or aspheric surface against the part's axis.
+        Decenter of a conic or aspheric surface against the axis of the part.
     index, abbe_percent
-        Of the glass.
-    lens_decenter_mm, lens_tilt_deg, distance_mm, sensor_tilt_deg
-        Of the mount. Distances: between parts, to the object, to the sensor.
+        Refractive index and Abbe number of the glass.
+    lens_decenter_mm, lens_tilt_deg, sensor_tilt_deg
+        Decenter and tilt in the mount.
+    distance_mm
+        Distances between parts, to the object and to the sensor.
     """
 
     radius_percent: float
@@ -76,30 +76,30 @@ GRADES: dict[str, Grade | None] = {
     "high_precision": HIGH_PRECISION,
     "iso10110": None,
 }
-"""Grades by name; the standard's is worked out for each part."""
+"""Grades by name; None: the tolerances depend on the size of the part."""
 
 
 def starting_study(lens: Lens, design_name: str, grade: str) -> str:
-    """A study file to start from.
+    """Return the text of a study file with starting tolerances.
 
     Parameters
     ----------
     lens
         The nominal lens.
     design_name
-        Its design file, relative to where the study is to stand.
+        Its design file, relative to the folder of the study file.
     grade
         One of `GRADES`.
 
     Returns
     -------
     str
-        Text of a TOML file, with a comment on where each number comes from.
+        Text of a TOML file, with a comment on the source of each number.
 
     Raises
     ------
     InputError
-        If there is no such grade, or a part is larger than what the standard's table covers.
+        If the grade is unknown, or a part is larger than the table of the standard covers.
     DesignError
         If no ray passes the nominal lens.
     """
@@ -107,7 +107,7 @@ def starting_study(lens: Lens, design_name: str, grade: str) -> str:
         known = ", ".join(GRADES) + did_you_mean(grade, GRADES)
         raise InputError(f"grade = {grade!r}: there is no such grade; allowed: {known}")
     blocks = [_head(lens, design_name, grade), _mounting(lens, grade)]
-    blocks += [_surface(lens, number, grade) for number in range(len(lens.surfaces))]
+    blocks += [_surface(lens, index, grade) for index in range(len(lens.surfaces))]
     blocks.append(_merits(lens))
     return "\n".join(block for block in blocks if block).replace("\n\n\n", "\n\n").rstrip("\n") + "\n"
 
@@ -121,67 +121,67 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
     if grade == "iso10110":
         lines += [
             "# Parts: ISO 10110-11:1996, table 1, general tolerances by the largest dimension of the part.",
-            "# Later editions differ; check against the one that the drawing names. Of glass, of aspheres'",
-            "# decenter and of mounts it says nothing: for these stand the values of the commercial grade.",
+            "# Later editions differ; check against the edition that the drawing names. The standard has no",
+            "# tolerances for glass, decenter of aspheres and mounts: these are of the commercial grade.",
         ]
     else:
-        lines += ["# Parts, glass and mounts: values that makers' tolerance charts give for this grade."]
+        lines += ["# Parts, glass and mounts: values of manufacturers' tolerance charts for this grade."]
     lines += [
         tomli_w.dumps({"title": title, "design": design_name}).rstrip("\n"),
         f"trials = {TRIALS}",
         f"seed = {SEED}",
-        _commented("pivot_z_mm = 0.0", "the lens turns about its front vertex"),
+        _commented("pivot_z_mm = 0.0", "the lens tilts about its front vertex"),
         "",
         "[sampling]",
-        _commented(f"pupil_samples = {PUPIL_SAMPLES[grade]}", "enough for the waves that this grade brings"),
+        _commented(f"pupil_samples = {PUPIL_SAMPLES[grade]}", "resolves the wavefront errors of this grade"),
     ]
     return "\n".join(lines) + "\n"
 
 
 def _mounting(lens: Lens, grade: str) -> str:
     mount = GRADES[grade] or COMMERCIAL
-    across, tilt, along = mount.lens_decenter_mm, mount.lens_tilt_deg, mount.distance_mm
+    decenter, tilt, distance = mount.lens_decenter_mm, mount.lens_tilt_deg, mount.distance_mm
     text = "# Mounting\n"
     for axis in "xy":
-        text += _perturbation("lens", f"decenter_{axis}_mm", across, f"+-{across:g} mm in its mount")
+        text += _perturbation("lens", f"decenter_{axis}_mm", decenter, f"+-{decenter:g} mm in its mount")
     for axis in "xy":
         text += _perturbation("lens", f"tilt_{axis}_deg", tilt, f"+-{tilt:g} deg in its mount")
-    text += _perturbation("object", "working_distance_mm", along, f"+-{along:g} mm from object to lens")
-    text += _perturbation("sensor", "distance_mm", along, f"+-{along:g} mm from lens to sensor")
+    text += _perturbation("object", "working_distance_mm", distance, f"+-{distance:g} mm from object to lens")
+    text += _perturbation("sensor", "distance_mm", distance, f"+-{distance:g} mm from lens to sensor")
     for axis in "xy":
         angle = mount.sensor_tilt_deg
         text += _perturbation("sensor", f"tilt_{axis}_deg", angle, f"+-{angle:g} deg")
     return text
 
 
-def _surface(lens: Lens, number: int, grade: str) -> str:
-    """Perturbations of a surface and of what stands between it and the next."""
-    surface, target = lens.surfaces[number], f"surface {number + 1}"
-    made = _made(lens, number, grade)
+def _surface(lens: Lens, index: int, grade: str) -> str:
+    """Return the perturbations of a surface and of the medium behind it."""
+    surface, target = lens.surfaces[index], f"surface {index + 1}"
+    made = _part_tolerances(lens, index, grade)
     keys = surface.shape_keys
     radii = [key for key in keys if key.startswith("radius") and keys[key] is not None]
-    text = "".join(_radius(lens, number, key, made) for key in radii)
+    text = "".join(_radius(lens, index, key, made) for key in radii)
     waves = made.grade.irregularity_pv_waves
     if surface.semi_diameter_mm is not None:
         text += _irregularity(target, waves, made.irregularity)
     if surface.kind not in ("plane", "sphere"):
-        text += "".join(_conic(lens, number, key, made) for key in radii)
+        text += "".join(_conic(lens, index, key, made) for key in radii)
         for axis in "xy":
-            across = made.grade.asphere_decenter_mm
-            comment = f"+-{across:g} mm against the part's axis"
-            text += _perturbation(target, f"decenter_{axis}_mm", across, comment)
-    if {number - 1, number} & set(lens.glass_fronts):
-        # A sheet states the centring of both surfaces of a part, against its ground edge.
+            decenter = made.grade.asphere_decenter_mm
+            comment = f"+-{decenter:g} mm against the part's axis"
+            text += _perturbation(target, f"decenter_{axis}_mm", decenter, comment)
+    if {index - 1, index} & set(lens.glass_fronts):
+        # A drawing states the centring of both surfaces of a part, against its ground edge.
         for axis in "xy":
             text += _perturbation(target, f"tilt_{axis}_deg", made.grade.wedge_deg, made.wedge)
-    if number < len(lens.surfaces) - 1:
-        text += _space_behind(lens, number, made)
-    return f"# Surface {number + 1}\n{text}" if text else ""
+    if index < len(lens.surfaces) - 1:
+        text += _space_behind(lens, index, made)
+    return f"# Surface {index + 1}\n{text}" if text else ""
 
 
 @dataclass(frozen=True)
-class _Made:
-    """A grade for one part, with what to say of its numbers."""
+class _PartTolerances:
+    """Tolerances of one part, with comments on their source."""
 
     grade: Grade
     radius: str
@@ -191,22 +191,22 @@ class _Made:
     sagitta_fringes: float | None = None
 
 
-def _made(lens: Lens, number: int, grade: str) -> _Made:
+def _part_tolerances(lens: Lens, index: int, grade: str) -> _PartTolerances:
     chosen = GRADES[grade]
     if chosen is not None:
-        return _Made(
+        return _PartTolerances(
             chosen,
             radius=f"+-{chosen.radius_percent:g} %",
             thickness=f"+-{chosen.thickness_mm:g} mm",
             irregularity=f"surface, 0 to {chosen.irregularity_pv_waves:g} waves of 632.8 nm",
             wedge=f"+-{60.0 * chosen.wedge_deg:g} arc minutes against the ground edge",
         )
-    dimension = _largest_dimension_mm(lens, number)
+    dimension = _largest_dimension_mm(lens, index)
     up_to_mm = next((most for most in GENERAL if dimension <= most), None)
     if up_to_mm is None:
         raise InputError(
-            f"grade = 'iso10110': surface {number + 1}: the part measures {dimension:.4g} mm; the table of "
-            f"ISO 10110-11 ends at {max(GENERAL):g} mm; take another grade"
+            f"grade = 'iso10110': surface {index + 1}: the part measures {dimension:.4g} mm; the table of "
+            f"ISO 10110-11 ends at {max(GENERAL):g} mm; use another grade"
         )
     thickness, form = GENERAL[up_to_mm].thickness_mm, GENERAL[up_to_mm].left
     sagitta, irregularity, minutes = form.radius_fringes, form.irregularity_fringes, form.centring_arcmin
@@ -215,7 +215,7 @@ def _made(lens: Lens, number: int, grade: str) -> _Made:
     assert sagitta is not None
     assert irregularity is not None
     assert minutes is not None
-    diameter = 2.0 * (lens.surfaces[number].semi_diameter_mm or 0.5 * dimension)
+    diameter = 2.0 * (lens.surfaces[index].semi_diameter_mm or 0.5 * dimension)
     tested = min(diameter, form.test_diameter_mm or up_to_mm)
     values = vars(COMMERCIAL) | {
         "thickness_mm": thickness,
@@ -223,7 +223,7 @@ def _made(lens: Lens, number: int, grade: str) -> _Made:
         "wedge_deg": minutes / 60.0,
     }
     indication = f"3/{sagitta:g}({irregularity:g})"
-    return _Made(
+    return _PartTolerances(
         Grade(**values),
         radius=f"{indication} over {tested:.3g} mm: {sagitta:g} fringes of 546 nm",
         thickness=f"+-{thickness:g} mm for parts up to {up_to_mm:g} mm",
@@ -233,20 +233,21 @@ def _made(lens: Lens, number: int, grade: str) -> _Made:
     )
 
 
-def _radius(lens: Lens, number: int, key: str, made: _Made) -> str:
-    surface, target = lens.surfaces[number], f"surface {number + 1}"
+def _radius(lens: Lens, index: int, key: str, made: _PartTolerances) -> str:
+    surface, target = lens.surfaces[index], f"surface {index + 1}"
     radius, semi_diameter, name = getattr(surface, key), surface.semi_diameter_mm, key.removesuffix("_mm")
     percent, fringes = made.grade.radius_percent, made.sagitta_fringes
     if fringes is None:
         return _perturbation(target, f"{name}_percent", percent, made.radius)
     if semi_diameter is None:
-        comment = f"commercial: without a clear aperture {made.radius.split(':')[0]} says nothing"
+        comment = f"commercial: {made.radius.split(':')[0]} needs a clear aperture, which is missing"
         return _perturbation(target, f"{name}_percent", percent, comment)
-    # One fringe of sag at the rim is half a wave, h^2 dR / (2 R^2).
+    # One fringe of sag at the edge is half a wave, h^2 dR / (2 R^2).
     equivalent = 100.0 * fringes * 1e-3 * TEST_WAVELENGTH_UM * abs(radius) / semi_diameter**2
-    if equivalent > LARGEST_RADIUS_PERCENT:
-        comment = f"cut; {made.radius} would be {equivalent:.3g} %"
-        return _perturbation(target, f"{name}_percent", LARGEST_RADIUS_PERCENT, comment)
+    largest_percent = 10.0
+    if equivalent > largest_percent:
+        comment = f"reduced; {made.radius} would be {equivalent:.3g} %"
+        return _perturbation(target, f"{name}_percent", largest_percent, comment)
     return _perturbation(target, f"{name}_fringes", fringes, made.radius)
 
 
@@ -262,36 +263,40 @@ def _irregularity(target: str, waves: float, comment: str) -> str:
     )
 
 
-def _conic(lens: Lens, number: int, radius_key: str, made: _Made) -> str:
-    """Of the conic constant that goes with a radius."""
-    surface, target = lens.surfaces[number], f"surface {number + 1}"
-    conic, comment = LARGEST_CONIC, "a guess"
+def _conic(lens: Lens, index: int, radius_key: str, made: _PartTolerances) -> str:
+    """Return the perturbation of the conic constant that belongs to a radius."""
+    surface, target = lens.surfaces[index], f"surface {index + 1}"
+    largest = 0.01
+    conic, comment = largest, "a guess"
     if surface.semi_diameter_mm is not None:
-        # Of sag h^4 dk / (8 R^3) a quarter is left, peak to valley, once power is taken out.
+        # Without power, a quarter of the sag h^4 dk / (8 R^3) remains, peak to valley.
         pv_mm = 1e-3 * TEST_WAVELENGTH_UM * made.grade.irregularity_pv_waves
         allowed = 32.0 * pv_mm * abs(getattr(surface, radius_key)) ** 3 / surface.semi_diameter_mm**4
-        conic = min(allowed, LARGEST_CONIC)
-        comment = "as much as the irregularity allows" if conic == allowed else "a guess"
+        conic = min(allowed, largest)
+        comment = "equivalent to the irregularity" if conic == allowed else "a guess"
     key = radius_key.removesuffix("_mm").replace("radius", "conic")
     return _perturbation(target, key, conic, comment)
 
 
-def _space_behind(lens: Lens, number: int, made: _Made) -> str:
-    target, grade = f"surface {number + 1}", made.grade
-    if number not in lens.glass_fronts:
-        along = grade.distance_mm
-        return _perturbation(target, "thickness_mm", along, f"+-{along:g} mm between parts, of the mount")
+def _space_behind(lens: Lens, index: int, made: _PartTolerances) -> str:
+    """Return the perturbations of the air space or the glass behind a surface."""
+    target, grade = f"surface {index + 1}", made.grade
+    if index not in lens.glass_fronts:
+        distance = grade.distance_mm
+        return _perturbation(
+            target, "thickness_mm", distance, f"+-{distance:g} mm between parts, of the mount"
+        )
     text = _perturbation(target, "thickness_mm", grade.thickness_mm, made.thickness)
     text += _perturbation(target, "index", grade.index, f"+-{grade.index:g}, of the melt")
-    if isinstance(lens.surfaces[number].material, str):
+    if isinstance(lens.surfaces[index].material, str):
         abbe = grade.abbe_percent
         text += _perturbation(target, "abbe_percent", abbe, f"+-{abbe:g} %, of the melt")
     return text
 
 
-def _largest_dimension_mm(lens: Lens, number: int) -> float:
-    """Largest dimension of the glass part that a surface belongs to: its diameter, or its thickness."""
-    first = last = number
+def _largest_dimension_mm(lens: Lens, index: int) -> float:
+    """Return the largest dimension of the glass part of a surface: its diameter or its thickness."""
+    first = last = index
     while first - 1 in lens.glass_fronts:
         first -= 1
     while last in lens.glass_fronts:
@@ -308,27 +313,29 @@ def _merits(lens: Lens) -> str:
     wavelength = lens.wavelengths_um[0]
     limit = match(lens, wavelength)
     off_axis = _number(0.7 * lens.half_field_mm)
-    patch = min(1e-3 * PATCH_RESOLUTIONS * limit.resolution_um, lens.object.field_diameter_mm)
-    text = "# What a good system does\n"
+    # A patch of this many resolution elements is evaluated in a few milliseconds.
+    patch_resolutions = 100
+    patch = min(1e-3 * patch_resolutions * limit.resolution_um, lens.object.field_diameter_mm)
+    text = "# Requirements\n"
     text += _table(
         "merit",
         ("kind", "reconstruction_loss", "axis, 0.7 of the half field"),
-        ("patch_mm", _number(patch), f"{PATCH_RESOLUTIONS} x wavelength / (2 NA), or the field"),
+        ("patch_mm", _number(patch), f"{patch_resolutions} x wavelength / (2 NA), or the field"),
         ("field_points_mm", [[0.0, 0.0], [0.0, off_axis]], ""),
-        ("at_most", 0.05, "of its correlation"),
+        ("at_most", 0.05, "loss of correlation"),
     )
     width = _number(1.5 * limit.resolution_um)
-    for place, field in (("axis", [0.0, 0.0]), ("field", [0.0, off_axis])):
+    for location, field in (("axis", [0.0, 0.0]), ("field", [0.0, off_axis])):
         text += _table(
             "merit",
-            ("name", f"fine_contrast_{place}", ""),
+            ("name", f"fine_contrast_{location}", ""),
             ("kind", "line_pair_contrast", "of a field known behind the lens, refocused"),
             ("line_width_um", width, "1.5 x wavelength / (2 NA)"),
-            ("field_mm", field, "the axis" if place == "axis" else "0.7 of the half field"),
+            ("field_mm", field, "the axis" if location == "axis" else "0.7 of the half field"),
             ("at_least", 0.5, ""),
         )
     edge = lens.half_field_mm
-    points = [[0.0, min(_number(share * edge), edge)] for share in FIELD_SHARES]
+    points = [[0.0, min(_number(fraction * edge), edge)] for fraction in FIELD_FRACTIONS]
     text += _table(
         "merit",
         ("kind", "rms_waves", ""),
@@ -344,10 +351,10 @@ def _spread(lens: Lens, limit_deg: float) -> str:
     nominal = largest_spread(lens).spread_deg
     if limit_deg >= 90.0:
         return "# No limit to the spread behind the lens: the pixels resolve every angle.\n"
-    room, comment = 1.02 * limit_deg, f"2 % above Eq. 2's {limit_deg:.4g} deg"
-    if 1.01 * nominal > room:
-        room, comment = 1.01 * nominal, f"1 % above the nominal lens; Eq. 2 asks for {limit_deg:.4g} deg"
-    return _table("merit", ("kind", "largest_spread_deg", ""), ("at_most", _number(room), comment))
+    at_most, comment = 1.02 * limit_deg, f"2 % above the {limit_deg:.4g} deg of Eq. 2"
+    if 1.01 * nominal > at_most:
+        at_most, comment = 1.01 * nominal, f"1 % above the nominal lens; Eq. 2 requires {limit_deg:.4g} deg"
+    return _table("merit", ("kind", "largest_spread_deg", ""), ("at_most", _number(at_most), comment))
 
 
 def _perturbation(target: str, parameter: str, tolerance: float, comment: str) -> str:
@@ -362,7 +369,7 @@ def _perturbation(target: str, parameter: str, tolerance: float, comment: str) -
 
 
 def _table(key: str, *lines: tuple[str, str | float | list[Any], str]) -> str:
-    """One table of an array of tables: keys, values and comments."""
+    """Return the text of one table of an array of tables, from keys, values and comments."""
     text = [f"[[{key}]]"]
     for name, value, comment in lines:
         shown = f'"{value}"' if isinstance(value, str) else repr(value)
@@ -375,5 +382,5 @@ def _commented(text: str, comment: str) -> str:
 
 
 def _number(value: float) -> float:
-    """A number as one would write it."""
+    """Round a number to four significant digits."""
     return float(f"{value:.4g}")

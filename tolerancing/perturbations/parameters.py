@@ -1,4 +1,4 @@
-"""What is perturbed: parameters of the lens, its surfaces, the object, the sensor and the light."""
+"""Perturbed parameters of the lens, its surfaces and elements, the object, the sensor and the light."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tolerancing.perturbations.distributions.discrete import Discrete
 from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 
 SHAPE_PARAMETERS = tuple(parameters())
-"""Of the shapes of surfaces, as their modules say."""
+"""Parameters of all surface shapes."""
 
 RADII = {
     f"{radius.removesuffix('mm')}{unit}": radius
@@ -30,13 +30,13 @@ RADII = {
     if radius.startswith("radius")
     for unit in ("mm", "percent", "fringes")
 }
-"""Parameters that change a radius, with the design file's key of that radius."""
+"""Parameters that change a radius, and the design file's key of that radius."""
 
 IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")
 GLASS_PARAMETERS = ("index", "abbe_percent")
 
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
-"""Of the whole lens: the values of a pose."""
+"""Parameters of the whole lens: the values of a pose."""
 
 RUNOUTS = ("tir_x_mm", "tir_y_mm")
 """Total indicator runout of a surface at its clear semi-diameter, along one axis."""
@@ -46,17 +46,17 @@ SURFACE_PARAMETERS = tuple(
         (*SURFACE_DELTAS, *RUNOUTS, *RADII, *SHAPE_PARAMETERS, GLASS_PARAMETERS[1], *IRREGULARITIES)
     )
 )
-"""Of one surface; waves and fringes are those of 632.8 nm over the clear semi-diameter."""
+"""Parameters of one surface. Waves and fringes are those of 632.8 nm over the clear semi-diameter."""
 
 TILTS = ("tilt_x_deg", "tilt_y_deg")
 ROLLS = ("roll_x_deg", "roll_y_deg")
 EDGE_DIFFERENCES = ("edge_difference_x_mm", "edge_difference_y_mm")
 
 ELEMENT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "despace_mm", *TILTS, *ROLLS, *EDGE_DIFFERENCES)
-"""Of one element of glass, which moves as a whole, or whose back surface is wedged against its front one."""
+"""Parameters of one glass element: motions of the whole element, and wedge between its surfaces."""
 
 OBJECT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "working_distance_mm")
-"""Of the object; a longer working distance takes it away from the lens."""
+"""Parameters of the object. A longer working distance moves it away from the lens."""
 
 PLANE_DISTANCE = re.compile(r"plane_distance_([1-9]\d?)_mm")
 
@@ -69,16 +69,16 @@ SENSOR_PARAMETERS = (
     "tilt_x_deg",
     "tilt_y_deg",
 )
-"""Of the sensor: in all planes, or how much farther from the lens one plane is."""
+"""Parameters of the sensor in all planes, and errors of the distance of a single plane from the lens."""
 
 LIGHT_PARAMETERS = ("wavelength_um",)
-"""Of the light, against the wavelength that the reconstruction takes."""
+"""Parameters of the light: the deviation from the wavelength that the reconstruction assumes."""
 
 ENVIRONMENT_PARAMETERS = ("temperature_c",)
-"""Of all there is: the temperature, from 20 degrees Celsius, at which the design holds."""
+"""Parameters of the environment: the deviation from the design temperature of 20 degrees Celsius."""
 
 RECONSTRUCTION_PARAMETERS = ("slices",)
-"""Of the reconstruction: the number of slices of each surface itself, no delta; 0 leaves it to the merit."""
+"""Settings of the reconstruction: the number of slices of each surface (a value, not a delta)."""
 
 FIXED_TARGETS = ("object", "sensor", "light", "environment", "reconstruction")
 
@@ -92,7 +92,7 @@ PARAMETERS = {
     "environment": ENVIRONMENT_PARAMETERS,
     "reconstruction": RECONSTRUCTION_PARAMETERS,
 }
-"""What can be perturbed, by the first word of the target."""
+"""Parameters that can be perturbed, by the first word of the target."""
 
 UNITS = ("mm", "um", "deg", "percent", "fringes", "waves", "c")
 
@@ -102,23 +102,23 @@ Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
 class PerturbedParameter(Section):
-    """One parameter of the lens, or of a part of it, that departs from nominal.
+    """A parameter of the lens, of one of its surfaces or elements, or of its surroundings.
 
     Attributes
     ----------
     name
-        Lower-case letters, digits and underscores; made of target and parameter where left out.
+        Lower-case letters, digits and underscores; default: target and parameter.
     target
         ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor``, ``light``,
         ``environment`` or ``reconstruction``.
     parameter
-        One of the target's `PARAMETERS`; values are deltas in the unit of its suffix.
+        One of the target's `PARAMETERS`. Values are deltas in the unit of its suffix.
     seat
-        Of an element: where it turns. A tilt turns it about the vertex of its ``front`` or ``back`` surface,
-        or about a point so many mm behind its front vertex; a roll about the centre of curvature of its
-        ``front`` or ``back`` surface, which lies on the seat.
+        Pivot of an element's tilt or roll. A tilt pivots about the vertex of the ``front`` or ``back``
+        surface, or about a point this many mm behind the front vertex. A roll pivots about the centre of
+        curvature of the ``front`` or ``back`` surface, which rests on the seat of the mount.
     mount_expansion_per_k
-        Of the environment: linear expansion of what holds the spaces of air; aluminium where left out.
+        Coefficient of linear expansion of the mount, for target ``environment``; default: aluminium.
     """
 
     name: Name = ""
@@ -134,7 +134,7 @@ class PerturbedParameter(Section):
             r"(surface|element) [1-9]\d{0,3}", value
         ):
             raise ValueError(
-                f"{value!r} is no target; allowed: lens, surface N, element N (N from 1), "
+                f"{value!r} is not a target; allowed: lens, surface N, element N (N from 1), "
                 f"{', '.join(FIXED_TARGETS)}"
             )
         return value
@@ -153,46 +153,46 @@ class PerturbedParameter(Section):
             self._check_seat()
         if "mount_expansion_per_k" in self.model_fields_set and self.target != "environment":
             raise ValueError(
-                f"mount_expansion_per_k = {self.mount_expansion_per_k:g}: {self.target} has none; only the "
-                "environment has one"
+                f"mount_expansion_per_k = {self.mount_expansion_per_k:g}: only target = 'environment' has "
+                f"this key; remove it from {self.target}"
             )
         return self
 
     def _check_seat(self) -> None:
-        turns = self.target.startswith("element") and self.parameter in (*TILTS, *ROLLS)
-        if not turns:
-            raise ValueError(f"seat = {self.seat!r}: only tilts and rolls of an element have one")
+        has_pivot = self.target.startswith("element") and self.parameter in (*TILTS, *ROLLS)
+        if not has_pivot:
+            raise ValueError(f"seat = {self.seat!r}: only tilts and rolls of an element have a seat")
         if self.parameter in ROLLS and isinstance(self.seat, float):
-            raise ValueError(f"seat = {self.seat:g}: a roll is on a surface; allowed: front, back")
+            raise ValueError(f"seat = {self.seat:g}: a roll needs a surface; allowed: front, back")
 
     @property
     def element(self) -> int | None:
-        """Index of the element, from 0; None for what is no element."""
+        """Index of the element, from 0; None for other targets."""
         return int(self.target.split()[1]) - 1 if self.target.startswith("element") else None
 
     @property
     def surface(self) -> int | None:
-        """Index of the surface, from 0; None for what is no surface."""
+        """Index of the surface, from 0; None for other targets."""
         return int(self.target.split()[1]) - 1 if self.target.startswith("surface") else None
 
     @property
     def plane(self) -> int | None:
-        """Index of the sensor plane, from 0, whose distance it is; None for what is no single plane's."""
+        """Index of the sensor plane whose distance is perturbed, from 0; None for other parameters."""
         match = PLANE_DISTANCE.fullmatch(self.parameter) if self.target == "sensor" else None
         return None if match is None else int(match[1]) - 1
 
     @property
     def is_irregularity(self) -> bool:
-        """Whether its values are sizes of random figures, whose shapes are drawn beside them."""
+        """True if the values are sizes of random surface figures, whose shapes are drawn separately."""
         return self.parameter in IRREGULARITIES
 
     @property
     def is_setting(self) -> bool:
-        """Whether its values are settings of the reconstruction in place of deltas from nominal."""
+        """True if the values are settings of the reconstruction rather than deltas from nominal."""
         return self.target == "reconstruction"
 
     def check_setting(self, values: Iterable[float]) -> None:
-        """Refuse values that a setting of the reconstruction cannot take, with a ValueError."""
+        """Raise a ValueError for values that are not allowed for a setting of the reconstruction."""
         for value in values if self.is_setting else ():
             if not (1.0 <= value <= MOST_SLICES and value == round(value)):
                 raise ValueError(
@@ -213,16 +213,16 @@ class PerturbedParameter(Section):
 
     @property
     def column(self) -> str:
-        """Name of the values in tables, with the unit."""
+        """Column name of the values in tables, with the unit."""
         return with_unit(self.name or f"{self.target} {self.parameter}".replace(" ", "_"), self.unit)
 
     def check(self, lens: Lens) -> None:
-        """Refuse a parameter that this lens does not have.
+        """Check that a lens has the parameter.
 
         Raises
         ------
         ValueError
-            If there is no such surface or plane, or it has nothing of the kind.
+            If the lens has no such surface, element or plane, or it has no such parameter.
         """
         if self.plane is not None and self.plane >= len(lens.sensor.plane_distances_mm):
             count = len(lens.sensor.plane_distances_mm)
@@ -248,17 +248,17 @@ class PerturbedParameter(Section):
         except MaterialError as error:
             raise ValueError(f"target = 'environment': {error}") from error
 
-    def _check_element(self, lens: Lens, number: int) -> None:
+    def _check_element(self, lens: Lens, index: int) -> None:
         count = len(lens.glass_fronts)
-        if number >= count:
+        if index >= count:
             allowed = ", ".join(f"element {i + 1}" for i in range(count))
             raise ValueError(f"target = {self.target!r}: the design has no such element; allowed: {allowed}")
-        surface = lens.surfaces[lens.glass_fronts[number] + (self.seat == "back")]
+        surface = lens.surfaces[lens.glass_fronts[index] + (self.seat == "back")]
         if self.parameter in ROLLS and surface.radius_mm is None:
             raise ValueError(f"parameter = {self.parameter!r}: the {self.seat} of {self.target} is a plane")
 
-    def _check_surface(self, lens: Lens, number: int) -> None:
-        surface, key = lens.surfaces[number], f"parameter = {self.parameter!r}"
+    def _check_surface(self, lens: Lens, index: int) -> None:
+        surface, key = lens.surfaces[index], f"parameter = {self.parameter!r}"
         of_shape = RADII.get(self.parameter, self.parameter)
         if of_shape in SHAPE_PARAMETERS and of_shape not in surface.shape_parameters:
             raise ValueError(
@@ -269,25 +269,28 @@ class PerturbedParameter(Section):
             raise ValueError(f"{key}: {self.target} is a plane and has no {of_shape}")
         counted = self.unit == "fringes" or self.parameter in (*IRREGULARITIES, *RUNOUTS)
         if counted and surface.semi_diameter_mm is None:
-            raise ValueError(f"{key}: {self.target} has no semi_diameter_mm over which to count it")
-        if number < len(lens.surfaces) - 1:
+            raise ValueError(
+                f"{key}: {self.target} has no semi_diameter_mm, to which this parameter refers; give it one"
+            )
+        if index < len(lens.surfaces) - 1:
             if self.parameter in GLASS_PARAMETERS and surface.material is None:
                 raise ValueError(f"{key}: {self.target} has air behind it, no glass")
         elif self.parameter in ("thickness_mm", *GLASS_PARAMETERS):
             raise ValueError(
-                f"{key}: {self.target} is the last surface; what stands behind it is the sensor's space"
+                f"{key}: {self.target} is the last surface; the space behind it is set by distance_mm of the "
+                "sensor"
             )
 
 
 class Perturbation(PerturbedParameter):
-    """A parameter that scatters from part to part.
+    """A parameter that varies at random from lens to lens.
 
     Attributes
     ----------
     group
-        Perturbations of one group move together: all take the same draw.
+        Name of a group. Perturbations of one group share the same draw.
     distribution
-        How it scatters.
+        Distribution of the deviations.
     """
 
     group: Name | None = None
@@ -298,7 +301,7 @@ class Perturbation(PerturbedParameter):
         if self.is_setting:
             if not isinstance(self.distribution, Discrete):
                 raise ValueError(
-                    f"distribution = {self.distribution.kind!r}: {self.column} takes single values; allowed: "
+                    f"distribution = {self.distribution.kind!r}: {self.column} has separate values; allowed: "
                     "discrete"
                 )
             self.check_setting(self.distribution.levels)
@@ -306,22 +309,24 @@ class Perturbation(PerturbedParameter):
 
     @property
     def file_name(self) -> str | None:
-        """A file beside the study that the distribution needs."""
+        """Name of the file that the distribution reads, relative to the study; None if it reads no file."""
         return self.distribution.file_name
 
     @property
     def tolerance(self) -> float:
-        """Largest deviation that counts as allowed: from the mean, or of an irregularity from none at all."""
+        """Largest allowed deviation: from the mean, or for an irregularity from a perfect surface."""
         shape = self.distribution
         return shape.largest + (abs(shape.centre) if self.is_irregularity else 0.0)
 
     def scaled(self, factor: float) -> Self:
-        """The perturbation with its tolerance multiplied; an irregularity's mean goes along.
+        """Return the perturbation with its tolerance multiplied; the mean of an irregularity scales as well.
 
         Raises
         ------
-        InputError, DesignError
-            As of :meth:`Distribution.scaled`.
+        InputError
+            If the factor is not a finite number above 0.
+        DesignError
+            If a width leaves its allowed range.
         """
         shape = self.distribution.scaled(factor)
         if self.is_irregularity:
@@ -329,22 +334,35 @@ class Perturbation(PerturbedParameter):
         return self.model_copy(update={"distribution": shape})
 
     def loaded(self, folder: Path) -> Self:
-        """The perturbation with what its distribution's file holds; relative to the study's folder."""
+        """Return the perturbation with the data of its distribution's file, read relative to `folder`."""
         return self.model_copy(update={"distribution": self.distribution.loaded(folder)})
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A name that ends with its unit."""
+    """Return a name that ends with its unit."""
     return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
 
 
 def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
-    """Read one ``[[perturbation]]`` table; the keys of its distribution stand beside its own.
+    """Read one ``[[perturbation]]`` table, which also has the keys of its distribution.
+
+    Parameters
+    ----------
+    table
+        Keys and values of the table.
+    source
+        File and table, for error messages.
 
     Raises
     ------
     DesignError
-        For each fault: which key and value, and what is allowed.
+        If a key or value is not allowed. The message lists every fault.
+
+    Examples
+    --------
+    >>> table = {"target": "lens", "parameter": "tilt_x_deg", "distribution": "normal", "sigma": 0.1}
+    >>> perturbation_from_table(table, "study.toml").column
+    'lens_tilt_x_deg'
     """
     shape = pick(DISTRIBUTIONS, table, "distribution", source)
     own = [name for name in Perturbation.model_fields if name != "distribution"]
@@ -360,23 +378,22 @@ def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
 
 
 def validate_in_meridian(parameter: PerturbedParameter) -> None:
-    """Refuse a parameter that takes light out of the plane x = 0, or whose effect a line does not show.
+    """Check that the effect of a parameter can be computed on a meridional line, in the plane x = 0.
 
     Raises
     ------
     ValueError
-        Naming the parameter.
+        If the parameter moves light out of the plane x = 0 or has no effect on the line.
     """
     name = parameter.parameter
-    beside = (
+    out_of_plane = (
         ("_x_mm" in name and not name.startswith("radius"))
         or name in ("tilt_y_deg", "roll_y_deg")
         or (parameter.target == "sensor" and name == "tilt_x_deg")
         or parameter.is_irregularity
     )
-    if beside:
+    if out_of_plane:
         raise ValueError(
-            f"{parameter.column}: the chain runs on a meridional line along y, which shows nothing of it; "
-            "allowed are perturbations that keep the plane x = 0, such as decenter_y_mm and tilt_x_deg of "
-            "the lens"
+            f"{parameter.column}: cannot be simulated on a meridional line along y; allowed: perturbations "
+            "that keep light in the plane x = 0, such as decenter_y_mm and tilt_x_deg of the lens"
         )

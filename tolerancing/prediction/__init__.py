@@ -1,4 +1,4 @@
-"""What perturbations do to wavefronts, from the rays of the nominal lens."""
+"""Predictions of wavefronts, rays and yields of lenses as built, from derivatives of the nominal lens."""
 
 import lazy_loader
 

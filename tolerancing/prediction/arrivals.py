@@ -1,4 +1,4 @@
-"""Where rays arrive on the sensor and in which direction, and how both follow perturbations.
+"""Positions and directions of rays on the sensor, with derivatives by perturbations.
 
 A ray leaves a fixed point of the object and passes a fixed point of the stop. Its path is stationary in the
 points on all surfaces, the stop's included, for the point of the sensor at which it does arrive; so these
@@ -31,9 +31,9 @@ class ArrivalDifferentials:
     Attributes
     ----------
     changes : Changes
-        What the perturbations are.
+        Changes that make up the perturbations.
     position_mm, direction : ndarray, shape (n, 2)
-        Of the nominal rays: from the sensor's middle, and direction cosines along its sides.
+        Positions of the nominal rays from the sensor's centre, and their direction cosines along its sides.
     position_by, direction_by : ndarray, shape (n, 2, d)
         Their derivatives by the changes.
     """
@@ -44,8 +44,8 @@ class ArrivalDifferentials:
     position_by: Array
     direction_by: Array
 
-    def part(self, rays: NDArray[np.int64]) -> ArrivalDifferentials:
-        """Some of the rays."""
+    def subset(self, rays: NDArray[np.int64]) -> ArrivalDifferentials:
+        """Return a subset of the rays."""
         return ArrivalDifferentials(
             self.changes,
             self.position_mm[rays],
@@ -55,7 +55,7 @@ class ArrivalDifferentials:
         )
 
     def arrival(self, amounts: Array) -> Arrival:
-        """Rays of trials, to first order in their amounts of each change, shape (trials, d)."""
+        """Return rays of trials to first order, from the amounts of each change, shape (trials, d)."""
         position, across = (
             middle + (amounts @ by.reshape(-1, amounts.shape[1]).T).reshape(-1, *middle.shape)
             for middle, by in ((self.position_mm, self.position_by), (self.direction, self.direction_by))
@@ -82,22 +82,22 @@ def arrival_differentials(
     lens
         The nominal lens.
     parameters
-        What is perturbed.
+        Perturbed parameters.
     sizes : ndarray, shape (parameters,)
-        Roughly by how much.
+        Approximate sizes of the perturbations, in the units of the parameters.
     fields_mm
         Object points (x, y); rays stand field point by field point, without those that do not pass.
     stop
-        Points on the stop, which rays pass however it stands.
+        Points on the stop that the rays pass through, also in the perturbed lens.
     wavelength_um
         Vacuum wavelength; the lens's first by default.
     pivot_z_mm
-        Where on the axis the whole lens turns, from its front vertex.
+        Position on the axis about which the whole lens tilts, from its front vertex.
 
     Raises
     ------
     InputError
-        If a perturbation is none of this lens.
+        If the lens does not have a perturbed parameter.
     DesignError
         If no ray passes.
     """
@@ -121,14 +121,14 @@ def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     Parameters
     ----------
     motions
-        Of the rays.
+        Motions of the rays.
     stop
         The surface, from 0, that keeps its points.
     """
     paths = motions.paths
     sensor = slice(-3, -1)  # x and y of the last station
     kept = slice(2 * stop, 2 * stop + 2)
-    pulled = paths.along_surfaces(paths.stiffness[:, :, sensor])
+    pulled = paths.along_surfaces(paths.hessian[:, :, sensor])
     # The sensor's point is free in place of the stop's.
     free = paths.sliding.copy()
     free[:, :, kept] = pulled
@@ -136,10 +136,10 @@ def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     position = moved[:, kept].copy()
     moved[:, kept] = 0.0
     optical = np.swapaxes(pulled, 1, 2) @ moved
-    optical += paths.stiffness[:, sensor] @ motions.points
-    optical += paths.stiffness[:, sensor, sensor] @ position
+    optical += paths.hessian[:, sensor] @ motions.points
+    optical += paths.hessian[:, sensor, sensor] @ position
     turns = slice(6 * len(paths.shapes) + 6, 6 * len(paths.shapes) + 9)
-    pull = paths.pulls[:, -1]
+    gradient = paths.gradient[:, -1]
     for c in range(2):
-        optical[:, c, turns] += np.cross(np.eye(3)[c], pull)
+        optical[:, c, turns] += np.cross(np.eye(3)[c], gradient)
     return np.asarray(position), np.asarray(optical / paths.index[-1])

@@ -1,4 +1,4 @@
-"""What compensators take of predicted wavefronts.
+"""Effect of compensators on predicted wavefronts.
 
 A compensator adapts the reconstruction's model, whose path is taken from that of the lens as built. So a
 model's derivatives by its compensators stand beside the lens's by its perturbations, with the other sign and
@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from tolerancing.merits.compensators import ROUNDS, steadied
+from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, regularised
 from tolerancing.prediction.derivatives import FieldDifferentials
 from tolerancing.prediction.system import pair_places
 
 MOST_PIVOTS = 60
-"""Exchanges between free and bound compensators; a few suffice, and each lens ends where it has come to."""
+"""Largest number of exchanges between free and bound compensators."""
 
 ALL_AT_ONCE = 10
-"""Exchanges after which compensators change over one at a time, which ends surely (Murty, 1974)."""
+"""Number of exchanges after which only one compensator changes at a time, which converges (Murty, 1974)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +42,14 @@ class Compensation:
     models: tuple[FieldDifferentials, ...]
 
     def values(self, amounts: Array) -> Array:
-        """Values that leave the least of trials' wavefronts within the limits, shape (trials, k).
+        """Return the values that minimise the wavefronts of trials within the limits, shape (trials, k).
 
-        As :func:`tolerancing.merits.compensators.compensate` finds them in a trial's pupils.
+        :func:`tolerancing.merits.compensators.compensate` fits the same values to a trial's pupils.
 
         Parameters
         ----------
         amounts : ndarray, shape (trials, d)
-            How much of each change each trial has.
+            Amount of each change in each trial.
         """
         shares = np.zeros((len(amounts), len(self.limits)))
         if not len(self.limits):
@@ -58,24 +58,24 @@ class Compensation:
         matrix = np.sum(
             [(own.T * m.weights) @ own for own, m in zip(slopes, self.models, strict=True)], axis=0
         )
-        steady = steadied(matrix)
+        steady = regularised(matrix)
         waves = [field.waves(amounts) for field in self.fields]
-        for _ in range(ROUNDS):
-            wanted = np.zeros_like(shares)
+        for _ in range(GAUSS_NEWTON_STEPS):
+            right_side = np.zeros_like(shares)
             for whole, model, own in zip(waves, self.models, slopes, strict=True):
-                wanted += (whole - model.waves(shares * self.limits)) * model.weights @ own
-            shares, _ = bounded_least_squares(steady, wanted + shares @ steady)
+                right_side += (whole - model.waves(shares * self.limits)) * model.weights @ own
+            shares, _ = bounded_least_squares(steady, right_side + shares @ steady)
         return shares * self.limits
 
     def following(self, count: int) -> Array:
-        """How lens and compensators follow the changes to first order, within no limits; shape (d + k, d)."""
+        """Return the first-order response of lens and compensators to the changes, shape (d + k, d)."""
         changes = np.eye(count)
         if not len(self.limits):
             return changes
         pairs = list(zip(self.fields, self.models, strict=True))
         matrix = np.sum([(m.registered.T * m.weights) @ m.registered for _, m in pairs], axis=0)
-        wanted = np.sum([(m.registered.T * m.weights) @ f.registered for f, m in pairs], axis=0)
-        return np.concatenate([changes, np.linalg.solve(steadied(matrix), wanted)])
+        right_side = np.sum([(m.registered.T * m.weights) @ f.registered for f, m in pairs], axis=0)
+        return np.concatenate([changes, np.linalg.solve(regularised(matrix), right_side)])
 
 
 def less_model(field: FieldDifferentials, model: FieldDifferentials) -> FieldDifferentials:
@@ -92,7 +92,7 @@ def less_model(field: FieldDifferentials, model: FieldDifferentials) -> FieldDif
     return replace(field, first=first, second=second)
 
 
-def bounded_least_squares(matrix: Array, wanted: Array) -> tuple[Array, NDArray[np.bool_]]:
+def bounded_least_squares(matrix: Array, right_side: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Minimize x^T N x / 2 - w^T x within -1 and 1 for many w at once.
 
     Block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63, 625, 1994): bound variables whose
@@ -102,27 +102,27 @@ def bounded_least_squares(matrix: Array, wanted: Array) -> tuple[Array, NDArray[
     ----------
     matrix : ndarray, shape (k, k)
         Positive definite.
-    wanted : ndarray, shape (t, k)
+    right_side : ndarray, shape (t, k)
 
     Returns
     -------
     values : ndarray, shape (t, k)
     free : ndarray of bool, shape (t, k)
     """
-    count = wanted.shape[1]
-    bound = np.zeros(wanted.shape)  # -1, 1 where bound, 0 where free
-    values = np.zeros(wanted.shape)
-    left = np.arange(len(wanted))
+    count = right_side.shape[1]
+    bound = np.zeros(right_side.shape)  # -1, 1 where bound, 0 where free
+    values = np.zeros(right_side.shape)
+    left = np.arange(len(right_side))
     for turn in range(MOST_PIVOTS):
         patterns, own = np.unique(bound[left], axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             rows, free = left[own.ravel() == number], pattern == 0.0
             values[rows] = pattern
             if np.any(free):
-                rest = wanted[np.ix_(rows, free)] - pattern[~free] @ matrix[np.ix_(~free, free)]
+                rest = right_side[np.ix_(rows, free)] - pattern[~free] @ matrix[np.ix_(~free, free)]
                 part = matrix[np.ix_(free, free)]
                 values[np.ix_(rows, free)] = np.linalg.solve(part, rest.T).T
-        at, slope = bound[left], wanted[left] - values[left] @ matrix
+        at, slope = bound[left], right_side[left] - values[left] @ matrix
         beyond = np.where((at == 0.0) & (np.abs(values[left]) > 1.0), np.sign(values[left]), 0.0)
         inward = (at != 0.0) & (slope * at < 0.0)
         wrong = (beyond != 0.0) | inward

@@ -3,7 +3,7 @@
 The pupil's path difference dV(p) (:mod:`wavesim.pupil.pupil`) is a change of path between fixed object and
 sensor points, which is what :mod:`tolerancing.prediction.paths` differentiates. Means over the pupil are by
 Gauss-Legendre rings over the stop (Forbes, J. Opt. Soc. Am. A 5, 1943, 1988), weighted by the direction
-cosines at the object that each part of the stop stands for.
+cosines at the object that each part of the stop corresponds to.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tolerancing.prediction.paths import Figures, Paths
 from tolerancing.prediction.system import Changes, changes_of
 
 RINGS, ARMS = 6, 14
-"""Of rays over the stop."""
+"""Numbers of rings and arms of rays over the stop."""
 
 BLOCK = 512
 """Trials whose products of perturbations are held at one time."""
@@ -44,11 +44,11 @@ class FieldDifferentials:
     Attributes
     ----------
     weights : ndarray, shape (n,)
-        Of means over the pupil; they sum to 1.
+        Weights of means over the pupil; they sum to 1.
     basis : ndarray, shape (4, n)
-        What registration and refocusing take out: 1 and the direction cosines.
+        Terms that registration and refocusing remove: 1 and the direction cosines.
     first : ndarray, shape (n, d)
-        Of the path difference in waves, by the changes.
+        Derivatives of the path difference in waves, by the changes.
     second : ndarray, shape (n, d (d + 1) / 2)
         By pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`; no columns where it was not
         asked for.
@@ -75,7 +75,7 @@ class FieldDifferentials:
         Parameters
         ----------
         amounts : ndarray, shape (trials, d)
-            How much of each change each trial has.
+            Amount of each change in each trial.
         """
         found = amounts @ self.registered.T
         if self.second.shape[1]:
@@ -100,7 +100,7 @@ class Differentials:
     Attributes
     ----------
     changes : Changes
-        What the perturbations are.
+        Changes that make up the perturbations.
     fields : tuple of FieldDifferentials
         One for each object point.
     """
@@ -122,16 +122,16 @@ def differentials(
 ) -> Differentials:
     """Differentiate the reconstruction pupils of a lens by perturbations.
 
-    What it neglects: that the perturbed stop lets other rays through.
+    The change of the rays that pass the perturbed stop is neglected.
 
     Parameters
     ----------
     lens
         The nominal lens.
     parameters
-        What is perturbed.
+        Perturbed parameters.
     sizes : ndarray, shape (parameters,)
-        Roughly by how much.
+        Approximate sizes of the perturbations, in the units of the parameters.
     fields_mm
         Object points (x, y).
     wavelength_um
@@ -139,14 +139,14 @@ def differentials(
     plane_distance_mm
         From the exit vertex to the plane to which paths are taken.
     pivot_z_mm
-        Where on the axis the whole lens turns, from its front vertex.
+        Position on the axis about which the whole lens tilts, from its front vertex.
     second
-        Whether second derivatives are asked for.
+        Whether second derivatives are computed.
 
     Raises
     ------
     InputError
-        If a perturbation is none of this lens.
+        If the lens does not have a perturbed parameter.
     DesignError
         If not all rays pass.
     """
@@ -157,7 +157,7 @@ def differentials(
     weights = pair_weights(changes) if second else None
     n, waves = len(stop.points), 1e3 / wavelength
     fields = [
-        _field(paths.part(slice(k * n, (k + 1) * n)), changes, stop, waves, weights)
+        _field(paths.subset(slice(k * n, (k + 1) * n)), changes, stop, waves, weights)
         for k in range(len(fields_mm))
     ]
     return Differentials(changes, tuple(fields))
@@ -178,7 +178,7 @@ def _field(
 
 
 def first_by(paths: Paths, changes: Changes, figures: Sequence[Figures]) -> Array:
-    """First derivatives of paths in mm by changes, shape (n, d)."""
+    """Return the first derivatives of paths in mm by changes, shape (n, d)."""
     found = paths.by_numbers @ changes.first
     for figure in figures:
         found[:, figure.columns] += paths.by_figure(figure.surface, figure.sag)
@@ -186,7 +186,7 @@ def first_by(paths: Paths, changes: Changes, figures: Sequence[Figures]) -> Arra
 
 
 def figures_on(paths: Paths, changes: Changes) -> list[Figures]:
-    """The sag errors of irregularities at the rays."""
+    """Return the sag errors of irregularities at the rays."""
     found = []
     for surface, columns, figure in changes.figures:
         x, y = paths.heights_mm[:, surface, 0], paths.heights_mm[:, surface, 1]
@@ -205,7 +205,7 @@ def nominal_paths(
 ) -> Paths:
     """Trace rays from object points, one after the other, through the stop.
 
-    Those that do not arrive are left out unless the `whole` pupil is asked for.
+    Rays that do not arrive are omitted unless `whole` is true.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The study that a sheet stands for: each indication of a drawing as perturbations of the lens.
+"""The study of a drawing: each indication of the drawing as perturbations of the lens.
 
-A shop may use all that a sheet allows. Indications become perturbations as follows, whichever of them a study
-has stated:
+Manufacturing may use everything that a drawing allows. Indications become perturbations as follows, if the
+study has them or not:
 
 ==================================  ==================================================================
 indication                          perturbation
@@ -52,11 +52,11 @@ HOMOGENEITY = (50e-6, 20e-6, 5e-6, 2e-6, 1e-6, 0.5e-6)
 """Largest deviation of the index within a part, either way, by class (ISO 10110-4)."""
 
 USUAL_INHOMOGENEITY = "1;1"
-"""Class of usual optical glass, where a sheet states none."""
+"""Class of usual optical glass, used if a drawing states none."""
 
 
 def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -> tuple[SheetItem, ...]:
-    """All indications that predictions score, element by element.
+    """Return all indications that predictions score, element by element.
 
     What a sheet leaves open counts as the general tolerances allow it, which hold where a drawing after
     ISO 10110 states nothing; glass data and the decenter of aspheres, of which these say nothing, as the
@@ -96,7 +96,7 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
                 if field is None and "fringes" in name:
                     ratio = general.fringe_wavelength_um / sheet.fringe_wavelength_um
                     number = float(f"{ratio * number:.4g}")
-                item = SheetItem(kind, element.number, surface, name, number, origin, ())
+                item = SheetItem(kind, element.index, surface, name, number, origin, ())
                 # Two cemented elements share a surface: the sheet that allows more counts.
                 other = found.get(item.key)
                 if other is None or (other.field == name and other.value < number):
@@ -105,7 +105,7 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
 
 
 def _has(lens: Lens, kind: Kind, surface: int) -> bool:
-    """Whether a surface has what a kind of indication tolerances."""
+    """Return whether a kind of indication applies to a surface."""
     own = lens.surfaces[surface]
     if kind == "radius":
         return own.radius_mm is not None
@@ -133,7 +133,7 @@ def _number(kind: Kind, value: float | str | None) -> float | None:
 
 
 def with_value(item: SheetItem, lens: Lens, sheet: DrawingTolerances, value: float) -> SheetItem:
-    """The item with a value, and what it then allows."""
+    """Return the item with a value and the deviations that it allows."""
     fringe = sheet.fringe_wavelength_um
     target, surface = f"surface {item.surface + 1}", lens.surfaces[item.surface]
     waves = 0.5 * fringe / TEST_WAVELENGTH_UM * value
@@ -159,7 +159,7 @@ def with_value(item: SheetItem, lens: Lens, sheet: DrawingTolerances, value: flo
 
 
 def _refracting(lens: Lens, front: int) -> int:
-    """Of the two surfaces of an element, the one with a clear aperture and the larger step of the index."""
+    """Return the surface of an element that has a clear aperture and the larger step of the index."""
     n = lens.indices(lens.wavelengths_um[0])
     sized = [i for i in (front, front + 1) if lens.surfaces[i].semi_diameter_mm is not None]
     return max(sized or [front], key=lambda i: abs(float(n[i + 1] - n[i])))
@@ -222,7 +222,7 @@ def sheet_value(p: Perturbation, lens: Lens) -> float | None:
 
 @dataclass(frozen=True)
 class AsDrawnStudy:
-    """A study in which everything scatters that a sheet allows.
+    """A study in which everything varies that a drawing allows.
 
     Attributes
     ----------
@@ -237,7 +237,7 @@ class AsDrawnStudy:
 
 
 def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDrawnStudy:
-    """The study that a sheet stands for.
+    """Return the study of a drawing.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
     study
         Its tolerance study. What no sheet states (mount, object, sensor, light) stays.
     items
-        Of :func:`sheet_items`.
+        Indications from :func:`sheet_items`.
     """
     by_key = {item.key: item for item in items}
     kept, owners, dropped = list[Perturbation](), list[SheetItem | None](), set[str]()
@@ -285,7 +285,7 @@ def _axes_left(item: SheetItem, own: Sequence[Perturbation]) -> tuple[Deviation,
     return tuple(d for d in directed if d.parameter.split("_")[1] not in axes)
 
 
-def _new(lens: Lens, item: SheetItem, deviation: Deviation, study: Study, taken: set[str]) -> Perturbation:
+def _new(lens: Lens, item: SheetItem, deviation: Deviation, study: Study, existing: set[str]) -> Perturbation:
     """A perturbation as large as a deviation, distributed as the study's own of the same kind."""
     kind = "irregularity" if item.kind == "inhomogeneity" else item.kind
     alike = (p for p in study.perturbations if (key := item_key(p, lens)) and key[0] == kind)
@@ -300,7 +300,7 @@ def _new(lens: Lens, item: SheetItem, deviation: Deviation, study: Study, taken:
             distribution = distribution.replaced(mean=0.0)
     target, parameter = deviation.target, deviation.parameter
     found = Perturbation(target=target, parameter=parameter, distribution=distribution)
-    if found.column not in taken and item.kind != "inhomogeneity":
+    if found.column not in existing and item.kind != "inhomogeneity":
         return found
     name = f"{item.label} {parameter}".replace(" ", "_").lower()
     return Perturbation(name=name, target=target, parameter=parameter, distribution=distribution)

@@ -1,6 +1,6 @@
-"""Yields of a study with each tolerance multiplied by a factor of its own, many times over.
+"""Fast yields of a study with each tolerance multiplied by its own factor.
 
-Derivatives are taken once; a yield then takes milliseconds.
+Derivatives are computed once; a yield then takes milliseconds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tolerancing.prediction.wavefront_prediction import (
 from tolerancing.study.study import Study
 
 JOINT_EVERY = 16
-"""Every so many of a prediction's draws serve for joint yields."""
+"""Joint yields use every nth draw of a prediction."""
 
 
 class FirstOrderYield:
@@ -35,7 +35,7 @@ class FirstOrderYield:
     lens, study
         As :func:`tolerancing.prediction.wavefront_prediction.predict` takes them.
     every
-        Every so many of a prediction's draws serve.
+        Use every nth draw of a prediction.
 
     Raises
     ------
@@ -53,11 +53,11 @@ class FirstOrderYield:
         self._limits = np.array([point.limit_waves**2 for point in judged])
 
     def at(self, factors: Array) -> float:
-        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        """Return the yield with the tolerance of each perturbation multiplied by a factor; 0 removes it."""
         return float(np.mean(self.passed(factors)))
 
     def passed(self, factors: Array) -> NDArray[np.bool_]:
-        """Which of the drawn lenses keep the limits then, shape (draws,)."""
+        """Return whether each drawn lens meets the limits with these factors, shape (draws,)."""
         changed = self._amounts.copy()
         for columns, factor in zip(self._known.changes.columns, factors, strict=True):
             changed[:, columns] *= factor
@@ -77,7 +77,7 @@ class JointYield:
         self._batch = drawn_batch(study, JOINT_EVERY)
 
     def at(self, factors: Array) -> float:
-        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        """Return the yield with the tolerance of each perturbation multiplied by a factor; 0 removes it."""
         good = np.ones(len(self._batch), bool)
         if self._waves is not None:
             good &= self._waves.passed(factors)
@@ -85,5 +85,5 @@ class JointYield:
         for start in range(0, len(good), BLOCK) if self._merits else ():
             part = slice(start, start + BLOCK)
             for merit in self._merits:
-                good[part] &= merit.passed(merit.scores(self._rays, changed.part(part)))
+                good[part] &= merit.passed(merit.scores(self._rays, changed.subset(part)))
         return float(np.mean(good))

@@ -1,4 +1,4 @@
-"""Expected loss of reconstructions as built, without a trial.
+"""Expected reconstruction loss of lenses as built, without trials.
 
 The merit `reconstruction_loss` (:mod:`tolerancing.merits.loss`) traces rays through each perturbed lens. Here
 the change of path on a meridian is linear in the perturbations, by Fermat's principle along nominal rays
@@ -19,7 +19,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.rays import trace_compiled
-from tolerancing.merits.compensators import steadied
+from tolerancing.merits.compensators import regularised
 from tolerancing.merits.loss import AZIMUTHS_DEG, ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -35,7 +35,7 @@ from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
 from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
 
 DEPTH = 11
-"""Place of a station's shift along the axis among the numbers of its pose."""
+"""Index of a station's axial shift among the numbers of its pose."""
 
 DRAWS = 256
 """Lenses by which the mean loss of a finished lens is predicted."""
@@ -79,7 +79,7 @@ class LossChains:
         ----------
         paths : LossPaths
         amounts : ndarray, shape (lenses, d)
-            How much of each change each lens has.
+            Amount of each change in each lens.
 
         Returns
         -------
@@ -98,9 +98,9 @@ class LossChains:
         Parameters
         ----------
         coefficients : ndarray, shape (points, meridians, lenses, terms)
-            As of :meth:`coefficients`.
+            Coefficients from :meth:`coefficients`.
         derivatives : bool
-            Whether derivatives are wanted.
+            Whether derivatives are computed.
 
         Returns
         -------
@@ -126,7 +126,7 @@ def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float 
     lens
         The nominal lens.
     merit
-        Which loss.
+        The merit.
     pixels_per_sample
         Makes a coarser chain: pixels of each plane that are looked at, for each sample of the object. None
         leaves the chain as the merit has it.
@@ -134,7 +134,7 @@ def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float 
     Raises
     ------
     InputError
-        If rays of a line do not get through.
+        If rays of a line do not pass.
     """
 
     def chains(point: tuple[float, float]) -> tuple[ChainDraws, ...]:
@@ -152,7 +152,7 @@ def loss_paths(lens: Lens, study: Study, merit: ReconstructionLoss) -> LossPaths
     Raises
     ------
     InputError
-        If rays of a line do not get through, or a perturbation is none of this lens.
+        If rays of a line do not pass, or the lens does not have a perturbed parameter.
     """
     wavelength = lens.wavelengths_um[0] if merit.wavelength_um is None else merit.wavelength_um
     scatter = [p.tolerance for p in study.perturbations]
@@ -170,7 +170,7 @@ def loss_paths(lens: Lens, study: Study, merit: ReconstructionLoss) -> LossPaths
 def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts: Array) -> Array:
     """Predict the scores of a merit: for each lens the largest loss of the merit's object points.
 
-    What it neglects: second order of paths in the perturbations, and all that the merit neglects.
+    Second order of paths in the perturbations is neglected, in addition to the approximations of the merit.
 
     Parameters
     ----------
@@ -179,9 +179,9 @@ def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts
     study
         Its perturbations and compensators.
     merit
-        Which loss.
+        The merit.
     amounts : ndarray, shape (lenses, d)
-        How much of each change each lens has (:func:`tolerancing.prediction.system.amounts_of`).
+        Amount of each change in each lens (:func:`tolerancing.prediction.system.amounts_of`).
 
     Returns
     -------
@@ -190,7 +190,7 @@ def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts
     Raises
     ------
     InputError
-        If rays of a line do not get through, or a perturbation is none of this lens.
+        If rays of a line do not pass, or the lens does not have a perturbed parameter.
     """
     chains = loss_chains(lens, merit)
     losses, _ = chains.losses(chains.coefficients(loss_paths(lens, study, merit), amounts))
@@ -207,7 +207,7 @@ def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = 
     lens, study, merit
         As of :func:`expected_losses`.
     draws
-        How many lenses.
+        Number of lenses.
     """
     return float(np.mean(expected_losses(lens, study, merit, drawn_losses(study, draws))))
 
@@ -226,12 +226,12 @@ def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChai
 
 
 def _calibrated(chains: Sequence[ChainDraws], lens: Array, model: Array, amounts: Array) -> Array:
-    """What a calibration finds of each lens, as shares of the compensators' limits; shape (lenses, k)."""
+    """Return the fitted compensators of each lens as fractions of their limits, shape (lenses, k)."""
     sees = [chain.visible for chain in chains]
     matrix = sum(m.T @ see @ m for see, m in zip(sees, model, strict=True))
     across = sum(m.T @ see @ own for see, own, m in zip(sees, lens, model, strict=True))
     wanted = amounts @ across.T
-    return bounded_least_squares(steadied(np.asarray(matrix)), wanted)[0]
+    return bounded_least_squares(regularised(np.asarray(matrix)), wanted)[0]
 
 
 @dataclass(frozen=True, eq=False)

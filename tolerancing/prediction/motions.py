@@ -1,4 +1,4 @@
-"""What all changes of a lens are made of to first order, and how paths answer to it to second.
+"""Elementary motions that changes of a lens consist of, and second derivatives of paths by them.
 
 A change turns and shifts the object, surfaces and sensor, and alters terms of shapes, indices, figures and
 the wavelength: few motions, in which the changes are sparse. Second derivatives of paths are dense in the
@@ -44,28 +44,28 @@ class Motions:
     def _first_term(self) -> int:
         return 6 * (self.paths.layout.surfaces + 2)
 
-    def _place(self, numbers: slice) -> slice:
+    def _position(self, numbers: slice) -> slice:
         """Motions that are numbers behind the poses."""
         shift = self._first_term - POSE * (self.paths.layout.surfaces + 2)
         return slice(numbers.start + shift, numbers.stop + shift)
 
     @cached_property
     def _indices(self) -> slice:
-        return self._place(self.paths.layout.indices)
+        return self._position(self.paths.layout.indices)
 
     @cached_property
     def count(self) -> int:
-        """How many motions there are."""
+        """Number of motions."""
         return self._indices.stop + 1 + sum(figure.sag.shape[1] for figure in self.figures)
 
     @cached_property
     def _sags(self) -> list[tuple[int, slice, Array]]:
-        """Of each shape and figure: its surface, motions, and sag with slopes, shape (n, 3, motions)."""
+        """For each shape and figure: its surface, motions, and sag with slopes, shape (n, 3, motions)."""
         paths, layout = self.paths, self.paths.layout
         found = []
         for k, shape in enumerate(paths.shapes):
             terms = [np.stack(paths.by_term(k, t), axis=1) for t in shape.TERMS[: layout.terms[k]]]
-            found.append((k, self._place(layout.of_shape(k)), np.stack(terms, axis=2)))
+            found.append((k, self._position(layout.of_shape(k)), np.stack(terms, axis=2)))
         place = self._indices.stop + 1
         for figure in self.figures:
             parts = np.stack([figure.sag, figure.slope_x, figure.slope_y], axis=1)
@@ -81,7 +81,7 @@ class Motions:
         kinds = (own, *(sag for _, _, sag in self._sags))
         found = np.zeros((n, stations, 3, self.count), np.result_type(*kinds))
         for k in range(stations):
-            found[:, k, :, 6 * k : 6 * k + 3] = _turns(own[:, k])
+            found[:, k, :, 6 * k : 6 * k + 3] = _rotations(own[:, k])
             found[:, k, :, 6 * k + 3 : 6 * k + 6] = np.eye(3)
         for k, columns, sag in self._sags:
             found[:, k + 1, 2, columns] = sag[:, 0]
@@ -98,42 +98,42 @@ class Motions:
     def slide(self) -> Array:
         """Derivatives of the path by x and y on the surfaces and by motions, shape (n, 2 s, q)."""
         paths, tangents = self.paths, self.paths.tangents
-        bent = paths.stiffness @ self.points
+        bent = paths.hessian @ self.points
         for k in range(len(paths.shapes)):
-            # The pull at a surface is the optical direction before it less the one behind it.
+            # The gradient at a surface is the optical direction before it less the one behind it.
             bent[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k] += paths.directions[:, k]
             bent[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k + 1] -= paths.directions[:, k + 1]
         found = paths.along_surfaces(bent)
         for k in range(len(paths.shapes)):
-            pull = paths.pulls[:, k + 1]
+            gradient = paths.gradient[:, k + 1]
             for c in range(2):
-                turned = np.cross(tangents[:, k, :, c], pull)
+                turned = np.cross(tangents[:, k, :, c], gradient)
                 found[:, 2 * k + c, 6 * k + 6 : 6 * k + 9] += turned
         for k, columns, sag in self._sags:
-            found[:, 2 * k : 2 * k + 2, columns] += paths.pulls[:, k + 1, 2, None, None] * sag[:, 1:]
+            found[:, 2 * k : 2 * k + 2, columns] += paths.gradient[:, k + 1, 2, None, None] * sag[:, 1:]
         return found
 
     @cached_property
     def second(self) -> Array:
         """Second derivatives of the path, object and sensor points kept, shape (n, q, q)."""
         paths, points, slide = self.paths, self.points, self.slide
-        found = np.swapaxes(points, 1, 2) @ (paths.stiffness @ points)
+        found = np.swapaxes(points, 1, 2) @ (paths.hessian @ points)
         found -= np.swapaxes(slide, 1, 2) @ np.linalg.solve(paths.sliding, slide)
         crossed = np.zeros_like(found)
         crossed[:, self._indices] += self.lengths
         share = self._indices.stop
-        crossed[:, share] = (paths.pulls.reshape(len(points), 1, -1) @ points)[:, 0]
+        crossed[:, share] = (paths.gradient.reshape(len(points), 1, -1) @ points)[:, 0]
         crossed[:, share, self._indices] = paths.lengths
         for k, columns, sag in self._sags:
-            pull = paths.pulls[:, k + 1]
+            gradient = paths.gradient[:, k + 1]
             # A sag stands along the axis of a surface that turns.
-            turned = np.cross(np.array([0.0, 0.0, 1.0]), pull)
+            turned = np.cross(np.array([0.0, 0.0, 1.0]), gradient)
             crossed[:, 6 * k + 6 : 6 * k + 9, columns] += turned[:, :, None] * sag[:, :1]
         found += crossed + np.swapaxes(crossed, 1, 2)
         for k, shape in enumerate(paths.shapes):
-            own = self._place(paths.layout.of_shape(k))
+            own = self._position(paths.layout.of_shape(k))
             bends = _sag_bends(shape, paths.heights_mm[:, k])
-            found[:, own, own] += paths.pulls[:, k + 1, 2, None, None] * bends
+            found[:, own, own] += paths.gradient[:, k + 1, 2, None, None] * bends
         return found
 
 
@@ -179,7 +179,7 @@ def second_by_pairs(paths: Paths, weights: sparse.csr_array, figures: Sequence[F
     return np.asarray((weights @ own.T).T)
 
 
-def _turns(points: Array) -> Array:
+def _rotations(points: Array) -> Array:
     """Change of points with turns about x, y and z, shape (n, 3, 3)."""
     return np.swapaxes(np.cross(np.eye(3), points[:, None]), 1, 2)
 

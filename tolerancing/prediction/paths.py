@@ -24,12 +24,12 @@ POSE = 12
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each number of a system stands; stations are the object, the surfaces and the sensor.
+    """Positions of the numbers of a system; stations are the object, the surfaces and the sensor.
 
     Attributes
     ----------
     terms : tuple of int
-        How many terms the shape of each surface has.
+        Number of terms of the shape of each surface.
     """
 
     terms: tuple[int, ...]
@@ -61,7 +61,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many numbers there are."""
+        """Number of numbers."""
         return self.waves + 1
 
 
@@ -77,11 +77,11 @@ class Paths:
     index : ndarray, shape (s + 1,)
         Before the first and behind each surface.
     objects_mm : ndarray, shape (n, 3)
-        Where the rays begin.
+        Starting points of the rays.
     heights_mm : ndarray, shape (n, s, 2)
-        x and y where they meet each surface.
+        x and y of the intersections with each surface.
     sensors_mm : ndarray, shape (n, 3)
-        Where they end.
+        End points of the rays.
     """
 
     shapes: tuple[Shape, ...]
@@ -91,14 +91,14 @@ class Paths:
     heights_mm: Array
     sensors_mm: Array
 
-    def part(self, rays: slice) -> Paths:
-        """Some of the rays."""
+    def subset(self, rays: slice) -> Paths:
+        """Return a subset of the rays."""
         ends = self.objects_mm[rays], self.heights_mm[rays], self.sensors_mm[rays]
         return Paths(self.shapes, self.vertices_mm, self.index, *ends)
 
     @cached_property
     def layout(self) -> Layout:
-        """Where each number stands."""
+        """Positions of the numbers."""
         return Layout(tuple(shape.terms.shape[-1] for shape in self.shapes))
 
     @cached_property
@@ -155,7 +155,7 @@ class Paths:
         return self.directions[:, 0]
 
     @cached_property
-    def pulls(self) -> Array:
+    def gradient(self) -> Array:
         """Derivatives of the path by the points, shape (n, s + 2, 3); along the normal on each surface."""
         optical = self.index[:, None] * self.directions
         edge = np.zeros_like(optical[:, :1])
@@ -164,22 +164,24 @@ class Paths:
     @cached_property
     def by_numbers(self) -> Array:
         """Derivatives of the path by the system's numbers, shape (n, numbers)."""
-        layout, pulls = self.layout, self.pulls
-        found = np.zeros((len(pulls), layout.size), pulls.dtype)
+        layout, gradient = self.layout, self.gradient
+        found = np.zeros((len(gradient), layout.size), gradient.dtype)
         for k in range(layout.surfaces + 2):
-            rotation = pulls[:, k, :, None] * self.own_points[:, k, None, :]
-            found[:, layout.pose(k)] = np.concatenate([rotation.reshape(len(pulls), 9), pulls[:, k]], axis=1)
+            rotation = gradient[:, k, :, None] * self.own_points[:, k, None, :]
+            found[:, layout.pose(k)] = np.concatenate(
+                [rotation.reshape(len(gradient), 9), gradient[:, k]], axis=1
+            )
         for k, shape in enumerate(self.shapes):
             sags = [self.by_term(k, term)[0] for term in shape.TERMS[: layout.terms[k]]]
-            found[:, layout.of_shape(k)] = np.stack(sags, axis=1) * pulls[:, k + 1, 2:]
+            found[:, layout.of_shape(k)] = np.stack(sags, axis=1) * gradient[:, k + 1, 2:]
         found[:, layout.indices] = self.lengths
         found[:, layout.waves] = self.path_mm
         return found
 
     def by_figure(self, surface: int, sag: Array) -> Array:
         """Derivative of the path by a figure with this sag error at the rays, shape (n, ...)."""
-        pull = self.pulls[:, surface + 1, 2]
-        return np.asarray(pull.reshape(-1, *(1,) * (sag.ndim - 1)) * sag)
+        gradient = self.gradient[:, surface + 1, 2]
+        return np.asarray(gradient.reshape(-1, *(1,) * (sag.ndim - 1)) * sag)
 
     def by_term(self, surface: int, term: str) -> tuple[Array, Array, Array]:
         """Derivatives of a surface's sag, and of its slopes along x and y, by a term of its shape."""
@@ -196,7 +198,7 @@ class Paths:
         return found
 
     @cached_property
-    def stiffness(self) -> Array:
+    def hessian(self) -> Array:
         """Second derivatives of the path by the points, shape (n, 3 (s + 2), 3 (s + 2))."""
         lengths, ways = self.lengths, self.directions
         stations = len(self.shapes) + 2
@@ -211,7 +213,7 @@ class Paths:
         return found.reshape(len(lengths), 3 * stations, 3 * stations)
 
     def along_surfaces(self, vectors: Array) -> Array:
-        """Of vectors at the stations, shape (n, 3 (s + 2), d), the parts along x and y on each surface."""
+        """Return the x and y components on each surface of vectors of shape (n, 3 (s + 2), d)."""
         n, surfaces = len(vectors), len(self.shapes)
         inner = vectors.reshape(n, surfaces + 2, 3, -1)[:, 1:-1]
         return (np.swapaxes(self.tangents, 2, 3) @ inner).reshape(n, 2 * surfaces, -1)
@@ -220,16 +222,16 @@ class Paths:
     def sliding(self) -> Array:
         """Second derivatives of the path by x and y on the surfaces, shape (n, 2 s, 2 s)."""
         n, s = len(self.objects_mm), len(self.shapes)
-        half = self.along_surfaces(self.stiffness)
+        half = self.along_surfaces(self.hessian)
         half = half.reshape(n, 2 * s, s + 2, 3)[:, :, 1:-1]
         found = np.einsum("nwka,nkac->nwkc", half, self.tangents)
         for k, shape in enumerate(self.shapes):
             bends = shape.second_derivatives(self.heights_mm[:, k, 0], self.heights_mm[:, k, 1])
-            pull = self.pulls[:, k + 1, 2]
+            gradient = self.gradient[:, k + 1, 2]
             for (i, j), bend in zip(((0, 0), (0, 1), (1, 1)), bends, strict=True):
-                found[:, 2 * k + i, k, j] += pull * bend
+                found[:, 2 * k + i, k, j] += gradient * bend
                 if i != j:
-                    found[:, 2 * k + j, k, i] += pull * bend
+                    found[:, 2 * k + j, k, i] += gradient * bend
         return found.reshape(n, 2 * s, 2 * s)
 
 

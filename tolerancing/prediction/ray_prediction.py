@@ -1,8 +1,8 @@
-"""Merits of rays without trials, from the derivatives of the nominal lens's rays.
+"""Predictions of ray merits without trials, from the derivatives of the nominal lens's rays.
 
-Each ray follows the perturbations to first order; which is the outermost is asked anew for each draw, so that
-an extreme that goes from ray to ray is told as it is. A few draws are traced all the same, to know whether
-first order suffices.
+Each ray follows the perturbations to first order. The outermost ray is determined for each draw, so that
+changes of the extreme ray are included. A few draws are traced to verify that the
+first order is sufficient.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RayPrediction:
-    """What is predicted of a merit of rays, in its unit.
+    """Prediction of a ray merit, in its unit.
 
     Attributes
     ----------
     merit : RayMerit
     nominal : float
-        Of the nominal lens.
+        Score of the nominal lens.
     mean, deviation : float
-        Over lenses.
+        Mean and standard deviation over lenses.
     passed : ndarray of bool, shape (draws,)
-        Which of the drawn lenses are within the limit.
+        True for drawn lenses within the limit.
     alone : ndarray, shape (perturbations,)
         Deviation that each perturbation brings by itself.
     left : float
@@ -76,18 +76,18 @@ class RayPrediction:
 
     @property
     def shares(self) -> Array:
-        """Of the sum of these squares that each perturbation brings, shape (perturbations,)."""
+        """Fraction of the sum of squared deviations of each perturbation alone, shape (perturbations,)."""
         squares = self.alone**2
         return np.asarray(squares / max(float(np.sum(squares)), np.finfo(float).tiny))
 
     @property
     def first_order_suffices(self) -> bool:
-        """Whether what first order leaves is small."""
+        """True if the error of the first order is small."""
         return self.left <= FIRST_SUFFICES
 
 
 class FirstOrderRays(Context):
-    """What ray merits score by: rays that follow the perturbations to first order, none clipped."""
+    """Context of ray merits whose rays follow the perturbations to first order, without clipping."""
 
     def __init__(self, lens: Lens, study: Study) -> None:
         super().__init__(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
@@ -114,8 +114,8 @@ class FirstOrderRays(Context):
                 pivot_z_mm=study.pivot_z_mm,
             )
 
-        known = self.kept(("arrivals", field_points_mm, wavelength, id(stop)), make)
-        return self.once(
+        known = self.cached(("arrivals", field_points_mm, wavelength, id(stop)), make)
+        return self.cached_for(
             batch,
             ("rays", field_points_mm, wavelength, id(stop)),
             lambda: known.arrival(known.changes.amounts(batch)),
@@ -131,9 +131,9 @@ class FirstOrderRays(Context):
         distances_mm
             Planes on which footprints are judged, from the first sensor plane.
         """
-        for key, known in self._kept.items():
+        for key, known in self._cache.items():
             if isinstance(known, ArrivalDifferentials):
-                self._kept[key] = known.part(_extreme_rays(known, batch, distances_mm))
+                self._cache[key] = known.subset(_extreme_rays(known, batch, distances_mm))
 
 
 def _extreme_rays(
@@ -154,7 +154,7 @@ def _extreme_rays(
 
 
 def is_predicted_ray_merit(merit: Merit) -> TypeGuard[LargestSpread | FootprintRadius]:
-    """Whether a merit is one of rays that can be predicted: a spread or a footprint."""
+    """Return whether a merit is a ray merit that can be predicted: a spread or a footprint."""
     return isinstance(merit, LargestSpread | FootprintRadius)
 
 
@@ -168,7 +168,7 @@ def predict_rays(
 ) -> tuple[RayPrediction, ...]:
     """Predict a study's largest spreads and footprints.
 
-    What it neglects: second order of the single ray, and rays that a perturbed lens clips or lets through
+    Neglected are the second order of single rays, and rays that a perturbed lens clips or lets through
     where the nominal one does not.
 
     Parameters
@@ -176,7 +176,7 @@ def predict_rays(
     lens
         The study's lens.
     study
-        What scatters, and its merits.
+        The study with perturbations and merits.
     batch
         The drawn lenses; default: those of :func:`tolerancing.prediction.wavefront_prediction.drawn_batch`.
     checked
@@ -197,7 +197,7 @@ def predict_rays(
         return ()
     drawn = drawn_batch(study) if batch is None else batch
     context = FirstOrderRays(lens, study)
-    blocks = [drawn.part(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
+    blocks = [drawn.subset(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
     planes = lens.sensor.plane_distances_mm
     judged = [m.plane_distance_mm or planes[-1] for m in merits if isinstance(m, FootprintRadius)]
     first = _scores(merits, context, blocks[0])
@@ -208,7 +208,7 @@ def predict_rays(
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
     left = np.zeros(len(merits))
     if checked:
-        traced = _scores(merits, Context(lens, study.sampling), drawn.part(slice(0, TRACED)))
+        traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, TRACED)))
         off = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
         # What no perturbation moves deviates by rounding alone.
         left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))

@@ -36,7 +36,7 @@ from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
 from tolerancing.prediction.sheet_scores import StudySheets
 from tolerancing.prediction.wavefront_prediction import Judged, is_predicted_wavefront, wavefront_points
-from tolerancing.study.evaluate import compensated_points, make_ready
+from tolerancing.study.evaluate import compensated_points, prepare_merits
 from tolerancing.study.files import check_against, load_study
 from tolerancing.study.study import Study
 
@@ -49,9 +49,9 @@ class StudyAsBuilt:
     ----------
     study : Study
     reference : Lens
-        The lens that it was written for.
+        The lens of the study file.
     source : str
-        Where it comes from.
+        Name of the study file.
     costs : Path or None
         Table of costs; None is that of the toolkit.
     amount : float or None
@@ -65,7 +65,7 @@ class StudyAsBuilt:
     amount: float | None = None
 
     def sheets(self) -> StudySheets:
-        """What derives and scores the tolerances of a lens's sheets by the study."""
+        """Scorer that derives and scores the tolerances of a lens's drawings by the study."""
         return StudySheets(self.study, self.source)
 
     def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
@@ -77,7 +77,7 @@ class StudyAsBuilt:
         return load_costs(self.costs)
 
     def cost(self, lens: Lens) -> float:
-        """What the tolerances of a lens cost, its elements included.
+        """Return the cost of the tolerances of a lens, its elements included.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class StudyAsBuilt:
         return self.amount or cost_of(self.study, bent(lens), self._table).total
 
     def factor(self, lens: Lens) -> float:
-        """By which the tolerances of a lens are multiplied to cost what is asked for.
+        """Return the factor of the tolerances of a lens that gives the requested cost.
 
         Costs of tolerances are their reciprocals.
         """
@@ -131,7 +131,7 @@ class StudyAsBuilt:
     @cached_property
     def _scatter(self) -> Scatter:
         # A search ends with trials: whether all merits can score is known before it begins.
-        make_ready(self.study)
+        prepare_merits(self.study)
         return Scatter(self.study, self.factor)
 
     @cached_property
@@ -142,7 +142,7 @@ class StudyAsBuilt:
         return (*judged, *(place for place in own if place not in judged))
 
     def check(self, lens: Lens) -> None:
-        """Refuse tolerances of what a lens does not have.
+        """Check that a lens has all perturbed parameters.
 
         Raises
         ------
@@ -188,7 +188,7 @@ class StudyAsBuilt:
         return found
 
     def check_yields(self) -> None:
-        """Refuse a study of which no yield can be predicted.
+        """Check that the yield of the study can be predicted.
 
         Raises
         ------
@@ -202,7 +202,7 @@ class StudyAsBuilt:
             )
 
     def check_losses(self, lens: Lens) -> None:
-        """Refuse losses that a search for such a lens cannot know.
+        """Check that a search can predict the losses of such a lens.
 
         Raises
         ------

@@ -65,7 +65,7 @@ class SheetItem:
     Attributes
     ----------
     kind
-        What is toleranced.
+        Kind of the tolerance.
     element, surface
         Indices from 0; of an indication for the whole element its front surface.
     field
@@ -75,7 +75,7 @@ class SheetItem:
     origin
         Where the value comes from.
     deviations
-        What it allows.
+        Deviations that it allows.
     """
 
     kind: Kind

@@ -1,4 +1,4 @@
-"""Sheets by a study: what the study leaves open is derived from it, and the whole sheet is scored.
+"""Drawings scored by a study: missing values are derived from the study, and the whole drawing is scored.
 
 A value that the study does not state stands as the general tolerance if it costs next to no yield; otherwise
 it is the largest round value that costs little. None is closer than the high-precision grade.
@@ -17,7 +17,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.manufacture.drawing.scored import MOST_LOSS, Derived, SheetScore
+from lensdesign.manufacture.drawing.scored import MAX_YIELD_LOSS, Derived, SheetScore
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
 from tolerancing.perturbations.grades import HIGH_PRECISION
 from tolerancing.prediction.drawn_study import (
@@ -62,7 +62,7 @@ class StudySheets:
     ----------
     study : Study
     source : str
-        Its file.
+        Name of the study file.
     """
 
     study: Study
@@ -74,7 +74,7 @@ class StudySheets:
         return waves or bool(predicted_merits(self.study))
 
     def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> Derived:
-        """Derive what the study leaves open, for a lens as drawn.
+        """Derive the values that the study does not state, for a lens as drawn.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class StudySheets:
         Raises
         ------
         DesignError
-            As of :meth:`derive`.
+            If the study does not fit the lens, or rays do not pass.
         """
         if not self._predictable:
             return None
@@ -130,7 +130,7 @@ class StudySheets:
         made = as_drawn_study(drawn, self.study, items)
         found = predict_study(drawn, made.study)
         losses: list[tuple[str, float]] = []
-        if own.yield_fraction - found.yield_fraction > MOST_LOSS:
+        if own.yield_fraction - found.yield_fraction > MAX_YIELD_LOSS:
             losses = _losses(drawn, made)
 
         def save(path: Path, design: str) -> None:
@@ -166,7 +166,7 @@ def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
 
 
 class _Search:
-    """Values of what a study leaves open, tightened until they cost little."""
+    """Values that a study does not state, tightened until they cost little yield."""
 
     def __init__(
         self,
@@ -228,8 +228,8 @@ class _Search:
         for _ in range(most_steps):
             if base - self._yield(yield_of, self.chosen) <= LOSS_ALL:
                 break
-            dear = (key for key in own if self.costs[key] > 0.5 * COSTS_NOTHING)
-            steps = {key: closer for key in dear if (closer := self._closer(self.chosen[key]))}
+            costly = (key for key in own if self.costs[key] > 0.5 * COSTS_NOTHING)
+            steps = {key: closer for key in costly if (closer := self._closer(self.chosen[key]))}
             if not steps:
                 break
             key = max(steps, key=lambda key: self.costs[key])
@@ -239,7 +239,7 @@ class _Search:
     def _does(
         self, yield_of: YieldOf, base: float, shared: dict[Key, SheetItem], key: Key, one: SheetItem
     ) -> bool:
-        """Whether a value costs little alone."""
+        """Return whether a value alone costs little yield."""
         return base - self._yield(yield_of, shared | {key: one}) <= LOSS_EACH
 
     def _widest(self, item: SheetItem, does: Callable[[SheetItem], bool]) -> SheetItem:
@@ -336,7 +336,7 @@ def _written(
 
 
 def _notes(search: _Search) -> list[str]:
-    """What was derived, in words."""
+    """Return notes on the derived values."""
     notes = []
     if search.shared:
         texts = ", ".join(search.chosen[key].text for key in sorted(search.shared))

@@ -1,6 +1,6 @@
 """The predicted yield of a study: one definition for optimizer, commands, sheets, reports and workbench.
 
-A lens is good if it keeps every limit of its study. Limits on wavefronts and on rays are predicted for the
+A lens is good if it meets every limit of its study. Limits on wavefronts and on rays are predicted for the
 same drawn lenses, so that their joint yield accounts for how they fail together. Merits of other kinds need
 trials; they are named, and the predicted yield is that of the limits that are predicted.
 """
@@ -30,14 +30,14 @@ from tolerancing.study.study import Study
 
 @dataclass(frozen=True, eq=False)
 class LimitPrediction:
-    """One limit of a study.
+    """Prediction for one limit of a study.
 
     Attributes
     ----------
     merit : Merit
         The merit that has it.
     passed : ndarray of bool, shape (draws,)
-        Which of the drawn lenses keep it, at all of its field points.
+        True for drawn lenses that meet the limit at all of its field points.
     """
 
     merit: Merit
@@ -45,13 +45,13 @@ class LimitPrediction:
 
     @property
     def yield_fraction(self) -> float:
-        """Fraction of lenses that keep this limit."""
+        """Fraction of lenses that meet this limit."""
         return float(np.mean(self.passed))
 
 
 @dataclass(frozen=True, eq=False)
 class StudyPrediction:
-    """What is predicted of a study's lens as built.
+    """Prediction of a study's lens as built.
 
     Attributes
     ----------
@@ -72,12 +72,12 @@ class StudyPrediction:
 
     @property
     def passed(self) -> NDArray[np.bool_]:
-        """Which of the drawn lenses keep every predicted limit, shape (draws,)."""
+        """True for drawn lenses that meet every predicted limit, shape (draws,)."""
         return np.all([limit.passed for limit in self.limits], axis=0)
 
     @property
     def yield_fraction(self) -> float:
-        """Fraction of lenses that keep every predicted limit."""
+        """Fraction of lenses that meet every predicted limit."""
         return float(np.mean(self.passed))
 
     @property
@@ -87,13 +87,13 @@ class StudyPrediction:
 
     @property
     def is_trustworthy(self) -> bool:
-        """Whether the neglected orders are small, as far as the prediction can tell."""
+        """True if the estimate of the neglected orders is small."""
         waves = self.wavefronts is None or self.wavefronts.second_order_suffices
         return waves and all(ray.first_order_suffices for ray in self.rays)
 
 
 def is_predicted(merit: Merit) -> bool:
-    """Whether the limit of a merit is predicted without trials."""
+    """Return whether the limit of a merit is predicted without trials."""
     return is_predicted_wavefront(merit) or is_predicted_ray_merit(merit)
 
 
@@ -107,7 +107,7 @@ def predict_study(
     lens
         The study's lens.
     study
-        What scatters, and the limits.
+        The study with perturbations and limits.
     batch
         The drawn lenses, for callers that predict many lenses; default: 8192 Sobol draws of the study
         (:func:`tolerancing.prediction.wavefront_prediction.drawn_batch`).
@@ -149,7 +149,7 @@ def predict_study(
 
 
 def _refuse_not_finite(waves: WavefrontPrediction | None, rays: tuple[RayPrediction, ...]) -> None:
-    """Refuse a prediction that is no number: a yield counted from it would be wrong."""
+    """Raise an error for a prediction that is not a number, which would give a wrong yield."""
     points = () if waves is None else waves.points
     wrong = [f"the wavefront at {p.judged.field_mm} mm" for p in points if not math.isfinite(p.rms_waves)]
     wrong += [r.merit.label for r in rays if not math.isfinite(r.mean + r.deviation)]

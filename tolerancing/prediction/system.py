@@ -1,4 +1,5 @@
-"""What perturbations do to the numbers of a lens: poses, shapes and indices, to first and second order."""
+"""Derivatives of the numbers of a lens (poses, shapes, indices) by perturbations, to first and second
+order."""
 
 from __future__ import annotations
 
@@ -20,15 +21,15 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.paths import Layout
 
 STEP_SHARE = 0.1
-"""Of a perturbation's size, for differences of the numbers; they bend little over that."""
+"""Step of finite differences, as a fraction of a perturbation's size."""
 
 ROUNDING = 1e-9
-"""Second differences below this share of the numbers' first ones are rounding."""
+"""Second differences below this fraction of the first differences are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """What d changes do to a system.
+    """Derivatives of a system by d changes.
 
     A perturbation is one change, but an irregularity is as many as its figures have terms.
 
@@ -40,7 +41,7 @@ class Changes:
     second : sparse array, shape (d (d + 1) / 2, numbers)
         Second derivatives by pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`.
     columns : tuple of slice
-        Which changes each perturbation is.
+        Changes of each perturbation.
     figures : tuple of (int, slice, SurfaceFigure)
         Of irregularities: surface from 0, changes, and the figures of one unit of each.
     """
@@ -53,16 +54,16 @@ class Changes:
 
     @property
     def count(self) -> int:
-        """How many changes there are."""
+        """Number of changes."""
         return self.first.shape[1]
 
     def amounts(self, batch: PerturbationBatch) -> Array:
-        """How much of each change each trial has, shape (trials, d)."""
+        """Return the amount of each change in each trial, shape (trials, d)."""
         return amounts_of(batch)
 
 
 def amounts_of(batch: PerturbationBatch) -> Array:
-    """How much of each change each trial has, shape (trials, d)."""
+    """Return the amount of each change in each trial, shape (trials, d)."""
     columns, count = columns_of(batch.parameters)
     found = np.zeros((len(batch), count))
     for k, (own, parameter) in enumerate(zip(columns, batch.parameters, strict=True)):
@@ -76,7 +77,7 @@ def amounts_of(batch: PerturbationBatch) -> Array:
 
 
 def columns_of(parameters: Sequence[PerturbedParameter]) -> tuple[tuple[slice, ...], int]:
-    """Which changes each perturbation is, and how many there are."""
+    """Return the changes of each perturbation, and the number of changes."""
     columns, place = [], 0
     for parameter in parameters:
         count = len(INDICES) if parameter.is_irregularity else 1
@@ -100,20 +101,20 @@ def changes_of(
     lens
         The nominal lens.
     parameters
-        What is perturbed.
+        Perturbed parameters.
     sizes : ndarray, shape (parameters,)
-        By how much, roughly: differences are taken over a tenth of it.
+        Approximate sizes; finite differences use a tenth of them.
     pivot_z_mm
-        Where on the axis the whole lens turns.
+        Position on the axis about which the whole lens tilts.
     wavelength_um
         Nominal vacuum wavelength.
     second
-        Whether second derivatives are asked for; left at 0 elsewhere.
+        Whether second derivatives are computed; otherwise they are 0.
 
     Raises
     ------
     InputError
-        If a perturbation is none of this lens.
+        If the lens does not have a perturbed parameter.
     """
     smooth = [k for k, p in enumerate(parameters) if not p.is_irregularity]
     numbers = _Numbers(lens, [parameters[k] for k in smooth], pivot_z_mm, wavelength_um)
@@ -136,12 +137,12 @@ def changes_of(
 
 
 def pair_places(count: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Where pairs (i, j), i <= j, stand in the upper triangle, row by row, of so many changes."""
+    """Return the positions of pairs (i, j), i <= j, in the upper triangle, row by row."""
     return i * (2 * count - i - 1) // 2 + j
 
 
 def _unit_figures(lens: Lens, surface: int) -> SurfaceFigure:
-    """Of one wave root mean square of each polynomial."""
+    """Return figures of one wave root mean square of each polynomial."""
     semi_diameter = lens.surfaces[surface].semi_diameter_mm
     assert semi_diameter is not None  # the study's check saw to it
     ones = np.ones(len(INDICES))

@@ -1,4 +1,4 @@
-"""What a lens will be as built, from the derivatives of its wavefronts: no trial is traced.
+"""Prediction of wavefronts of a lens as built, from derivatives and without tracing trials.
 
 The path difference of a trial is a first-order sum over its perturbations, and a second-order one over their
 pairs. Its mean square over the pupil, shift and focus taken out, is then a polynomial of the drawn amounts,
@@ -64,7 +64,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class PointPrediction:
-    """What is predicted at one object point.
+    """Prediction at one object point.
 
     Attributes
     ----------
@@ -74,9 +74,9 @@ class PointPrediction:
     first_order_rms_waves : float
         The same, were path differences linear in the perturbations.
     shares : ndarray, shape (perturbations,)
-        Of the mean square that each perturbation brings by itself; to first order.
+        Fraction of the mean square of each perturbation alone, to first order.
     passed : ndarray of bool, shape (draws,)
-        Which of the drawn lenses are within the limit.
+        True for drawn lenses within the limit.
     """
 
     judged: Judged
@@ -92,13 +92,13 @@ class PointPrediction:
 
     @property
     def second_order_share(self) -> float:
-        """By how much of itself second order changes the root mean square."""
+        """Relative change of the root mean square by the second order."""
         return abs(self.rms_waves / self.first_order_rms_waves - 1.0) if self.first_order_rms_waves else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class WavefrontPrediction:
-    """What is predicted of a study.
+    """Prediction of the wavefronts of a study.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class WavefrontPrediction:
 
     @property
     def passed(self) -> NDArray[np.bool_]:
-        """Which of the drawn lenses are within the limit at every point."""
+        """True for drawn lenses within the limit at every point."""
         return np.all([point.passed for point in self.points], axis=0)
 
     @property
@@ -125,12 +125,12 @@ class WavefrontPrediction:
 
     @property
     def second_order_suffices(self) -> bool:
-        """Whether third order is small, as far as the second tells."""
+        """True if the third order is small, as estimated from the second."""
         return all(point.second_order_share <= SECOND_MATTERS for point in self.points)
 
 
 def is_predicted_wavefront(merit: Merit) -> TypeGuard[RmsWaves | Strehl]:
-    """Whether a merit judges the refocused wavefront, which is predicted without trials."""
+    """Return whether a merit depends on the refocused wavefront, which is predicted without trials."""
     return isinstance(merit, RmsWaves | Strehl) and merit.refocus
 
 
@@ -148,7 +148,7 @@ def wavefront_points(study: Study) -> tuple[Judged, ...]:
 
 
 def judged_points(study: Study) -> tuple[Judged, ...]:
-    """As :func:`wavefront_points`, of a study that has some.
+    """Return :func:`wavefront_points` of a study, which must have some.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def predict(
 ) -> WavefrontPrediction:
     """Predict wavefronts and yield of a study without trials.
 
-    What it neglects: third order, merits other than the wavefront's, and rays that a perturbed stop lets
+    Neglected are the third order, merits other than those of wavefronts, and rays that a perturbed stop lets
     through or not.
 
     Parameters
@@ -189,11 +189,11 @@ def predict(
     lens
         The study's lens.
     study
-        What scatters.
+        The study with its perturbations.
     points
-        What is judged; by default what the study's merits `rms_waves` and `strehl` judge.
+        Object points with limits; default: those of the study's merits `rms_waves` and `strehl`.
     amounts : ndarray, shape (draws, d), optional
-        What :func:`drawn_amounts` gives, for those who predict many lenses.
+        Result of :func:`drawn_amounts`, for callers that predict many lenses.
     second
         Whether to go to second order; the first takes a tenth of the time.
 

@@ -1,4 +1,4 @@
-"""The report: one content, as a page and as a PDF; and the picture of one trial."""
+"""The report of a study as an HTML page and a PDF with the same content, and figures of single trials."""
 
 import lazy_loader
 

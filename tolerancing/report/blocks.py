@@ -1,4 +1,8 @@
-"""What a report is made of, whatever it is rendered to: headings, tables, figures; and numbers in words."""
+"""Content of a report as blocks (headings, tables, figures), independent of the output format.
+
+The sections of a report produce these blocks. :mod:`tolerancing.report.html` and
+:mod:`tolerancing.report.pdf` render the same blocks, so that page and PDF cannot differ in content.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +17,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LONGEST_CELL = 600
-"""Characters of a cell; what is longer stands in the store."""
+"""Most characters in a table's cell; the store holds the full text."""
 
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
-"""Characters that neither HTML nor a page of paper can show."""
+"""Characters that neither HTML nor PDF can show."""
 
 UNIT_UM = re.compile(r"(?<=\d )um\b|(?<=\()um(?=\))")
-"""Behind a number, or as the unit of a heading; names of columns stay."""
+"""The unit um after a number or in parentheses, but not within the name of a column."""
 
 Align = Literal["left", "right"]
 
 
 @dataclass(frozen=True)
 class Heading:
-    """Title of a section (level 2) or of a part of one (level 3)."""
+    """Title of a section (level 2) or of a subsection (level 3)."""
 
     text: str
     level: Literal[2, 3] = 2
@@ -34,7 +38,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Some sentences; `soft` ones explain what stands beside them."""
+    """Paragraph of text. A `soft` one explains the block beside it, and is set in a lighter style."""
 
     text: str
     soft: bool = False
@@ -42,14 +46,14 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Warning:
-    """What the reader must know before believing the rest."""
+    """Warning that limits what the reader may conclude from the report."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Headline:
-    """The one number of the report, whether it is good, and what it means."""
+    """Main number of the report, its verdict, and an explanation."""
 
     number: str
     verdict: str
@@ -59,23 +63,23 @@ class Headline:
 
 @dataclass(frozen=True)
 class Facts:
-    """Short facts, each with its name."""
+    """List of short facts, as pairs of name and text."""
 
     items: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell that is more than text.
+    """Table cell with a mark or a bar.
 
     Attributes
     ----------
     text
-        What it says.
+        Text of the cell.
     failed
-        Whether that is beyond a limit.
+        Whether its value misses a limit.
     bar
-        Share, and the ends of its interval, to draw as a bar.
+        Fraction, and the ends of its interval, to draw as a bar; None for no bar.
     """
 
     text: str
@@ -85,7 +89,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """Title of a table's column, and to which side its cells are set."""
+    """Title of a table's column, and alignment of its cells."""
 
     title: str
     align: Align = "right"
@@ -93,14 +97,14 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; a plain string is a cell without more."""
+    """Table with its columns, rows and caption. A plain string is a cell with text only."""
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell | str, ...], ...]
     caption: str = ""
 
     def cells(self) -> list[list[Cell]]:
-        """All rows, cut to `LONGEST_CELL` characters a cell."""
+        """Return all rows as cells, each cut to `LONGEST_CELL` characters."""
         cells = [[c if isinstance(c, Cell) else Cell(cut(c)) for c in row] for row in self.rows]
         return [[replace(cell, text=in_micrometres(cell.text)) for cell in row] for row in cells]
 
@@ -112,12 +116,11 @@ class Panel:
     Attributes
     ----------
     figure
-        Drawn by matplotlib.
+        The matplotlib figure.
     alt
-        What it shows, for who cannot see it.
+        Description of the figure for readers who cannot see it.
     points
-        By the gid of a collection of markers in the figure: numbers of the trials that they stand for, in the
-        order in which they are drawn.
+        Trial numbers of the markers in a collection, by the gid of the collection, in drawing order.
     """
 
     figure: Figure
@@ -127,7 +130,7 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class FigureBlock:
-    """Panels in rows of so many, as far as the page is wide enough."""
+    """Panels in rows of at most `columns`, as far as the page is wide enough."""
 
     panels: tuple[Panel, ...]
     columns: int = 1
@@ -136,7 +139,7 @@ class FigureBlock:
 
 @dataclass(frozen=True)
 class Code:
-    """Text that stands as it is."""
+    """Text that is shown unchanged in a fixed-width font."""
 
     text: str
 
@@ -146,20 +149,20 @@ Block = Heading | Paragraph | Warning | Headline | Facts | Table | FigureBlock |
 
 @dataclass(frozen=True)
 class Report:
-    """All of a report.
+    """Complete content of a report.
 
     Attributes
     ----------
     title
-        Of the study.
+        Title of the study.
     subtitle
-        A line below it.
+        Line below the title.
     blocks
-        Its content, in order.
+        Content in order.
     trials : mapping of int to str
-        What the points of figures say when they are pointed at, by trial.
+        Tooltip of the points in figures, by trial number.
     footer
-        What stands at the end.
+        Text at the end.
     """
 
     title: str
@@ -170,29 +173,29 @@ class Report:
 
 
 def plain(text: str) -> str:
-    """Text without characters that cannot be shown."""
+    """Replace characters that cannot be shown."""
     return CONTROL.sub("�", text)
 
 
 def in_micrometres(text: str) -> str:
-    """A text for people: the unit that files write as um."""
+    """Replace the unit um, as files write it, by µm."""
     return UNIT_UM.sub("µm", text)
 
 
 def cut(text: str, most: int = LONGEST_CELL) -> str:
-    """Text of at most so many characters."""
+    """Shorten a text to at most `most` characters."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[Cell | str]], caption: str = "") -> Table:
-    """A table whose headings that start with ``<`` stand over text, the others over numbers."""
+    """Return a table. A heading that starts with ``<`` is for a text column, any other for numbers."""
     titles = [in_micrometres(heading) for heading in headings]
     columns = tuple(Column(t.removeprefix("<"), "left" if t.startswith("<") else "right") for t in titles)
     return Table(columns, tuple(tuple(row) for row in rows), caption)
 
 
 def number_text(value: float | None, digits: int = 4) -> str:
-    """A number with so many digits; a dash where there is none."""
+    """Format a number with significant digits; a dash for None or NaN."""
     if value is None or np.isnan(value):
         return "–"
     if np.isinf(value):
@@ -201,27 +204,27 @@ def number_text(value: float | None, digits: int = 4) -> str:
 
 
 def signed_text(value: float | None) -> str:
-    """A number with its sign; a dash where there is none."""
+    """Format a number with its sign; a dash if it is None or not finite."""
     if value is None or not np.isfinite(value):
         return "–"
     return f"{value:+.3g}".replace("-", "−")
 
 
-def percent_text(share: float | None) -> str:
-    """A share in per cent; a dash where there is none."""
-    return "–" if share is None or not np.isfinite(share) else f"{100.0 * share:.1f} %"
+def percent_text(fraction: float | None) -> str:
+    """Format a fraction in per cent; a dash if it is None or not finite."""
+    return "–" if fraction is None or not np.isfinite(fraction) else f"{100.0 * fraction:.1f} %"
 
 
 def span_text(low: float, high: float) -> str:
-    """An interval of shares."""
+    """Format an interval of fractions in per cent."""
     return f"{percent_text(low)} – {percent_text(high)}"
 
 
 def joined(items: Sequence[str]) -> str:
-    """`a, b and c`."""
+    """Join items as in `a, b and c`."""
     return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else "".join(items)
 
 
 def counted(count: int, one: str, many: str = "") -> str:
-    """`1 trial`, `2 trials`."""
+    """Format a count with its noun, as in `1 trial` or `2 trials`."""
     return f"{count:,} {one if count == 1 else many or one + 's'}"

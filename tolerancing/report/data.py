@@ -1,4 +1,4 @@
-"""What the sections of a report are made from: a study's results, and what follows from several of them."""
+"""Data of a report: the results of a study, and quantities that several sections derive from them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.statistics.approximations import Approximation, approximations_of
 from tolerancing.statistics.correlation import RankCorrelation, rank_correlation
-from tolerancing.statistics.quadratic_response import Sensitivity
-from tolerancing.statistics.sensitivities import study_sensitivities
+from tolerancing.statistics.sensitivities import Sensitivity, study_sensitivities
 from tolerancing.statistics.summary import Summary
 from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 from tolerancing.study.study import Study
@@ -27,30 +26,30 @@ if TYPE_CHECKING:
 
 
 MOST_POINTS, WORST_POINTS = 1500, 300
-"""Trials drawn as points: all, the worst of them, and random ones for the rest."""
+"""Most trials drawn as points in a figure. The worst ones are among them; the others are random."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything that a report says, before it is put into words.
+    """Data of a report.
 
     Attributes
     ----------
     loaded
-        The study with its lens and files.
+        Study with its lens and files.
     record, nominal
-        Of the store.
-    results, dear, steps
-        All that it holds; None where there are no dear merits.
+        Record of the run, and scores of the nominal lens by the merit's label.
+    results, high_fidelity, steps
+        Trials, high-fidelity scores and steps in the store; None without high-fidelity merits.
     summary
-        Of these.
+        Summary of the trials.
     """
 
     loaded: LoadedStudy
     record: StudyRecord
     nominal: Mapping[str, float]
     results: TrialResults
-    dear: HighFidelityResults | None
+    high_fidelity: HighFidelityResults | None
     steps: Sequence[StepResults]
     summary: Summary
 
@@ -66,7 +65,7 @@ class ReportData:
 
     @cached_property
     def trial_numbers(self) -> NDArray[np.int64]:
-        """Numbers of the trials that there are."""
+        """Numbers of the stored trials."""
         return np.asarray(self.results.trials, dtype=np.int64)
 
     @cached_property
@@ -87,12 +86,12 @@ class ReportData:
 
     @cached_property
     def by_badness(self) -> NDArray[np.intp]:
-        """Places of the trials among the results, the worst first."""
+        """Row indices of the trials, the worst first."""
         return np.argsort(self.badness, kind="stable")
 
     @cached_property
     def drawn(self) -> NDArray[np.intp]:
-        """Places of the trials that are drawn as points, ascending."""
+        """Row indices of the trials that are drawn as points, ascending."""
         count = len(self.results)
         if count <= MOST_POINTS:
             return np.arange(count)
@@ -104,17 +103,17 @@ class ReportData:
 
     @cached_property
     def drawn_text(self) -> str:
-        """Which trials are drawn as points, where it is not all."""
+        """Sentence about the trials that are drawn as points; empty if all are drawn."""
         if len(self.drawn) == len(self.results):
             return ""
         return (
-            f"Points: {len(self.drawn):,} of {len(self.results):,} trials, the worst {WORST_POINTS} and "
-            "others at random."
+            f"Points: {len(self.drawn):,} of {len(self.results):,} trials, the worst {WORST_POINTS} and a "
+            "random sample of the others."
         )
 
     @cached_property
     def sensitivity(self) -> Sensitivity | None:
-        """What each perturbation does alone; None where a step or a nominal score is missing."""
+        """Effect of each perturbation alone; None if a step or a nominal score is missing."""
         if any(self.nominal.get(m.label) is None for m in self.study.merits):
             return None
         try:
@@ -124,40 +123,40 @@ class ReportData:
 
     @cached_property
     def approximations(self) -> tuple[Approximation, ...]:
-        """Dear merits for which sensitivities and models take the cheap ones."""
-        return approximations_of(self.study, self.results, self.dear)
+        """High-fidelity merits that sensitivities and models approximate by low-fidelity ones."""
+        return approximations_of(self.study, self.results, self.high_fidelity)
 
     @cached_property
-    def variance_shares(self) -> Array | None:
-        """Share of each merit's variance that a perturbation brings, shape (merits, perturbations).
+    def variance_fractions(self) -> Array | None:
+        """Fraction of each merit's variance that a perturbation causes, shape (merits, perturbations).
 
-        From the sensitivities; from squared rank correlations where there are none; None without either.
+        It is computed from the sensitivities, or else from squared rank correlations; None without either.
         """
         if self.sensitivity is not None:
-            parts = np.nan_to_num(self.sensitivity.standard_deviation.T, posinf=0.0) ** 2
+            variances = np.nan_to_num(self.sensitivity.standard_deviation.T, posinf=0.0) ** 2
         elif len(self.results):
-            parts = self.correlation.strength**2
+            variances = self.correlation.strength**2
         else:
             return None
-        total = parts.sum(axis=1, keepdims=True)
-        return np.divide(parts, total, out=np.zeros_like(parts), where=total > 0.0)
+        total = variances.sum(axis=1, keepdims=True)
+        return np.divide(variances, total, out=np.zeros_like(variances), where=total > 0.0)
 
     def steps_of(self, label: str) -> list[StepResults]:
-        """Steps of one series, in order."""
+        """Return the steps of one series in order."""
         return sorted((s for s in self.steps if s.series == label), key=lambda s: s.step)
 
-    def trial_text(self, place: int) -> str:
-        """One trial in a few words: its scores, and its largest deviations."""
+    def trial_text(self, row: int) -> str:
+        """Describe one trial, by its row index, with its scores and its largest deviations."""
         results, study = self.results, self.study
         scores = ", ".join(
-            f"{m.label} {results.scores[place, k]:.4g} {m.unit}".strip() for k, m in enumerate(study.merits)
+            f"{m.label} {results.scores[row, k]:.4g} {m.unit}".strip() for k, m in enumerate(study.merits)
         )
-        return f"trial {self.trial_numbers[place]}: {scores}; {self.causes(place)}"
+        return f"trial {self.trial_numbers[row]}: {scores}; {self.causes(row)}"
 
-    def causes(self, place: int) -> str:
-        """The three largest deviations of one trial, in standard deviations."""
+    def causes(self, row: int) -> str:
+        """Describe the three largest deviations of one trial, in standard deviations."""
         found = []
-        for p, value in zip(self.study.perturbations, self.results.values[place].tolist(), strict=True):
+        for p, value in zip(self.study.perturbations, self.results.values[row].tolist(), strict=True):
             spread = p.distribution.standard_deviation or 1.0
             found.append(((value - p.distribution.centre) / spread, p, value))
         found.sort(key=lambda item: -abs(item[0]))

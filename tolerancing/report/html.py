@@ -1,4 +1,4 @@
-"""A report as one HTML page that needs nothing beside itself."""
+"""Rendering of a report as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tolerancing.report.figures.svg import svg_text
 
 
 def html_page(report: Report) -> str:
-    """The page's text."""
+    """Return the report as HTML text."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -38,11 +38,11 @@ def html_page(report: Report) -> str:
         figures=figures,
         kind=lambda block: type(block).__name__,
         trials=Markup(safe_json({str(trial): plain(text) for trial, text in report.trials.items()})),
-        percent=lambda share: f"{100.0 * share:.2f}",
+        percent=lambda fraction: f"{100.0 * fraction:.2f}",
     )
 
 
 def safe_json(value: object) -> str:
-    """JSON that can stand inside a ``script`` element, whatever texts it holds."""
+    """Return JSON that is safe inside a ``script`` element for any text in it."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"))
     return re.sub("[<>&\u2028\u2029]", lambda match: f"\\u{ord(match[0]):04x}", text)

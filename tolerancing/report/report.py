@@ -1,4 +1,4 @@
-"""The report of a study: one self-contained HTML page, the same as PDF, and tables for other programs."""
+"""The report of a study: a self-contained HTML page, the same content as PDF, and tables as CSV."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError, atomic_path
 from tolerancing.report.blocks import Block, Report, plain
 from tolerancing.report.data import ReportData
-from tolerancing.report.sections.designed import Front, designed_section, read_front
+from tolerancing.report.sections.prediction import Front, prediction_section, read_front
 from tolerancing.statistics.summary import Summary
 from tolerancing.store.store import Store
 
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """What a report consists of."""
+    """Paths of the files of a report."""
 
     html: Path
     pdf: Path
@@ -35,26 +35,37 @@ def write_report(
     beside: Store | None = None,
     front: str | os.PathLike[str] | None = None,
 ) -> ReportFiles:
-    """Write a store's report.
+    """Write the report of a store as HTML, PDF and CSV files.
 
     Parameters
     ----------
     store
-        An open store, finished or not.
+        Open store; its run need not be finished.
     folder
-        Where ``report.html``, ``report.pdf``, ``trials.csv`` and ``steps.csv`` go; made if needed.
+        Folder for ``report.html``, ``report.pdf``, ``trials.csv`` and ``steps.csv``. It is created if needed.
     beside
-        An open store of the lens from which this one was made, to be put beside it.
+        Open store of the original lens, to compare this lens with.
     front
-        Folder of `lensdesign explore`, to show where this lens stands.
+        Output folder of `lensdesign explore`, to compare this lens with those on the front.
+
+    Returns
+    -------
+    ReportFiles
+        Paths of the written files.
 
     Raises
     ------
     InputError
-        If the store cannot be read or a file cannot be written; files there stay as they were.
+        If the store cannot be read or a file cannot be written. Existing files stay unchanged then.
+
+    Examples
+    --------
+    >>> from tolerancing import open_store, write_report
+    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    ...     files = write_report(store, "report")
     """
     from tolerancing.report.html import html_page
-    from tolerancing.report.pdf.pdf import write_pdf
+    from tolerancing.report.pdf import write_pdf
     from tolerancing.store.export import write_steps, write_trials
 
     folder = Path(folder)
@@ -64,12 +75,12 @@ def write_report(
     for path in vars(files).values():
         if os.path.exists(path) and path.samefile(store.path):
             raise InputError(f"cannot write {path}: it is the store itself; give another folder")
-    shown = ReportComparison(
+    comparison = ReportComparison(
         None if beside is None else report_data(beside).summary,
         None if front is None else read_front(Path(front)),
     )
-    report = report_of(report_data(store), beside=shown)
-    with ExitStack() as stack:  # all are written before the first takes its place
+    report = report_of(report_data(store), comparison=comparison)
+    with ExitStack() as stack:  # All files are complete before the first one gets its name.
         temporary = {name: stack.enter_context(atomic_path(path)) for name, path in vars(files).items()}
         write_trials(store, temporary["trials_csv"])
         write_steps(store, temporary["steps_csv"])
@@ -79,18 +90,18 @@ def write_report(
 
 
 def report_data(store: Store) -> ReportData:
-    """All that a store's report is made from."""
+    """Read from a store all data of its report."""
     from tolerancing.statistics.summary import summary_of
 
     loaded, record, nominal = store.loaded, store.record(), store.nominal()
     results, steps = store.trials(), store.steps()
-    dear = store.dear() if store.study.high_fidelity_merits else None
+    high_fidelity = store.high_fidelity() if store.study.high_fidelity_merits else None
     return ReportData(
         loaded=loaded,
         record=record,
         nominal=nominal,
         results=results,
-        dear=dear,
+        high_fidelity=high_fidelity,
         steps=steps,
         summary=summary_of(record, store.study, nominal, results, len(store.finished_steps())),
     )
@@ -98,25 +109,38 @@ def report_data(store: Store) -> ReportData:
 
 @dataclass(frozen=True)
 class ReportComparison:
-    """What a report puts beside its own lens: another store's results, and an exploration's front."""
+    """Results of other lenses for comparison.
 
-    before: Summary | None = None
+    Attributes
+    ----------
+    original
+        Summary of the store of the original lens.
+    front
+        Lenses of an exploration.
+    """
+
+    original: Summary | None = None
     front: Front | None = None
 
 
 def report_of(
-    data: ReportData, written: str | None = None, beside: ReportComparison = ReportComparison()
+    data: ReportData, written: str | None = None, comparison: ReportComparison = ReportComparison()
 ) -> Report:
-    """The report's content, whatever it is rendered to.
+    """Return the content of a report, independent of the output format.
 
     Parameters
     ----------
     data
-        What it is made from.
+        Data of the report.
     written
-        When; now where left out.
-    beside
-        What is shown beside it.
+        Date and time of the report. Default: now.
+    comparison
+        Results of other lenses for comparison.
+
+    Returns
+    -------
+    Report
+        Title, blocks and tooltips.
     """
     written = written or datetime.now(UTC).isoformat(timespec="seconds")
     summary, study = data.summary, data.study
@@ -127,16 +151,16 @@ def report_of(
             f"Design {study.design}; {summary.trials:,} of {summary.record.planned_trials:,} trials, seed "
             f"{study.seed}; report written {written}"
         ),
-        blocks=tuple(_blocks(data, written, beside)),
-        trials={int(data.trial_numbers[place]): data.trial_text(place) for place in drawn},
+        blocks=tuple(_blocks(data, written, comparison)),
+        trials={int(data.trial_numbers[row]): data.trial_text(row) for row in drawn},
         footer=(
-            "Every trial follows from the study, its seed and the trial's number. All numbers stand in "
-            "trials.csv and steps.csv beside this report."
+            "Every trial is determined by the study, its seed and the trial's number. All numbers are in the "
+            "files trials.csv and steps.csv beside this report."
         ),
     )
 
 
-def _blocks(data: ReportData, written: str, beside: ReportComparison) -> Sequence[Block]:
+def _blocks(data: ReportData, written: str, comparison: ReportComparison) -> Sequence[Block]:
     from tolerancing.report.sections.method import fidelity_section, method_section, reproduction_section
     from tolerancing.report.sections.reconstruction import reconstruction_section
     from tolerancing.report.sections.series import series_section, trial_pictures
@@ -154,7 +178,7 @@ def _blocks(data: ReportData, written: str, beside: ReportComparison) -> Sequenc
         *lens_section(data),
         *tolerance_section(data),
         *sensitivity_section(data),
-        *designed_section(data, beside.before, beside.front),
+        *prediction_section(data, comparison.original, comparison.front),
         *distribution_section(data),
         *scale_section(data),
         *reconstruction_section(data),

@@ -1,4 +1,4 @@
-"""How long a run will take, before it starts."""
+"""Estimate of the time that a run takes, made before the run starts."""
 
 from __future__ import annotations
 
@@ -14,83 +14,91 @@ from tolerancing.study.files import LoadedStudy
 from tolerancing.study.results import WORST
 from tolerancing.study.study import Study
 
-SHORT_SECONDS = 0.2
-"""A trial that takes less is timed as one of a chunk, which share work: of as many as take about so long."""
-
-
-MOST_LOOKED_AT = 2000
-"""Trials that are looked at for what they need set up."""
-
 
 @dataclass(frozen=True)
 class RunEstimate:
-    """What a run has to do, and how long that will take.
+    """Work that a run still has to do, and the time that this takes.
 
     Attributes
     ----------
-    trials, steps, dear
-        Trials, steps of series, and trials for the dear merits that are missing.
+    trials, steps, high_fidelity
+        Number of missing trials, of missing steps of series, and of missing trials for the high-fidelity
+        merits.
     workers
-        Processes that will do it; 0 where a cluster does.
+        Number of worker processes; 0 for a cluster.
     seconds
-        By what one trial takes, timed here, once all that is set up only once is, and by what series tell
-        of their steps.
+        Expected wall-clock time (s). It follows from the time of some trials, measured here after the
+        one-time setup, and from the estimates of the series for their steps.
     """
 
     trials: int
     steps: int
-    dear: int
+    high_fidelity: int
     workers: int
     seconds: float
 
     @property
     def sentence(self) -> str:
-        """For people."""
-        parts = {"trials": self.trials, "steps": self.steps, "trials by dear merits": self.dear}
-        what = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
-        whom = f"{self.workers} {'worker' if self.workers == 1 else 'workers'}"
+        """The estimate as a line of text."""
+        counts = {
+            "trials": self.trials,
+            "steps": self.steps,
+            "trials by high-fidelity merits": self.high_fidelity,
+        }
+        work = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+        workers = f"{self.workers} {'worker' if self.workers == 1 else 'workers'}"
         if not self.workers:
-            whom = "one worker of a cluster like this machine"
-        return f"{what}: about {duration_text(self.seconds)} by {whom}"
+            workers = "one worker of a cluster like this machine"
+        return f"{work}: about {duration_text(self.seconds)} by {workers}"
 
 
 def estimate_run(
-    loaded: LoadedStudy, lacking: dict[str, int], steps: Sequence[Task], workers: int, chunk: int
+    loaded: LoadedStudy, missing: dict[str, int], steps: Sequence[Task], workers: int, chunk: int
 ) -> RunEstimate:
-    """Time some trials of a study, and tell how long what is missing takes.
+    """Time some trials of a study, and estimate how long the missing work takes.
 
     Parameters
     ----------
     loaded
-        The study, its merits' levels settled.
-    lacking
-        How many ``trials`` and ``dear`` trials are missing.
+        Study whose merits have their final levels.
+    missing
+        Number of missing trials under the keys ``trials`` and ``high_fidelity``.
     steps
-        The steps that are missing.
+        Missing steps of series.
     workers
-        Number of processes; 0 for a cluster.
+        Number of worker processes; 0 for a cluster.
     chunk
-        How many trials a task has.
+        Number of trials in a task.
+
+    Returns
+    -------
+    RunEstimate
+        Amount of work and expected time.
     """
     study, context = loaded.study, context_of(loaded.lens, loaded.study)
-    score_trials(context, study, (0,))  # once, for what is set up once
+    score_trials(context, study, (0,))  # The first call includes the one-time setup; it is not timed.
     single = _seconds(lambda: score_trials(context, study, (0,)))
     each = single
-    if single < SHORT_SECONDS and chunk > 1:
-        few = min(chunk, max(2, round(SHORT_SECONDS / max(single, 1e-9))))
+    timed_seconds = (
+        0.2  # Trials of a chunk share work, so short ones are timed together, for about this long.
+    )
+    if single < timed_seconds and chunk > 1:
+        few = min(chunk, max(2, round(timed_seconds / max(single, 1e-9))))
         each = _seconds(lambda: score_trials(context, study, range(few))) / few
-    seconds = each * lacking["trials"] + sum(_step_seconds(context, study, step, single) for step in steps)
-    if lacking["dear"]:
+    seconds = each * missing["trials"] + sum(_step_seconds(context, study, step, single) for step in steps)
+    if missing["high_fidelity"]:
         score_high_fidelity(context, study, (0,), (WORST,))
-        seconds += lacking["dear"] * _seconds(lambda: score_high_fidelity(context, study, (0,), (WORST,)))
-    counts = (lacking["trials"], len(steps), lacking["dear"])
-    setup = _setup_seconds(context, study, lacking["trials"], steps)
+        one = _seconds(lambda: score_high_fidelity(context, study, (0,), (WORST,)))
+        seconds += missing["high_fidelity"] * one
+    counts = (missing["trials"], len(steps), missing["high_fidelity"])
+    setup = _setup_seconds(context, study, missing["trials"], steps)
     return RunEstimate(*counts, workers, setup + seconds / max(workers, 1))
 
 
 def _setup_seconds(context: Context, study: Study, trials: int, steps: Sequence[Task]) -> float:
-    """What each worker sets up once for further trials and steps, as their merits tell."""
-    batches = [sample_perturbations(study, range(min(trials, MOST_LOOKED_AT)))] if trials else []
+    """Estimate the one-time setup that each worker needs for further trials and steps, from the merits."""
+    inspected = min(trials, 2000)  # Enough draws to find every kind of setup.
+    batches = [sample_perturbations(study, range(inspected))] if trials else []
     batches += [
         batch for task in steps if (batch := study.series[task.series].batch(context, task.step)) is not None
     ]
@@ -102,9 +110,9 @@ def _setup_seconds(context: Context, study: Study, trials: int, steps: Sequence[
 
 
 def _step_seconds(context: Context, study: Study, task: Task, trial: float) -> float:
-    """What its series tells, or what a trial takes."""
-    told = study.series[task.series].seconds(context, task.step)
-    return trial if told is None else told
+    """Return the estimate of the series for its step, or else the time of a trial."""
+    estimated = study.series[task.series].seconds(context, task.step)
+    return trial if estimated is None else estimated
 
 
 def _seconds(work: Callable[[], object]) -> float:

@@ -1,4 +1,8 @@
-"""Who does a run's tasks: this process, or a Dask cluster; and how few are handed out at a time."""
+"""Execution of a run's tasks in this process or in a Dask cluster.
+
+Both executors hand out only a few tasks for each worker at a time. A task list can therefore be longer than
+memory, and the choice of later tasks can depend on results that are already stored.
+"""
 
 from __future__ import annotations
 
@@ -17,26 +21,27 @@ if TYPE_CHECKING:
     from tolerancing.study.results import Results
 
 Result = TypeVar("Result")
-Done = list[tuple[Task, "Results"]]
-Batches = Generator[Done, None, None]
+FinishedTasks = list[tuple[Task, "Results"]]
+Batches = Generator[FinishedTasks, None, None]
 Perform = Callable[[Iterable[Task]], Batches]
+RetryTasks = Callable[[list[Task]], Batches]
 
-Died = Callable[[list[Task]], Batches]
-
-KEPT = "what was finished is in the store, and the same command goes on from there"
-WORKER_DIED = f"a worker process died (out of memory, perhaps); {KEPT}: fewer --workers need less memory"
+RESUME_HINT = "what was finished is in the store, and the same command goes on from there"
+WORKER_DIED = (
+    f"a worker process died, perhaps because memory ran out; {RESUME_HINT}: fewer --workers need less memory"
+)
 
 TASKS_IN_FLIGHT = 3
-"""Tasks handed out for each worker: one it does, and some so that it need not wait."""
+"""Tasks handed out for each worker: the one in progress, and two more so that the worker never waits."""
 
 
 class RunError(TransferLensError):
-    """A run that had to stop; its store holds what was finished."""
+    """A run stopped before its end. Its store holds all results that were finished."""
 
 
 @contextmanager
 def this_process(loaded: LoadedStudy) -> Iterator[Perform]:
-    """Do tasks one after the other, here."""
+    """Perform tasks one after the other in this process."""
     from tolerancing.study.evaluate import context_of
 
     context = context_of(loaded.lens, loaded.study)
@@ -50,21 +55,22 @@ def this_process(loaded: LoadedStudy) -> Iterator[Perform]:
 
 @contextmanager
 def cluster_workers(loaded: LoadedStudy, levels: Mapping[str, str], address: str) -> Iterator[Perform]:
-    """Do tasks in a Dask cluster; its workers may come and go.
+    """Perform tasks in a Dask cluster. Workers may join and leave while it runs.
 
     Parameters
     ----------
     loaded
-        The study. Its files are sent to the cluster once; from there each worker fetches them.
+        Study with its files. The files are sent to the cluster once; each worker fetches them from there.
     levels
-        The merits' levels by their labels.
+        Level of each merit, by the merit's label.
     address
-        Of the scheduler, as in ``tcp://host:8786``.
+        Address of the scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------
     InputError
-        As of :func:`lensdesign.common.clusters.open_cluster`.
+        If the package ``distributed`` is missing, no scheduler answers, no worker joins in time, or a worker
+        has another version of the toolkit.
     """
     from tolerancing.run.workers import StudyParcel, work_in_cluster
 
@@ -88,36 +94,38 @@ def in_flight(
     submit: Callable[[Task], Future[Results]],
     tasks: Iterable[Task],
     workers: Callable[[], int],
-    died: Died | None = None,
+    retry: RetryTasks | None = None,
     check: Callable[[], None] | None = None,
 ) -> Batches:
-    """Results of tasks as they come, a few tasks for each worker handed out at a time.
+    """Yield results of tasks as they finish, with a few tasks handed out for each worker at a time.
 
     Parameters
     ----------
     submit
-        Hands out a task.
+        Hands out one task.
     tasks
         All tasks.
     workers
-        How many do them at a time.
-    died
-        Does the tasks that had been handed out when a worker of a pool died, which breaks the pool.
+        Returns the present number of workers.
+    retry
+        Performs the tasks that were handed out when a worker of a process pool died, which breaks the pool.
+        Default: the death of a worker is an error.
     check
-        Called now and then while tasks are under way; raises ClusterError where nobody does them any more.
+        Called at intervals while tasks are in progress. It raises ClusterError when no worker is left.
 
     Raises
     ------
-    RunError, InputError
-        If a worker dies or cannot do its task, or no worker is left; what others have finished is handed
-        over first.
+    RunError
+        If a worker dies or no worker is left. Results that were finished are yielded first.
+    InputError
+        If a worker cannot perform its task. Results that were finished are yielded first.
     """
     from concurrent.futures import FIRST_COMPLETED, wait
 
     waiting, pending = iter(tasks), dict[Future["Results"], Task]()
     while True:
-        room = TASKS_IN_FLIGHT * max(workers(), 1) - len(pending)
-        for task in islice(waiting, max(room, 0)):
+        free_slots = TASKS_IN_FLIGHT * max(workers(), 1) - len(pending)
+        for task in islice(waiting, max(free_slots, 0)):
             pending[submitted(submit, task)] = task
         if not pending:
             return
@@ -126,15 +134,15 @@ def in_flight(
             try:
                 check()
             except ClusterError as error:
-                raise RunError(f"{error}; {KEPT}") from error
+                raise RunError(f"{error}; {RESUME_HINT}") from error
         failed = [future for future in finished if future.cancelled() or future.exception() is not None]
         good = [(pending.pop(future), future.result()) for future in finished if future not in failed]
         if good:
             yield good
-        if failed and died is not None and _is_broken(failed[0]):
+        if failed and retry is not None and _is_broken(failed[0]):
             suspects = list(pending.values())
             pending.clear()
-            yield from died(suspects)
+            yield from retry(suspects)
         elif failed:
             result(failed[0])
 
@@ -146,7 +154,11 @@ def _is_broken(future: Future[Results]) -> bool:
 
 
 def submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[Results]:
-    """A task handed out; a pool that is broken tells so by the task's future, after what it has finished."""
+    """Submit a task and return its future.
+
+    If the pool is already broken, the future holds that error. The caller then sees it after the results that
+    the pool has finished.
+    """
     from concurrent.futures.process import BrokenProcessPool
 
     try:
@@ -158,12 +170,12 @@ def submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[R
 
 
 def result(future: Future[Result]) -> Result:
-    """What a task, or other work of a worker, came to.
+    """Return the result of a task or of other work in a worker.
 
     Raises
     ------
     RunError
-        If its worker died, or whatever handed it out is gone.
+        If the worker died, or the cluster that performed the work is gone.
     """
     from concurrent.futures.process import BrokenProcessPool
 
@@ -172,4 +184,4 @@ def result(future: Future[Result]) -> Result:
     except BrokenProcessPool as error:
         raise RunError(WORKER_DIED) from error
     except ClusterError as error:
-        raise RunError(f"{error}; {KEPT}") from error
+        raise RunError(f"{error}; {RESUME_HINT}") from error

@@ -1,4 +1,12 @@
-"""Processes of this machine that do a run's tasks; a user's code may end them, and not the run."""
+"""Worker processes on this machine that perform a run's tasks.
+
+Before a run begins, the nominal lens is scored and some trials are timed. With several workers, one of them
+does this (:class:`Rehearsal`). The others meanwhile perform the first tasks of the run in advance
+(:meth:`LocalPool.run_with_prefetch`). Without this they would be idle for a noticeable part of a short study.
+
+A merit in Python may end its process. The run then scores the trials in question one at a time in another
+process, and a trial that ends its process again is stored as failed.
+"""
 
 from __future__ import annotations
 
@@ -28,39 +36,44 @@ if TYPE_CHECKING:
     from tolerancing.study.files import LoadedStudy
     from tolerancing.study.results import Results
 
-MOST_EARLY = 100
-"""Tasks for each worker that are done before the run begins; what they come to waits in memory."""
-
 Result = TypeVar("Result")
 
 
 class LocalPool(Processes):
-    """Processes of this machine for the tasks of a study, whose merits' levels may still be open."""
+    """Processes of this machine for the tasks of a study. The levels of its merits may still be undecided."""
 
-    def __init__(self, loaded: LoadedStudy, number: int) -> None:
+    def __init__(self, loaded: LoadedStudy, count: int) -> None:
         from tolerancing.run.workers import start_local
 
-        super().__init__(number, start_local, loaded)
-        self._by_code = any(merit.file_name for merit in loaded.study.all_merits)
-        self._early: dict[Task, Future[Results]] = {}
-        self._early_levels: Mapping[str, str] = {}
+        super().__init__(count, start_local, loaded)
+        self._has_python_merits = any(merit.file_name for merit in loaded.study.all_merits)
+        self._prefetched: dict[Task, Future[Results]] = {}
+        self._prefetch_levels: Mapping[str, str] = {}
 
     @property
-    def rehearses(self) -> bool:
-        """Whether what a run scores before it begins is for these; merits in Python are tried alone."""
-        return self.number > 1 and not self._by_code
+    def can_rehearse(self) -> bool:
+        """Whether a worker may do the rehearsal. Merits in Python need a process of their own."""
+        return self.count > 1 and not self._has_python_merits
 
-    def do(self, work: Callable[[], Result], meanwhile: Iterable[Task], levels: Mapping[str, str]) -> Result:
-        """What `work` returns; the others do tasks meanwhile.
+    def run_with_prefetch(
+        self, work: Callable[[], Result], tasks: Iterable[Task], levels: Mapping[str, str]
+    ) -> Result:
+        """Do `work` in one process while the others perform tasks of the run in advance.
 
         Parameters
         ----------
         work
-            For one of the processes.
-        meanwhile
-            Tasks that come early: when the run hands them out, they are done, or under way.
+            Work for one of the processes.
+        tasks
+            Tasks for the other processes. They are finished or in progress when the run hands them out later.
         levels
-            The merits' levels by their labels. Where the run settles on others, what was early is lost.
+            Level of each merit, by the merit's label. If the run decides on other levels, the results of
+            tasks that were performed in advance are discarded.
+
+        Returns
+        -------
+        Result
+            Result of `work`.
 
         Raises
         ------
@@ -69,40 +82,44 @@ class LocalPool(Processes):
         """
         from concurrent.futures import FIRST_COMPLETED, wait
 
-        self._keep_early(levels)
-        asked = self.submit(work)
-        waiting = islice((task for task in meanwhile if task not in self._early), MOST_EARLY * self.number)
-        while not asked.done():
-            room = TASKS_IN_FLIGHT * (self.number - 1) - len(self._under_way())
-            for task in islice(waiting, max(room, 0)):
-                self._early[task] = submitted(lambda task: self._submit_task(task, levels), task)
-            wait((asked, *self._under_way()), return_when=FIRST_COMPLETED)
-        return result(asked)
+        self._keep_prefetched(levels)
+        requested = self.submit(work)
+        most_for_each = 100  # Their results wait in memory.
+        waiting = islice((task for task in tasks if task not in self._prefetched), most_for_each * self.count)
+        while not requested.done():
+            free_slots = TASKS_IN_FLIGHT * (self.count - 1) - len(self._unfinished())
+            for task in islice(waiting, max(free_slots, 0)):
+                self._prefetched[task] = submitted(lambda task: self._submit_task(task, levels), task)
+            wait((requested, *self._unfinished()), return_when=FIRST_COMPLETED)
+        return result(requested)
 
-    def _under_way(self) -> list[Future[Any]]:
-        return [future for future in self._early.values() if not future.done()]
+    def _unfinished(self) -> list[Future[Any]]:
+        return [future for future in self._prefetched.values() if not future.done()]
 
-    def _keep_early(self, levels: Mapping[str, str]) -> None:
-        """Keep what was early if it was done at these levels."""
-        if levels != self._early_levels:
-            for future in self._early.values():
+    def _keep_prefetched(self, levels: Mapping[str, str]) -> None:
+        """Discard results that were computed at other levels."""
+        if levels != self._prefetch_levels:
+            for future in self._prefetched.values():
                 future.cancel()
-            self._early.clear()
-        self._early_levels = levels
+            self._prefetched.clear()
+        self._prefetch_levels = levels
 
     def _submit_task(self, task: Task, levels: Mapping[str, str]) -> Future[Results]:
         from tolerancing.run.workers import work_local
 
-        early = self._early.pop(task, None)
-        return self.submit(work_local, task, levels) if early is None else early
+        prefetched = self._prefetched.pop(task, None)
+        return self.submit(work_local, task, levels) if prefetched is None else prefetched
 
     @contextmanager
     def performing(self, loaded: LoadedStudy) -> Iterator[Perform]:
-        """Do tasks of the study, its merits' levels settled; they end at once when the run is broken off."""
-        levels = loaded.study.levels
-        self._keep_early(levels)
+        """Perform tasks of a study whose merits have their final levels.
 
-        def died(suspects: list[Task]) -> Batches:
+        The processes end at once when the run is interrupted.
+        """
+        levels = loaded.study.levels
+        self._keep_prefetched(levels)
+
+        def retry(suspects: list[Task]) -> Batches:
             self.close()
             return _one_by_one(loaded, levels, suspects)
 
@@ -110,8 +127,8 @@ class LocalPool(Processes):
             return in_flight(
                 lambda task: self._submit_task(task, levels),
                 tasks,
-                lambda: self.number,
-                died if self._by_code else None,
+                lambda: self.count,
+                retry if self._has_python_merits else None,
             )
 
         with self:
@@ -119,85 +136,89 @@ class LocalPool(Processes):
 
 
 def _one_by_one(loaded: LoadedStudy, levels: Mapping[str, str], suspects: list[Task]) -> Batches:
-    """Do tasks whose worker has died trial by trial, in one process: what ends that is that trial's failure.
+    """Perform tasks whose worker died, trial by trial in one process. A trial that ends it has failed.
 
     Raises
     ------
     RunError
-        If none of them does, so that something else ended the worker.
+        If no trial ends the process, so that something else ended the worker.
     """
     from tolerancing.run.workers import start_local, work_local
 
     found = False
     with Processes(1, start_local, loaded) as alone:
-        for task in (part for suspect in suspects for part in suspect.parts()):
+        for task in (single for suspect in suspects for single in suspect.single_trials()):
             try:
                 results = alone.submit(work_local, task, levels).result()
             except BrokenProcessPool:
-                fault = f"{alone.end()} ended its process"
-                results, found = result(alone.submit(work_local, task, levels, fault)), True
+                failure = f"{alone.end()} ended its process"
+                results, found = result(alone.submit(work_local, task, levels, failure)), True
             yield [(task, results)]
     if not found:
         raise RunError(WORKER_DIED)
 
 
 class EndedError(InputError):
-    """A merit in Python ended the process that it was given."""
+    """A merit in Python ended the process that scored it."""
 
 
 class Rehearsal(Processes):
-    """Does what a run must know before it begins.
+    """Work that a run needs before it begins: a check of the merits, nominal scores, and timed trials.
 
-    One of several workers does it; merits in Python are tried in a process of its own.
+    With several workers, one of them does it. Merits in Python are tried in a process of their own.
 
     Parameters
     ----------
     loaded
-        The study.
-    here
-        Whether this process does all of it.
+        Study with its lens.
+    in_this_process
+        Whether this process does all work.
     pool
-        The workers.
+        Workers of the run.
     """
 
-    def __init__(self, loaded: LoadedStudy, here: bool, pool: LocalPool) -> None:
+    def __init__(self, loaded: LoadedStudy, in_this_process: bool, pool: LocalPool) -> None:
         super().__init__(1, follow_parent)
-        self._study, self._workers = loaded.study, pool
+        self._study, self._pool_of_run = loaded.study, pool
         self._files = ", ".join(sorted({m.file_name for m in loaded.study.all_merits if m.file_name}))
-        self.here = here or not (self._files or pool.rehearses)
+        self.in_this_process = in_this_process or not (self._files or pool.can_rehearse)
 
     def get_ready(self) -> None:
-        """Make sure that all merits can score.
+        """Check that all merits can score.
 
         Raises
         ------
         InputError
-            If one cannot; :class:`EndedError` if it ends the process.
+            If a merit cannot score. The error is an :class:`EndedError` if the merit ends its process.
         """
-        from tolerancing.study.evaluate import make_ready
+        from tolerancing.study.evaluate import prepare_merits
 
-        if self._files and not self.here:
-            self._apart(partial(make_ready, self._study))
+        if self._files and not self.in_this_process:
+            self._in_own_process(partial(prepare_merits, self._study))
         else:
-            make_ready(self._study)
+            prepare_merits(self._study)
 
-    def do(self, work: Callable[[], Result], meanwhile: Iterable[Task], levels: Mapping[str, str]) -> Result:
-        """What `work` returns; as of :meth:`LocalPool.do` where workers do it.
+    def run(self, work: Callable[[], Result], tasks: Iterable[Task], levels: Mapping[str, str]) -> Result:
+        """Do `work` and return its result. See :meth:`LocalPool.run_with_prefetch` for the parameters.
 
         Raises
         ------
         EndedError
             If a merit ends the process.
+        RunError
+            If a worker dies for another reason.
         """
-        if self.here:
+        if self.in_this_process:
             return work()
-        return self._apart(work) if self._files else self._workers.do(work, meanwhile, levels)
+        if self._files:
+            return self._in_own_process(work)
+        return self._pool_of_run.run_with_prefetch(work, tasks, levels)
 
-    def _apart(self, work: Callable[[], Result]) -> Result:
+    def _in_own_process(self, work: Callable[[], Result]) -> Result:
         try:
             return self.submit(work).result()
         except BrokenProcessPool as error:
             raise EndedError(
                 f"{self._files}: {self.end()} ended the process that was to score the nominal lens; nothing "
-                "was run: mend the merit"
+                "was run. Correct the merit and run the command again"
             ) from error

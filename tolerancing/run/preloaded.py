@@ -1,6 +1,7 @@
-"""What is ready in every worker of a command: importing this imports it, and loads the compiled trace.
+"""Preload of everything that a worker process needs: importing this module imports it all.
 
-Only the server imports it whose copies those workers are (:func:`tolerancing.run.processes.start_ahead`).
+Only the fork server of a command imports this module (:func:`tolerancing.run.processes.start_ahead`). The
+workers are copies of that server, so they start without imports and with the compiled ray trace loaded.
 """
 
 from __future__ import annotations
@@ -23,10 +24,7 @@ MODULES = (
     "wavesim.pupil.ray_aiming",
     "scipy.special",
 )
-"""What trials by rays and pupils import, here and there, when they need it."""
-
-PR_SET_PDEATHSIG = 1
-"""As Linux has it."""
+"""Modules that trials by rays and pupils import only when they need them."""
 
 PLATE = {
     "wavelengths_um": [0.5],
@@ -37,10 +35,11 @@ PLATE = {
         {"radius_mm": -50.0, "semi_diameter_mm": 5.0},
     ],
 }
+"""Smallest lens through which a ray can be traced, which loads the compiled ray trace."""
 
 
 def preload() -> None:
-    """Import, trace one ray, and keep the collector of garbage away from what is there for good."""
+    """Import the modules and trace one ray, then exclude all existing objects from garbage collection."""
     from lensdesign.lens.lens import Lens
     from lensdesign.raytrace.rays import trace
 
@@ -53,8 +52,9 @@ def preload() -> None:
 
 
 def end_with_parent() -> None:
-    """Have the system end this process with the command, which may be stopped while all this is imported."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    """Let the kernel end this process with the command, which may be stopped during these imports."""
+    set_parent_death_signal = 1  # PR_SET_PDEATHSIG in Linux's <sys/prctl.h>
+    ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
 
 
 end_with_parent()

@@ -1,6 +1,6 @@
-"""Processes that do what they are handed, started anew, or as copies of a server that was started ahead.
+"""Process pools for a run: new processes, or copies of a server that was started in advance.
 
-Imports nothing heavy: what is started first comes first.
+This module imports nothing heavy, so that the server starts before everything else.
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
 
-from tolerancing.run.threads import one_blas_thread
-
 if TYPE_CHECKING:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing.process import BaseProcess
@@ -23,67 +21,87 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 Arguments = ParamSpec("Arguments")
 
-PRELOADED = "tolerancing.run.preloaded"
+_server_started = False
 
-_ahead = False
+
+def one_blas_thread() -> None:
+    """Limit linear algebra to one thread in processes that load NumPy from now on.
+
+    The matrix products of a study are small and many, so threads wait for each other longer than they
+    compute. One thread also keeps the last bits of a sum independent of the number of processors.
+    Environment variables that are already set stay unchanged.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def start_ahead() -> None:
-    """Start, beside what goes on here, a server whose copies the processes of this one are from now on.
+    """Start a fork server in the background. Worker processes of this process are its copies from now on.
 
-    It imports once what they need, and a copy is there at once. For commands: a process has but one
-    such server, as it was when it started, so programs that run a study themselves are left theirs.
+    The server imports once what all workers need, so a copy is ready at once. Only commands use it: a process
+    has a single fork server, whose imports are fixed when it starts. Programs that call
+    :func:`tolerancing.run.run.run_study` keep theirs for their own purposes.
     """
     from multiprocessing import forkserver, resource_tracker
 
-    global _ahead
-    if sys.platform != "linux":  # elsewhere copies of a process with such libraries are not safe
+    global _server_started
+    if sys.platform != "linux":  # On other systems it is not safe to fork a process with these libraries.
         return
     one_blas_thread()
-    forkserver.set_forkserver_preload([PRELOADED])
-    with _not_heard():
-        resource_tracker.ensure_running()  # first, since it lets signals through again
-    with _not_heard():
+    forkserver.set_forkserver_preload(["tolerancing.run.preloaded"])
+    with _signals_blocked():
+        resource_tracker.ensure_running()  # First: it unblocks the signals again.
+    with _signals_blocked():
         forkserver.ensure_running()
-    _ahead = True
+    _server_started = True
 
 
 class Processes:
-    """Some processes, started when there is work, and started anew after one of them has died."""
+    """A number of processes that start with the first work, and start again after one of them has died.
 
-    def __init__(self, number: int, start: Callable[..., None], *arguments: Any) -> None:
-        self.number, self._start, self._arguments = number, start, arguments
+    Parameters
+    ----------
+    count
+        Number of processes.
+    start
+        Called in each process when it starts.
+    *arguments
+        Arguments of `start`.
+    """
+
+    def __init__(self, count: int, start: Callable[..., None], *arguments: Any) -> None:
+        self.count, self._start, self._arguments = count, start, arguments
         self._pool: ProcessPoolExecutor | None = None
         self._started: set[BaseProcess] = set()
 
     def submit(
         self, work: Callable[Arguments, Result], *arguments: Arguments.args, **named: Arguments.kwargs
     ) -> Future[Result]:
-        """Hand out work."""
+        """Hand out work and return its future."""
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import active_children, get_context
 
         if self._pool is None:
             one_blas_thread()
             self._started = set()
-            context: Any = get_context("forkserver" if _ahead else "spawn")
-            if _ahead:  # a copy that does nothing: with it there, none of the others is waited for in vain
+            context: Any = get_context("forkserver" if _server_started else "spawn")
+            if _server_started:  # After this idle first copy, the pool does not wait for the later ones.
                 context.Process(target=int).start()
             self._pool = ProcessPoolExecutor(
-                self.number, context, initializer=self._start, initargs=self._arguments
+                self.count, context, initializer=self._start, initargs=self._arguments
             )
         others = set(active_children())
-        with _not_heard():
+        with _signals_blocked():
             future = self._pool.submit(work, *arguments, **named)
         self._started |= set(active_children()) - others
         return future
 
     def end(self) -> str:
-        """End the processes; what ended the first of them, which may have died by itself."""
+        """End the processes and return what ended the first of them, such as ``SIGKILL`` or ``status 1``."""
         for process in self._started:
             process.terminate()
         self.close()
-        return next((_end_of(process.exitcode or 0) for process in self._started), "nothing")
+        return next((_ending_text(process.exitcode or 0) for process in self._started), "nothing")
 
     def close(self) -> None:
         """Wait for the processes to end."""
@@ -102,8 +120,11 @@ class Processes:
 
 
 def follow_parent() -> None:
-    """Leave signals to the process that started this one, and end with it."""
-    # They go to the whole group; only the process that holds the store may act on them.
+    """Ignore interrupts in this worker process, and end it when its parent process ends.
+
+    The terminal sends interrupts to the whole process group. Only the process that holds the store may act
+    on them.
+    """
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -111,7 +132,7 @@ def follow_parent() -> None:
 
 
 def _end_with_parent() -> None:
-    """A run that is killed cannot end its workers; they would wait for tasks for ever."""
+    """Wait for the end of the parent. A run that is killed cannot end its workers itself."""
     from multiprocessing import parent_process
     from multiprocessing.connection import wait
 
@@ -122,21 +143,21 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _not_heard() -> Iterator[None]:
-    """Keep signals to stop, which go to the whole group, from processes that are started meanwhile.
+def _signals_blocked() -> Iterator[None]:
+    """Block interrupts in processes that are started meanwhile, until they ignore them by themselves.
 
-    They would end with a traceback before they can leave them to the process that started them.
+    Otherwise an interrupt during the start would end them with a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
-def _end_of(code: int) -> str:
-    names = {-number.value: number.name for number in signal.Signals}
+def _ending_text(code: int) -> str:
+    names = {-one.value: one.name for one in signal.Signals}
     return names.get(code, f"status {code}")

@@ -1,4 +1,4 @@
-"""Runs of a study: steps of its series, its trials, and its dear merits, into a store."""
+"""Runs of a study: its steps, trials and high-fidelity trials are scored and written into a store."""
 
 from __future__ import annotations
 
@@ -27,60 +27,56 @@ from tolerancing.run.tasks import (
 )
 from tolerancing.store.creation import remove_empty_store
 from tolerancing.store.store import Store, create_store, open_store
-from tolerancing.study.evaluate import first_scores
+from tolerancing.study.evaluate import levels_and_nominal_scores
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import MOST_TRIALS
 
 __all__ = ["RunError", "RunOutcome", "run_study"]
 
-Report = Callable[[int, int], None]
-
-MANY_WORKERS = 32
-"""As many are taken to be in a cluster, for the size of tasks."""
-
-
-MOST_PER_PROCESSOR = 4
-"""Most processes of a run for each processor: more of them only take memory from each other."""
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What a run did.
+    """Result of a run.
 
     Attributes
     ----------
-    trials_run, steps_run, dear_run
-        Trials, steps of series, and trials for the dear merits that were scored now, not found in the store.
+    trials_run, steps_run, high_fidelity_run
+        Number of trials, of steps of series, and of trials for the high-fidelity merits that this run has
+        scored. Those that the store held already are not counted.
     workers
-        Number of processes that did it; 0 where a cluster did.
+        Number of worker processes; 0 for a cluster.
     seconds
-        Time taken.
+        Wall-clock time (s).
     """
 
     trials_run: int
     steps_run: int
-    dear_run: int
+    high_fidelity_run: int
     workers: int
     seconds: float
 
 
 @dataclass
-class _Tally:
-    """What is done, and what there is to do."""
+class _ProgressReporter:
+    """Counts of the work that is finished and of the work that was missing at the start."""
 
-    report: Report | None
-    lacking: dict[str, int]
-    done: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("steps", "trials", "dear"), 0))
+    progress: Progress | None
+    missing: dict[str, int]
+    done: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys(("steps", "trials", "high_fidelity"), 0)
+    )
 
     def add(self, task: Task) -> None:
-        """Count a task."""
-        self.done["dear" if task.chosen else "trials" if task.trials else "steps"] += task.size
+        """Count a finished task."""
+        self.done["high_fidelity" if task.chosen else "trials" if task.trials else "steps"] += task.size
 
-    def tell(self) -> None:
-        """Report."""
-        if self.report is not None:
-            total = sum(max(n, self.done[part]) for part, n in self.lacking.items())
-            self.report(sum(self.done.values()), total)
+    def report(self) -> None:
+        """Call the progress callback."""
+        if self.progress is not None:
+            total = sum(max(count, self.done[kind]) for kind, count in self.missing.items())
+            self.progress(sum(self.done.values()), total)
 
 
 def run_study(
@@ -91,51 +87,66 @@ def run_study(
     trials: int | None = None,
     fresh: bool = False,
     cluster: str | None = None,
-    report: Report | None = None,
-    announce: Callable[[RunEstimate], None] | None = None,
+    progress: Progress | None = None,
+    on_estimate: Callable[[RunEstimate], None] | None = None,
 ) -> RunOutcome:
-    """Score what the store still lacks of a study.
+    """Score all trials and steps of a study that a store still lacks.
 
-    The rows of the store are the same whatever number of workers made them, in however many runs, whatever
-    ended those. A run that is killed loses what its workers were at. Several runs may share one store, and
-    the work. Where a merit in Python ends its worker, as a fault of memory does, that is its trial's failure,
-    as all that it raises; with `workers` = 1 it would end this process. Worker processes start by importing
-    the main module, so a script that calls this needs the usual ``if __name__ == "__main__":``.
+    The rows of the store depend on the study alone, not on the number of workers or on interruptions. A run
+    that is killed loses only the tasks that its workers were performing. Several runs may share one store
+    and its work.
+
+    A trial whose Python merit raises an exception, or ends its worker process, is stored as failed. With
+    ``workers=1``, such a merit ends the process of the caller. Worker processes import the main module when
+    they start, so a script that calls this function needs ``if __name__ == "__main__":``.
 
     Parameters
     ----------
     loaded
-        The study, with its lens.
+        Study with its lens.
     store_path
-        The store; made if it is not there, gone on with if it holds the same study.
+        Path of the store. It is created if it does not exist, and continued if it holds the same study.
     workers
-        Number of processes; as many as there are processors where left out. There are never more than
-        trials, nor than four for each processor. One that is asked for is this process.
+        Number of worker processes. Default: the number of processors. There are never more workers than
+        trials, nor more than four for each processor. With 1, the calling process does the work.
     trials
-        Number of trials that the store is to hold in the end; the study's where left out.
+        Number of trials that the store is to hold in the end. Default: the number in the study.
     fresh
-        Start over: replace a store that is there.
+        Whether an existing store is replaced.
     cluster
-        Address of a Dask scheduler whose workers are to do it, in place of processes of this machine.
-    report
-        Called with the amounts done and to do after each batch.
-    announce
-        Called once, before anything is stored, with what there is to do and about how long it takes; some
-        trials are timed for it. Not where a merit in Python ends the process that does so.
+        Address of a Dask scheduler whose workers do the work instead of processes on this machine.
+    progress
+        Called as ``progress(completed, total)`` after each batch of results is stored.
+    on_estimate
+        Called once with a :class:`~tolerancing.run.estimate.RunEstimate` before anything is stored. Some
+        trials are timed for it. It is not called if a Python merit ends the process that times them.
+
+    Returns
+    -------
+    RunOutcome
+        Amount of work that was done, and the time that it took.
 
     Raises
     ------
     InputError
-        If the store cannot be used, holds another study, or is in use where it is to be replaced; if the
-        nominal lens cannot be scored; if the cluster cannot be used.
+        If the store cannot be used, holds another study, or is to be replaced while it is in use; if the
+        nominal lens cannot be scored; or if the cluster cannot be used.
     RunError
-        If a worker process dies, or the cluster goes away.
+        If a worker process dies, or the cluster is gone.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study
+    >>> outcome = run_study(load_study("study.toml"), "study.db", workers=1)  # doctest: +SKIP
+    >>> outcome.trials_run  # doctest: +SKIP
+    500
     """
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
     processes = 0 if cluster else _process_count(workers, planned)
-    crew = processes or MANY_WORKERS
+    assumed_cluster_workers = 32  # Only the size of tasks depends on it.
+    crew = processes or assumed_cluster_workers
     pool = LocalPool(loaded, processes)
     with pool, Rehearsal(loaded, workers == 1, pool) as rehearsal:
         rehearsal.get_ready()
@@ -144,37 +155,41 @@ def run_study(
             with store:
                 levels = {merit.label: merit.level for merit in store.merits()}
                 loaded = replace(loaded, study=loaded.study.with_levels(levels))
-                lacking = _lacking(loaded, store, planned)
+                missing = _missing(loaded, store, planned)
                 size = chunk_size(loaded.study, planned, crew)
-                tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
+                tasks = missing["steps"] + -(-missing["trials"] // size) + missing["high_fidelity"]
                 processes = min(processes, max(1, tasks))
-                tally = _Tally(report, lacking)
+                reporter = _ProgressReporter(progress, missing)
                 if tasks:
-                    if announce is not None:
+                    if on_estimate is not None:
                         steps = tuple(missing_steps(loaded.study, store))
-                        asked = partial(estimate_run, loaded, lacking, steps, processes, size)
+                        estimate = partial(estimate_run, loaded, missing, steps, processes, size)
                         early = all_tasks(loaded.study, planned, crew) if is_new else ()
-                        with suppress(EndedError):  # by one of the first trials; which, will show
-                            announce(rehearsal.do(asked, early, levels))
-                    here = processes == 1 and rehearsal.here
+                        with suppress(EndedError):  # The run finds out which trial it is.
+                            on_estimate(rehearsal.run(estimate, early, levels))
+                    in_this_process = processes == 1 and rehearsal.in_this_process
                     rehearsal.close()
                     store.start_writing()
-                    with _workers(loaded, levels, pool, cluster, here) as perform:
+                    with _workers(loaded, levels, pool, cluster, in_this_process) as perform:
                         trial_tasks = missing_trials(store, planned, size, crew, in_order=is_new)
-                        _score(loaded, store, perform, tally, trial_tasks, planned)
+                        _score(loaded, store, perform, reporter, trial_tasks, planned)
                     store.finish_writing()
         except InputError:
             if is_new:
                 remove_empty_store(Path(store_path))
             raise
-    done = tally.done
-    return RunOutcome(done["trials"], done["steps"], done["dear"], processes, time.perf_counter() - start)
+    done = reporter.done
+    seconds = time.perf_counter() - start
+    return RunOutcome(done["trials"], done["steps"], done["high_fidelity"], processes, seconds)
 
 
 def _process_count(workers: int | None, planned: int) -> int:
-    """Processes for a run: no more than it has trials, and than processors do well with."""
+    """Return the number of processes: at most one for each trial and four for each processor.
+
+    More processes than that only take memory from each other.
+    """
     processors = len(os.sched_getaffinity(0))
-    return min(workers or processors, planned, MOST_PER_PROCESSOR * processors)
+    return min(workers or processors, planned, 4 * processors)
 
 
 def _check_counts(planned: int, workers: int | None, cluster: str | None) -> None:
@@ -187,66 +202,76 @@ def _check_counts(planned: int, workers: int | None, cluster: str | None) -> Non
 
 
 def _workers(
-    loaded: LoadedStudy, levels: dict[str, str], pool: LocalPool, address: str | None, here: bool
+    loaded: LoadedStudy, levels: dict[str, str], pool: LocalPool, address: str | None, in_this_process: bool
 ) -> AbstractContextManager[Perform]:
     if address is not None:
         return cluster_workers(loaded, levels, address)
-    return this_process(loaded) if here else pool.performing(loaded)
+    return this_process(loaded) if in_this_process else pool.performing(loaded)
 
 
 def _score(
-    loaded: LoadedStudy, store: Store, perform: Perform, tally: _Tally, trials: Iterable[Task], planned: int
+    loaded: LoadedStudy,
+    store: Store,
+    perform: Perform,
+    reporter: _ProgressReporter,
+    trials: Iterable[Task],
+    planned: int,
 ) -> None:
-    """Fill the store: steps and trials, then what these choose for the dear merits."""
+    """Score steps and trials, then the high-fidelity trials, which depend on the scores of the others."""
     study = loaded.study
-    _store_results(store, perform, chain(missing_steps(study, store), trials), tally)
+    _store_results(store, perform, chain(missing_steps(study, store), trials), reporter)
     if study.high_fidelity_merits:
-        _store_results(store, perform, missing_high_fidelity(study, store, planned), tally)
+        _store_results(store, perform, missing_high_fidelity(study, store, planned), reporter)
 
 
-def _store_results(store: Store, perform: Perform, tasks: Iterable[Task], tally: _Tally) -> None:
+def _store_results(
+    store: Store, perform: Perform, tasks: Iterable[Task], reporter: _ProgressReporter
+) -> None:
     with closing(perform(tasks)) as batches:
         for batch in batches:
             store.add(*(results for _, results in batch))
             for task, _ in batch:
-                tally.add(task)
-            tally.tell()
+                reporter.add(task)
+            reporter.report()
 
 
-def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
-    """How many steps, trials and dear trials a store lacks."""
+def _missing(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
+    """Count the steps, trials and high-fidelity trials that a store lacks."""
     study = loaded.study
     trials = planned - store.trial_count(planned)
     steps = sum(len(series) for series in study.series) - len(store.finished_steps())
     if trials or not study.high_fidelity_merits:
-        dear = sum(high_fidelity_counts(study, planned))
+        high_fidelity = sum(high_fidelity_counts(study, planned))
     else:
-        dear = sum(1 for _ in missing_high_fidelity(study, store, planned))
-    return {"steps": steps, "trials": trials, "dear": dear}
+        high_fidelity = sum(1 for _ in missing_high_fidelity(study, store, planned))
+    return {"steps": steps, "trials": trials, "high_fidelity": high_fidelity}
 
 
 def _ready_store(
     path: Path, loaded: LoadedStudy, planned: int, crew: int, fresh: bool, rehearsal: Rehearsal
 ) -> tuple[Store, bool]:
-    """The store that holds this study and knows what is planned, and whether it was made just now."""
+    """Return a store that holds this study and the planned number of trials, and whether it is new."""
     if os.path.exists(path):
-        open_store(path).close()  # what is no store of ours is never replaced
+        open_store(path).close()  # Raises for a file that is no store, which must never be replaced.
         if not fresh:
             return _continued(path, loaded, planned), False
-    # Levels are open yet: what is done meanwhile counts where the cheapest ones will do.
+    # The levels are decided by the scores of the nominal lens. Tasks performed in the meantime use the
+    # cheapest levels; they are discarded if the decision differs.
     cheapest = loaded.study.with_levels({})
     early = all_tasks(cheapest, planned, crew)
-    levels, nominal = rehearsal.do(partial(first_scores, loaded.lens, loaded.study), early, cheapest.levels)
+    levels, nominal = rehearsal.run(
+        partial(levels_and_nominal_scores, loaded.lens, loaded.study), early, cheapest.levels
+    )
     if create_store(loaded, path, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True
     return _continued(path, loaded, planned), False
 
 
 def _continued(path: Path, loaded: LoadedStudy, planned: int) -> Store:
-    """A store that is there, if it holds the same study."""
+    """Open an existing store, which must hold the same study."""
     store = open_store(path)
     try:
-        _refuse_other_study(store, loaded)
+        _check_same_study(store, loaded)
         store.plan(planned)
     except BaseException:
         store.close()
@@ -254,15 +279,15 @@ def _continued(path: Path, loaded: LoadedStudy, planned: int) -> Store:
     return store
 
 
-def _refuse_other_study(store: Store, loaded: LoadedStudy) -> None:
+def _check_same_study(store: Store, loaded: LoadedStudy) -> None:
     record = store.record()
     if record.fingerprint != loaded.fingerprint:
         raise InputError(
             f"{store.path} holds another study, or this one before its files were changed; give another "
-            "store, or --fresh to replace it (more trials alone: --trials N)"
+            "store, or --fresh to replace it (for more trials of the same study: --trials N)"
         )
     if record.toolkit_version != toolkit_version():
         raise InputError(
-            f"{store.path} was begun with version {record.toolkit_version} of the toolkit, this is "
-            f"{toolkit_version()}: rows of both need not agree; give another store, or --fresh to replace it"
+            f"{store.path} was begun with version {record.toolkit_version} of the toolkit, this is version "
+            f"{toolkit_version()}: their rows may differ; give another store, or --fresh to replace it"
         )

@@ -1,6 +1,7 @@
-"""What a run hands to its workers: some trials, a step of a series, or a trial for the dear merits.
+"""Tasks that a run hands to its workers.
 
-Dear merits score the worst trials by a cheap merit, and some drawn from the others.
+A task is some trials, a step of a series, or a trial for the high-fidelity merits. High-fidelity merits score
+the worst trials by a low-fidelity merit, and a random sample of the others.
 """
 
 from __future__ import annotations
@@ -20,26 +21,19 @@ from tolerancing.study.evaluate import score_high_fidelity, score_step, score_tr
 from tolerancing.study.results import RANDOM, WORST, Results
 from tolerancing.study.study import Study
 
-TASKS_PER_WORKER = 4
-"""At least so many, where there are enough trials, lest some workers wait for the last one."""
-
-
-TAIL_PARTS = 4
-"""The last task of each worker is cut into as many."""
-
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker does at a time.
+    """Unit of work for a worker.
 
     Attributes
     ----------
     trials
-        Numbers of the trials; empty for a step.
+        Numbers of the trials; empty for a step of a series.
     chosen
-        Why each was chosen, for the dear merits; empty for the others.
+        Reason why each trial was selected for the high-fidelity merits; empty for other tasks.
     series, step
-        Index of the series, and number of the step.
+        Index of the series, and index of the step in it.
     """
 
     trials: tuple[int, ...] = ()
@@ -49,18 +43,18 @@ class Task:
 
     @property
     def size(self) -> int:
-        """How much it counts in a progress bar."""
+        """Number of trials, or 1 for a step; the weight of the task in a progress bar."""
         return len(self.trials) or 1
 
-    def parts(self) -> list[Task]:
-        """The same, trial by trial."""
+    def single_trials(self) -> list[Task]:
+        """Return the task as tasks of one trial each."""
         if not self.trials:
             return [self]
         return [Task((trial,), self.chosen[k : k + 1]) for k, trial in enumerate(self.trials)]
 
 
 def perform(context: Context, study: Study, task: Task) -> Results:
-    """Do one task."""
+    """Perform one task and return its results."""
     if task.chosen:
         return score_high_fidelity(context, study, task.trials, task.chosen)
     if task.trials:
@@ -69,22 +63,30 @@ def perform(context: Context, study: Study, task: Task) -> Results:
 
 
 def chunk_size(study: Study, trials: int, workers: int) -> int:
-    """How many trials make a task: as many as the merits like, but some tasks for each worker."""
+    """Return the number of trials in a task.
+
+    It is the number that the merits prefer, limited so that each worker gets at least four tasks. Otherwise
+    workers would wait for the last task.
+    """
+    tasks_per_worker = 4
     most = min(1 if m.used_level == "wave" else m.trials_per_chunk for m in study.merits)
-    return max(min(most, trials // (TASKS_PER_WORKER * workers)), 1)
+    return max(min(most, trials // (tasks_per_worker * workers)), 1)
 
 
 def chunks(planned: int, size: int, workers: int) -> list[range]:
-    """Trials by tasks, in order: the last ones smaller, lest all workers but one wait for the last one."""
+    """Cut the trials into tasks, in order.
+
+    The last task of each worker is cut into four, so that all workers finish at about the same time.
+    """
     tail = workers * size if workers > 1 else 0
     whole = max(planned - tail, 0) // size * size
-    part = max(size // TAIL_PARTS, 1) if tail else size
-    starts = [*range(0, whole, size), *range(whole, planned, part)]
+    small = max(size // 4, 1) if tail else size
+    starts = [*range(0, whole, size), *range(whole, planned, small)]
     return [range(start, end) for start, end in pairwise([*starts, planned])]
 
 
 def all_tasks(study: Study, planned: int, workers: int) -> Iterator[Task]:
-    """Steps and trials, in order; what a store lacks in which there is nothing yet."""
+    """Yield all steps and trials in order, which are the tasks that an empty store lacks."""
     for k, series in enumerate(study.series):
         for step in range(len(series)):
             yield Task(series=k, step=step)
@@ -93,7 +95,7 @@ def all_tasks(study: Study, planned: int, workers: int) -> Iterator[Task]:
 
 
 def missing_steps(study: Study, store: Store) -> Iterator[Task]:
-    """Steps that a store still lacks."""
+    """Yield the steps of series that a store still lacks."""
     for k, series in enumerate(study.series):
         for step in range(len(series)):
             if store.lacks_step(series.label, step):
@@ -101,68 +103,75 @@ def missing_steps(study: Study, store: Store) -> Iterator[Task]:
 
 
 def missing_trials(store: Store, planned: int, size: int, workers: int, in_order: bool) -> Iterator[Task]:
-    """Trials that a store still lacks, in chunks.
+    """Yield the trials that a store still lacks, in chunks.
 
-    Each chunk is looked up when its turn comes, so that what another run has stored meanwhile is left out.
+    Each chunk is compared with the store just before it is handed out. Trials that another run has stored
+    in the meantime are therefore skipped.
 
     Parameters
     ----------
     store
-        Where to look.
+        Store of the study.
     planned
-        How many trials there are to be.
+        Number of trials that the store is to hold in the end.
     size, workers
-        Of a chunk, and how many do them, as of :func:`chunks`.
+        Number of trials in a chunk, and number of workers; see :func:`chunks`.
     in_order
-        Whether to go through them in order. Runs that share a store do not, lest they all do the same.
+        Whether the chunks come in order. Several runs that share a store use a random order, so that they do
+        not all perform the same trials.
     """
-    parts = chunks(planned, size, workers)
-    order = np.arange(len(parts))
+    ranges = chunks(planned, size, workers)
+    order = np.arange(len(ranges))
     if not in_order:
         np.random.default_rng().shuffle(order)
     for k in order.tolist():
-        lacking = store.lacking(parts[k])
-        if lacking:
-            yield Task(trials=lacking)
+        missing = store.missing(ranges[k])
+        if missing:
+            yield Task(trials=missing)
 
 
 def missing_high_fidelity(study: Study, store: Store, planned: int) -> Iterator[Task]:
-    """Dear scores that a store with all its trials still lacks, trial by trial, the worst first."""
+    """Yield the high-fidelity trials that a store with all its trials still lacks, the worst trial first."""
     chosen = chosen_trials(study, store.scores(predictor(study).label, planned))
-    for trials, why in ((chosen.worst, WORST), (chosen.random, RANDOM)):
+    for trials, reason in ((chosen.worst, WORST), (chosen.random, RANDOM)):
         for trial in trials.tolist():
             if store.lacks_high_fidelity(trial):
-                yield Task(trials=(trial,), chosen=(why,))
+                yield Task(trials=(trial,), chosen=(reason,))
 
 
 def predictor(study: Study) -> Merit:
-    """The cheap merit that trials are chosen by: that of the study's first dear merit."""
+    """Return the low-fidelity merit that selects trials: that of the study's first high-fidelity merit."""
     label = study.high_fidelity_merits[0].predicted_by
     return next(merit for merit in study.merits if merit.label == label)
 
 
 def high_fidelity_counts(study: Study, trials: int) -> tuple[int, int]:
-    """How many of the worst and of the other trials the study's `fidelity` chooses.
+    """Return how many of the worst trials and how many random others the study's `fidelity` selects.
 
-    A share above 0 is at least one trial, as long as there are trials.
+    A fraction above 0 selects at least one trial, as long as there are trials.
     """
     if not study.high_fidelity_merits:
         return 0, 0
-    shares = study.fidelity.worst_share, study.fidelity.random_share
-    worst, random = (max(round(share * trials), 1) if share > 0.0 else 0 for share in shares)
+    fractions = study.fidelity.worst_share, study.fidelity.random_share
+    worst, random = (max(round(fraction * trials), 1) if fraction > 0.0 else 0 for fraction in fractions)
     worst = min(worst, trials)
     return worst, min(random, trials - worst)
 
 
-def chosen_trials(study: Study, cheap_scores: ArrayLike) -> TrialChoice:
-    """The trials to choose, which follow from the study and the scores alone.
+def chosen_trials(study: Study, low_fidelity_scores: ArrayLike) -> TrialChoice:
+    """Select the trials for the high-fidelity merits. The selection depends on study and scores alone.
 
     Parameters
     ----------
     study
-        With at least one dear merit.
-    cheap_scores : array_like, shape (trials,)
-        Of all trials, by :func:`predictor`; NaN where there is none.
+        Study with at least one high-fidelity merit.
+    low_fidelity_scores : array_like, shape (trials,)
+        Scores of all trials by the merit of :func:`predictor`; NaN for a trial without a score.
+
+    Returns
+    -------
+    TrialChoice
+        Numbers of the worst and of the random trials.
     """
-    margin = predictor(study).margin(cheap_scores)
+    margin = predictor(study).margin(low_fidelity_scores)
     return choose_trials(margin, study.seed, *high_fidelity_counts(study, len(margin)))

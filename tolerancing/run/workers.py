@@ -1,4 +1,4 @@
-"""What runs in the worker processes of a run, on this machine or in a cluster."""
+"""Functions that run in the worker processes of a run, on this machine or in a cluster."""
 
 from __future__ import annotations
 
@@ -20,40 +20,43 @@ if TYPE_CHECKING:
     from tolerancing.study.results import Results
     from tolerancing.study.study import Study
 
-_own: tuple[Context, Study] | None = None
+_local: tuple[Context, Study] | None = None
 
 
 def start_local(loaded: LoadedStudy) -> None:
-    """Get a process of a local pool ready."""
+    """Prepare a process of a local pool for a study."""
     from tolerancing.study.evaluate import context_of
 
     follow_parent()
-    global _own
-    _own = (context_of(loaded.lens, loaded.study), loaded.study)
+    global _local
+    _local = (context_of(loaded.lens, loaded.study), loaded.study)
 
 
-def work_local(task: Task, levels: Mapping[str, str], fault: str = "") -> Results:
-    """Do a task in a process of a local pool; with a fault, that is what merits in Python come to."""
-    assert _own is not None  # the initializer saw to it
-    context, study = _own[0], _own[1].with_levels(levels)
-    if fault:
-        merits = tuple(merit.refused(fault) for merit in study.all_merits)
+def work_local(task: Task, levels: Mapping[str, str], failure: str = "") -> Results:
+    """Perform a task in a process of a local pool.
+
+    With a `failure`, merits in Python are not called; this message is the reason why they failed.
+    """
+    assert _local is not None  # start_local has run in this process.
+    context, study = _local[0], _local[1].with_levels(levels)
+    if failure:
+        merits = tuple(merit.without_user_code(failure) for merit in study.all_merits)
         study = study.model_copy(update={"all_merits": merits})
     return perform(context, study, task)
 
 
 @dataclass(frozen=True)
 class StudyParcel:
-    """A study as it travels to a cluster, whose machines need not have its files.
+    """A study as it is sent to a cluster, whose machines may not have its files.
 
     Attributes
     ----------
     toolkit_version
-        Of the toolkit that sent it.
+        Version of the toolkit that sends it.
     name, files, fingerprint
-        Of the :class:`LoadedStudy`.
+        Name, files and fingerprint of the :class:`LoadedStudy`.
     levels
-        The merits' levels by their labels.
+        Level of each merit, by the merit's label.
     """
 
     toolkit_version: str
@@ -69,15 +72,15 @@ _by_thread = threading.local()
 
 
 def work_in_cluster(parcel: StudyParcel, task: Task) -> Results:
-    """Do a task in a worker of a cluster.
+    """Perform a task in a worker of a cluster.
 
     Raises
     ------
     InputError
-        If the worker's toolkit is of another version, or reads other numbers from the same files.
+        If the worker's toolkit has another version, or reads other refractive indices from the same files.
     """
     key = f"{parcel.fingerprint} {sorted(parcel.levels.items())}"
-    # Threads of one worker may not share what a context keeps.
+    # A context caches results, so each thread of a worker has its own.
     contexts: dict[str, tuple[Context, Study]] = _by_thread.__dict__
     if key not in contexts:
         from tolerancing.study.evaluate import context_of
@@ -90,7 +93,7 @@ def work_in_cluster(parcel: StudyParcel, task: Task) -> Results:
 
 
 def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
-    """The study, its files in a folder of this process."""
+    """Return the study, with its files in a temporary folder of this process."""
     if key not in _unpacked:
         from threadpoolctl import threadpool_limits
 
@@ -102,6 +105,9 @@ def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
         loaded = load_from_files(parcel.name, parcel.files, Path(folder.name))
         if loaded.fingerprint != parcel.fingerprint:
             folder.cleanup()
-            raise InputError(f"{worker_name()}: its glass data give other refractive indices than those here")
+            raise InputError(
+                f"{worker_name()}: its glass data give other refractive indices than those of the sender. "
+                "Install the same glass catalogues on both"
+            )
         _unpacked[key] = (replace(loaded, study=loaded.study.with_levels(parcel.levels)), folder)
     return _unpacked[key][0]

@@ -1,4 +1,4 @@
-"""What a store says: yields, sensitivities, inverse limits, budgets, and one trial again."""
+"""Statistics of a store: yields, sensitivities, inverse limits, variance-based indices and single trials."""
 
 import lazy_loader
 

@@ -1,11 +1,17 @@
-"""Where an analysis takes a cheap merit for the dear one that refines it, and how far both differ."""
+"""Approximation of high-fidelity merits by the low-fidelity merits that they refine.
+
+Sensitivities, budgets and models need scores of all trials, which only low-fidelity merits have. This module
+names the merits that an analysis replaces in this way, and measures the difference.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from lensdesign.common.text import finite_or_none
 from tolerancing.store.store import Store
 from tolerancing.study.results import HighFidelityResults, TrialResults
 from tolerancing.study.study import Study
@@ -13,55 +19,70 @@ from tolerancing.study.study import Study
 
 @dataclass(frozen=True)
 class Approximation:
-    """A dear merit that an analysis stands in for by its cheap merit.
+    """A high-fidelity merit that an analysis replaces by its low-fidelity merit.
 
     Attributes
     ----------
-    dear, cheap : str
-        Labels of both merits.
+    high_fidelity, low_fidelity : str
+        Labels of the two merits.
     trials : int
-        Trials that both have scored.
+        Number of trials that have both scores.
     root_mean_square, largest : float
-        Difference of their scores over those trials; NaN without any.
+        Root mean square and largest absolute difference of the two scores over these trials; NaN without any.
     """
 
-    dear: str
-    cheap: str
+    high_fidelity: str
+    low_fidelity: str
     trials: int
     root_mean_square: float
     largest: float
 
     @property
     def sentence(self) -> str:
-        """For people."""
-        head = f"{self.dear} is approximated by {self.cheap}, which scores all trials"
+        """The approximation as a sentence."""
+        head = f"{self.high_fidelity} is approximated by {self.low_fidelity}, which scores all trials"
         if not self.trials:
-            return f"{head}; how far both differ has not been measured: no trial has both scores."
+            return f"{head}; their difference has not been measured: no trial has both scores."
         return (
             f"{head}: in {self.trials} trials with both scores they differ by {self.root_mean_square:.3g} "
             f"root mean square, and by {self.largest:.3g} at most."
         )
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; a difference that is not known is None."""
+        return {
+            "dear": self.high_fidelity,
+            "cheap": self.low_fidelity,
+            "trials": self.trials,
+            "root_mean_square": finite_or_none(self.root_mean_square),
+            "largest": finite_or_none(self.largest),
+        }
+
 
 def approximations(store: Store) -> tuple[Approximation, ...]:
-    """What sensitivities, budgets and models of a stored study approximate; nothing without dear merits."""
+    """Return the approximations of a stored study; an empty tuple without high-fidelity merits."""
     study = store.study
     if not study.high_fidelity_merits:
         return ()
-    return approximations_of(study, store.trials(), store.dear())
+    return approximations_of(study, store.trials(), store.high_fidelity())
 
 
 def approximations_of(
-    study: Study, trials: TrialResults, dear: HighFidelityResults | None
+    study: Study, trials: TrialResults, high_fidelity: HighFidelityResults | None
 ) -> tuple[Approximation, ...]:
-    """As :func:`approximations`, from the trials of a study and its dear scores."""
+    """Return the approximations of a study from its trials and its high-fidelity scores."""
     labels, numbers = [m.label for m in study.merits], np.asarray(trials.trials, np.int64)
     found = []
     for k, merit in enumerate(study.high_fidelity_merits):
         assert merit.predicted_by is not None
-        cheap = dict(zip(numbers.tolist(), trials.scores[:, labels.index(merit.predicted_by)], strict=True))
-        own = [] if dear is None else zip(dear.trials, dear.scores[:, k], strict=True)
-        both = np.array([score - cheap[trial] for trial, score in own if trial in cheap], float)
+        column = trials.scores[:, labels.index(merit.predicted_by)]
+        low = dict(zip(numbers.tolist(), column, strict=True))
+        high = (
+            []
+            if high_fidelity is None
+            else zip(high_fidelity.trials, high_fidelity.scores[:, k], strict=True)
+        )
+        both = np.array([score - low[trial] for trial, score in high if trial in low], float)
         both = np.abs(both[np.isfinite(both)])
         sizes = (float(np.sqrt(np.mean(both**2))), float(both.max())) if len(both) else (np.nan, np.nan)
         found.append(Approximation(merit.label, merit.predicted_by, len(both), *sizes))

@@ -1,4 +1,4 @@
-"""Which perturbation drives which merit: rank correlations over the trials of a study."""
+"""Rank correlations of merits with perturbations over the trials of a study (Spearman 1904)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from lensdesign.common.arrays import Array
 from tolerancing.study.results import TrialResults
 from tolerancing.study.study import Study
 
-FEWEST_TRIALS = 8
-"""With fewer scores than this a correlation says nothing."""
-
 MOST_TRIALS = 50_000
-"""Ranks of more trials than this tell nothing more; evenly spaced ones are taken."""
+"""Largest number of trials that are ranked; of more, evenly spaced ones, which give the same correlations."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +21,10 @@ class RankCorrelation:
     Attributes
     ----------
     signed : ndarray, shape (merits, perturbations)
-        With the deviation: large where more one way helps and the other way harms.
+        Correlation with the deviation. It is large where one direction helps and the other harms.
     magnitude : ndarray, shape (merits, perturbations)
-        With the deviation's magnitude about its mean: large where both ways harm alike, as a decenter
-        of a centred lens does.
+        Correlation with the magnitude of the deviation from its mean. It is large where both directions
+        harm alike, as for a decenter of a centred lens.
     """
 
     signed: Array
@@ -35,12 +32,16 @@ class RankCorrelation:
 
     @property
     def strength(self) -> Array:
-        """The larger magnitude of both, shape (merits, perturbations)."""
+        """The larger absolute value of the two correlations, shape (merits, perturbations)."""
         return np.maximum(np.abs(self.signed), np.abs(self.magnitude))
 
 
 def rank_correlation(study: Study, results: TrialResults) -> RankCorrelation:
-    """Rank correlations of all merits with all perturbations; 0 where they cannot be told."""
+    """Return the rank correlations of all merits with all perturbations.
+
+    A correlation is 0 where a merit has fewer than eight scores, or where all ranks are equal.
+    """
+    fewest_scores = 8
     step = max(1, -(-len(results) // MOST_TRIALS))
     means = np.array([p.distribution.mean for p in study.perturbations])
     deviations = results.values[::step] - means
@@ -48,14 +49,14 @@ def rank_correlation(study: Study, results: TrialResults) -> RankCorrelation:
     magnitude = np.zeros_like(signed)
     for k, scores in enumerate(results.scores[::step].T):
         known = np.isfinite(scores)
-        if np.count_nonzero(known) >= FEWEST_TRIALS:
+        if np.count_nonzero(known) >= fewest_scores:
             signed[k] = _spearman(scores[known], deviations[known])
             magnitude[k] = _spearman(scores[known], np.abs(deviations[known]))
     return RankCorrelation(signed, magnitude)
 
 
 def _spearman(scores: Array, columns: Array) -> Array:
-    """Spearman's coefficient of scores with each column; 0 where all ranks tie."""
+    """Return Spearman's coefficient of scores with each column; 0 where all ranks are equal."""
     from scipy.stats import rankdata
 
     a, b = rankdata(scores), rankdata(columns, axis=0)

@@ -1,11 +1,13 @@
-"""Variance-based indices: which share of a merit's variance is a perturbation's own, and which it has part
-in.
+"""Variance-based sensitivity indices of a study (Sobol).
 
-The first-order index of perturbation i is the share of the variance that would go if i were held at its
-value, S_i = Var E[f | x_i] / Var f; the total index the share that would stay if all but i were, ST_i = 1 -
-Var E[f | x_~i] / Var f (Sobol, Math. Comput. Simul. 55, 271, 2001). What lies between them are products of i
-with others, which a sensitivity of each by itself does not see. SALib draws the trials (Saltelli's scheme)
-and estimates both, with intervals by resampling (Saltelli et al., Comput. Phys. Commun. 181, 259, 2010).
+The first-order index of perturbation i is the fraction of a merit's variance that would vanish if i were
+fixed at its value, S_i = Var E[f | x_i] / Var f. The total index is the fraction that would remain if all
+other perturbations were fixed, ST_i = 1 - Var E[f | x_~i] / Var f (Sobol, Math. Comput. Simul. 55, 271,
+2001). The two differ by products of i with other perturbations, which a sensitivity of each perturbation
+alone cannot show.
+
+SALib draws the trials by Saltelli's scheme and estimates both indices, with intervals by resampling (Saltelli
+et al., Comput. Phys. Commun. 181, 259, 2010).
 """
 
 from __future__ import annotations
@@ -27,28 +29,27 @@ from tolerancing.study.evaluate import context_of
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study
 
-RESAMPLES = 200
 SMALLEST_BASE, LARGEST_BASE = 16, 2**20
 
 
 class IndicesError(TransferLensError):
-    """Trials could not be scored, so that there are no indices."""
+    """Some trials could not be scored, so the indices cannot be computed."""
 
 
 @dataclass(frozen=True, eq=False)
 class VarianceIndices:
-    """Indices of d perturbations for m merits, each with half the width of its 95 % interval, shape (d, m).
+    """Indices of d perturbations for m merits, as arrays of shape (d, m).
 
     Attributes
     ----------
     study
-        Whose they are.
+        The study.
     first, first_half_width
-        Of first order.
+        First-order indices, and half the width of their 95 % intervals.
     total, total_half_width
-        Total.
+        Total indices, and half the width of their 95 % intervals.
     standard_deviation : ndarray, shape (m,)
-        Of the merits, with all that scatters.
+        Standard deviation of each merit when all perturbations scatter.
     trials
         Number of trials that were scored.
     """
@@ -63,11 +64,11 @@ class VarianceIndices:
 
     @property
     def products(self) -> Array:
-        """Share of each merit's variance that no perturbation has by itself, shape (m,)."""
+        """Fraction of each merit's variance that comes from products of perturbations, shape (m,)."""
         return np.asarray(1.0 - self.first.sum(axis=0))
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: for each merit's column the perturbations, the largest total index first."""
+        """Return plain values for JSON: each merit's perturbations by descending total index."""
         return {
             merit.column: {
                 "standard_deviation": finite_or_none(float(self.standard_deviation[k])),
@@ -84,29 +85,34 @@ class VarianceIndices:
 
 
 def most_trials(study: Study, base: int) -> int:
-    """Number of trials that indices take."""
+    """Return the number of trials that the indices of a study need."""
     return base * (len(study.perturbations) + 2)
 
 
 def variance_indices(
-    loaded: LoadedStudy, base: int, *, report: Callable[[int], None] | None = None
+    loaded: LoadedStudy, base: int, *, progress: Callable[[int], None] | None = None
 ) -> VarianceIndices:
-    """Variance-based indices of a study, from trials of its lens.
+    """Compute variance-based indices of a study from trials of its lens.
 
     Parameters
     ----------
     loaded
-        The study, with its lens.
+        Study with its lens.
     base
-        Trials are this number, a power of two, times the number of perturbations and two.
-    report
-        Called with the number of trials scored after each part.
+        Power of two from 16 to 2**20. The number of trials is ``base * (perturbations + 2)``.
+    progress
+        Called as ``progress(count)`` with the number of trials scored since the last call.
+
+    Returns
+    -------
+    VarianceIndices
+        Indices with their intervals. Those of a merit that does not vary are NaN.
 
     Raises
     ------
     InputError
-        If the number is no power of two within its limits, or perturbations scatter together: a share of the
-        variance is then no perturbation's own.
+        If `base` is not allowed, there is only one perturbation, or perturbations are correlated or grouped.
+        A fraction of the variance then belongs to no single perturbation.
     IndicesError
         If a trial cannot be scored.
     """
@@ -114,23 +120,31 @@ def variance_indices(
     if not SMALLEST_BASE <= base <= LARGEST_BASE or base & (base - 1):
         raise InputError(f"base = {base}: must be a power of two from {SMALLEST_BASE} to {LARGEST_BASE}")
     if study.dependence.leaders or study.dependence.mixtures:
-        raise InputError("correlations and groups: perturbations that scatter together have no index each")
+        raise InputError(
+            "correlations and groups: perturbations that scatter together have no index of their own; "
+            "remove their [[correlation]] tables and groups"
+        )
     if len(study.perturbations) < 2:
-        raise InputError("one perturbation: it has all of the variance; indices need at least two")
+        raise InputError(
+            "the study has one perturbation, which has all of the variance; at least two are needed"
+        )
     most = most_trials(study, base)
-    columns = 3 * len(study.perturbations) + len(study.all_merits)  # shares twice, then values and scores
+    columns = 3 * len(study.perturbations) + len(study.all_merits)  # Uniform draws (twice), values, scores.
     check_memory(8.0 * columns * most, f"base = {base}", "take a smaller base")
     from SALib.sample import sobol as sampling
 
     problem = _problem(study)
     drawn = sampling.sample(problem, base, calc_second_order=False, seed=study.seed)
     drawn = np.clip(drawn, SMALLEST, LARGEST)
-    shapes = [p.distribution for p in study.perturbations]
-    values = np.column_stack([shape.quantile(drawn[:, k]) for k, shape in enumerate(shapes)])
-    scores = StudyScorer(context_of(loaded.lens, study), study, report)(values)
+    distributions = [p.distribution for p in study.perturbations]
+    values = np.column_stack([one.quantile(drawn[:, k]) for k, one in enumerate(distributions)])
+    scores = StudyScorer(context_of(loaded.lens, study), study, progress)(values)
     lost = int(np.count_nonzero(~np.all(np.isfinite(scores), axis=1)))
     if lost:
-        raise IndicesError(f"{lost} of {len(scores)} trials could not be scored: no indices without them")
+        raise IndicesError(
+            f"{lost} of {len(scores)} trials could not be scored, and indices need all of them; reduce the "
+            "tolerances"
+        )
     return _analysed(study, problem, scores)
 
 
@@ -140,7 +154,7 @@ def _problem(study: Study) -> dict[str, Any]:
 
 
 def _analysed(study: Study, problem: dict[str, Any], scores: Array) -> VarianceIndices:
-    """SALib's estimates, merit by merit; none of a merit that does not vary."""
+    """Return SALib's estimates for each merit that varies."""
     from SALib.analyze import sobol as analysis
 
     shape = (len(study.perturbations), len(study.merits))
@@ -151,7 +165,7 @@ def _analysed(study: Study, problem: dict[str, Any], scores: Array) -> VarianceI
             problem,
             scores[:, k],
             calc_second_order=False,
-            num_resamples=RESAMPLES,
+            num_resamples=200,
             conf_level=CONFIDENCE,
             seed=study.seed,
         )

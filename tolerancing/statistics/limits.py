@@ -1,4 +1,4 @@
-"""Inverse sensitivities: how far each perturbation may go, by itself, before a merit reaches its limit."""
+"""Inverse sensitivities: the largest deviation of each perturbation alone that keeps a merit's limit."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.merits.base import Merit
-from tolerancing.statistics.quadratic_response import checked_tolerance
 from tolerancing.statistics.response import Scorer
-from tolerancing.statistics.scorer import Report, StudyScorer, scatter_of, validate_settings
+from tolerancing.statistics.scorer import Progress, StudyScorer, scatter_of, validate_settings
+from tolerancing.statistics.sensitivities import checked_tolerance
 from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study
@@ -24,24 +24,22 @@ _Excess = Callable[[NDArray[np.intp], Array], Array]
 PRECISION = 1e-3
 """Relative precision of the magnitudes."""
 
-LARGEST = 64.0
-"""How far a search goes, in tolerances."""
-
 SHAPES = 20
-"""Shapes of an irregularity that are tried at each size; all must keep the limit."""
+"""Number of random shapes of an irregularity at each size; all must keep the limit."""
 
-HALVINGS = 6
-"""How often a tolerance that is too large already is halved in search of one that is not."""
+SMALLEST_FACTOR = 0.5**6
+"""Smallest magnitude that is tried when the tolerance itself is too large, in tolerances."""
 
 
 @dataclass(frozen=True)
 class InverseLimit:
-    """How far one perturbation may go; magnitudes in its unit, None where the search found no end.
+    """Largest allowed deviations of one perturbation, as magnitudes in its unit.
 
     Attributes
     ----------
     below, above
-        Largest magnitude of a negative, and of a positive, deviation.
+        Largest magnitude of a negative, and of a positive, deviation; None if the merit keeps its limit over
+        the whole range of the search.
     """
 
     below: float | None
@@ -49,27 +47,27 @@ class InverseLimit:
 
     @property
     def tightest(self) -> float | None:
-        """The smaller of both."""
+        """The smaller of the two magnitudes; None if neither is limited."""
         return min((side for side in (self.below, self.above) if side is not None), default=None)
 
 
 @dataclass(frozen=True, eq=False)
 class StudyLimits:
-    """How far each perturbation of a study may go by itself.
+    """Largest allowed deviations of each perturbation of a study alone.
 
     Attributes
     ----------
     study
-        The study, the levels of its merits settled.
+        Study whose merits have their final levels.
     limits : mapping of str to tuple of InverseLimit
-        By merit; one for each perturbation.
+        For each merit's label, one limit for each perturbation.
     """
 
     study: Study
     limits: Mapping[str, tuple[InverseLimit, ...]]
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
-        """For JSON: for each merit the limits by the perturbations' columns."""
+        """Return plain values for JSON: for each merit the limits by the perturbations' columns."""
         columns = [p.column for p in self.study.perturbations]
         return {
             label: {column: vars(limit) for column, limit in zip(columns, own, strict=True)}
@@ -82,33 +80,46 @@ def inverse(
     merit: str | None = None,
     *,
     change: float | None = None,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> StudyLimits:
-    """How far each perturbation of a study may go by itself before a merit misses its limit.
+    """Find the largest deviation of each perturbation alone before a merit misses its limit.
 
-    An irregularity may go as far as none of `SHAPES` shapes of that size misses the limit.
+    For an irregularity, all of 20 random shapes of the same size must keep the limit.
 
     Parameters
     ----------
     loaded
-        The study, with its lens.
+        Study with its lens.
     merit
-        Name of the merit, dear ones included; all that score every trial where left out.
+        Label of the merit, which may be a high-fidelity merit. Default: all merits that score every trial.
     change
-        Amount, above 0 and in the merit's unit, by which it may become worse; left out: up to its limit.
-    report
-        Called with the number of lenses scored after each part of them.
+        Amount above 0, in the merit's unit, by which the merit may become worse. Default: up to its limit.
+    progress
+        Called as ``progress(count)`` with the number of lenses scored since the last call.
+
+    Returns
+    -------
+    StudyLimits
+        Limits of all perturbations for each merit.
 
     Raises
     ------
     InputError
-        If there is no such merit, or as of :func:`inverse_limits`.
+        If there is no such merit, a perturbation is a setting of the reconstruction, `change` is given for
+        several merits, or the nominal lens misses a limit.
+
+    Examples
+    --------
+    >>> from tolerancing import inverse, load_study
+    >>> found = inverse(load_study("study.toml"), "strehl")  # doctest: +SKIP
+    >>> found.limits["strehl"][0].tightest  # doctest: +SKIP
+    0.0213
     """
     study = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
     validate_settings(study, "how far it may go")
-    dear = [m for m in study.high_fidelity_merits if m.label == merit]
-    if dear:  # scored by itself, not by the cheap merit that chooses its trials
-        own = dear[0].model_copy(update={"predicted_by": None})
+    high_fidelity = [m for m in study.high_fidelity_merits if m.label == merit]
+    if high_fidelity:  # It is scored itself, not the low-fidelity merit that selects its trials.
+        own = high_fidelity[0].model_copy(update={"predicted_by": None})
         study = study.model_copy(update={"all_merits": (own,)})
     labels = [m.label for m in study.merits]
     if merit is not None and merit not in labels:
@@ -117,7 +128,7 @@ def inverse(
     if change is not None and merit is None and len(labels) > 1:
         raise InputError(f"change = {change:g}: is in one merit's unit; name the merit: {', '.join(labels)}")
     context = context_of(loaded.lens, study)
-    scorer, nominal = StudyScorer(context, study, report), nominal_scores(context, study)
+    scorer, nominal = StudyScorer(context, study, progress), nominal_scores(context, study)
     scores, tolerance = [nominal[label] for label in labels], scatter_of(study).tolerance
 
     def worst(values: Array) -> Array:
@@ -138,36 +149,36 @@ def inverse_limits(
     merit: Merit,
     index: int,
     change: float | None = None,
-    largest: float = LARGEST,
+    largest: float = 64.0,
 ) -> tuple[InverseLimit, ...]:
-    """Magnitudes at which a merit reaches its limit, or has become worse by a given change.
+    """Find the magnitudes at which a merit reaches its limit, or has become worse by a given change.
 
-    All perturbations and both sides are searched together: by doubling the tolerance until the merit is
-    beyond the limit (by halving, where it is already), then between the last two magnitudes by the ITP
-    method (Oliveira and Takahashi 2020), which takes no more steps than one above bisection's. With the
-    defaults the scorer is called 18 times at most. A merit that leaves the limit and returns between two
-    doublings is not noticed. Deltas without a score lie beyond the limit.
+    All perturbations and both signs are searched together. The tolerance is doubled until the merit misses
+    the limit, or halved if it misses the limit already. Then the ITP method (Oliveira and Takahashi 2020)
+    searches between the last two magnitudes; it needs at most one step more than bisection. With the defaults
+    the scorer is called at most 18 times. A merit that misses the limit and meets it again between two
+    doublings is not noticed. Deviations without a score count as beyond the limit.
 
     Parameters
     ----------
     scorer
-        Scores of deltas from nominal.
+        Function from deviations, shape (n, d), to scores, shape (n, m).
     nominal : array_like, shape (m,)
         Scores of the nominal lens.
     tolerance : array_like, shape (d,)
-        Where the search starts.
+        Magnitudes at which the search starts.
     merit, index
         The merit, and its column among the scores.
     change
-        Amount, above 0, by which the merit may become worse than nominal; left out: up to its limit.
+        Amount above 0 by which the merit may become worse than nominal. Default: up to its limit.
     largest
-        How far to search, in tolerances; at least 1.
+        Largest magnitude of the search, in tolerances; at least 1.
 
     Returns
     -------
     tuple of InverseLimit
-        One for each perturbation. At the magnitudes given the merit still keeps its limit; it fails within
-        `PRECISION` of them, relative to them or to the smallest magnitude that the halving reaches.
+        One for each perturbation. At these magnitudes the merit keeps its limit. It misses the limit within
+        `PRECISION` of them, relative to the magnitude or to the smallest magnitude of the search.
 
     Raises
     ------
@@ -179,11 +190,11 @@ def inverse_limits(
     if not (np.isfinite(largest) and largest >= 1.0):
         raise InputError(f"largest = {largest:g}: must be finite and at least 1, in tolerances")
     d = len(sizes)
-    which, side = np.tile(np.arange(d), 2), np.repeat([-1.0, 1.0], d)
+    perturbation, sign = np.tile(np.arange(d), 2), np.repeat([-1.0, 1.0], d)
 
     def excess(rows: NDArray[np.intp], magnitude: Array) -> Array:
         deltas = np.zeros((len(rows), d))
-        deltas[np.arange(len(rows)), which[rows]] = side[rows] * magnitude
+        deltas[np.arange(len(rows)), perturbation[rows]] = sign[rows] * magnitude
         margin = merit.margin(np.asarray(scorer(deltas))[:, index])
         return np.where(np.isfinite(margin), margin - floor, -np.inf)
 
@@ -196,7 +207,7 @@ def inverse_limits(
 
 
 def _floor(merit: Merit, nominal: float, change: float | None) -> float:
-    """Smallest margin that is allowed."""
+    """Return the smallest margin that is allowed."""
     if change is not None:
         if not (np.isfinite(change) and change > 0.0):
             raise InputError(f"change = {change:g}: must be above 0 and finite")
@@ -206,13 +217,13 @@ def _floor(merit: Merit, nominal: float, change: float | None) -> float:
     if not merit.passed(nominal):
         raise InputError(
             f"{merit.label}: the nominal lens scores {nominal:g} and misses its limit, {merit.limit_text}; "
-            "no tolerance can keep it"
+            "no tolerance can keep it. Improve the lens or change the limit"
         )
     return 0.0
 
 
 class _Search:
-    """Brackets of several roots, narrowed together: excess negative at `high`, and not at `low`."""
+    """Brackets of several roots, narrowed together. The excess is negative at `high`, and not at `low`."""
 
     def __init__(self, excess: _Excess, size: Array, start: float) -> None:
         self.excess, self.size = excess, size
@@ -221,51 +232,51 @@ class _Search:
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """Which roots are bracketed."""
+        """Whether each root is bracketed."""
         return np.isfinite(self.high)
 
     def bracket(self, largest: float) -> None:
-        """Double, or halve, until the ends of each bracket are a factor of two apart."""
-        farthest, nearest = self.size * largest, self.size * 0.5**HALVINGS
-        self.try_at(np.arange(len(self.size)), self.size)
+        """Double or halve the magnitudes until the ends of each bracket are a factor of two apart."""
+        farthest, nearest = self.size * largest, self.size * SMALLEST_FACTOR
+        self.evaluate(np.arange(len(self.size)), self.size)
         outward = ~self.found
         while True:
-            goes_on = np.where(
+            unfinished = np.where(
                 outward, ~self.found & (self.low < farthest), (self.low == 0.0) & (self.high > nearest)
             )
-            active = np.flatnonzero(goes_on)
+            active = np.flatnonzero(unfinished)
             if not active.size:
                 return
             doubled = np.minimum(2.0 * self.low, farthest)
-            self.try_at(active, np.where(outward, doubled, 0.5 * self.high)[active])
+            self.evaluate(active, np.where(outward, doubled, 0.5 * self.high)[active])
 
     def narrow(self) -> None:
         """Narrow every bracket to the precision by the ITP method."""
-        precision = 0.5 * PRECISION * np.maximum(self.low, self.size * 0.5**HALVINGS)
+        precision = 0.5 * PRECISION * np.maximum(self.low, self.size * SMALLEST_FACTOR)
         width = np.where(self.found, self.high - self.low, 0.0)
         steps = np.ceil(np.log2(np.maximum(width / (2.0 * precision), 1.0))) + 1.0
-        taken = 0
+        done = 0
         while True:
             active = np.flatnonzero(self.found & (self.high - self.low > 2.0 * precision))
             if not active.size:
                 return
-            reach = precision[active] * 2.0 ** (steps[active] - taken)
-            self.try_at(active, self._between(active, reach, 0.2 / width[active]))
-            taken += 1
+            reach = precision[active] * 2.0 ** (steps[active] - done)
+            self.evaluate(active, self._next_magnitudes(active, reach, 0.2 / width[active]))
+            done += 1
 
-    def _between(self, rows: NDArray[np.intp], reach: Array, pull: Array) -> Array:
-        """Next magnitudes: interpolated, pulled to the middle, and kept within bisection's reach of it."""
+    def _next_magnitudes(self, rows: NDArray[np.intp], reach: Array, truncation: Array) -> Array:
+        """Interpolate, truncate toward the middle, and project to bisection's reach of the middle (ITP)."""
         low, high, at_low, at_high = (v[rows] for v in (self.low, self.high, self.at_low, self.at_high))
         middle, width = 0.5 * (low + high), high - low
         with np.errstate(invalid="ignore"):
             falsi = (at_low * high - at_high * low) / (at_low - at_high)
         falsi = np.where(np.isfinite(at_high) & np.isfinite(falsi), falsi, middle)
-        away = middle - falsi
-        moved = np.where(pull * width**2 <= np.abs(away), falsi + np.sign(away) * pull * width**2, middle)
+        offset, shift = middle - falsi, truncation * width**2
+        moved = np.where(shift <= np.abs(offset), falsi + np.sign(offset) * shift, middle)
         radius = np.maximum(reach - 0.5 * width, 0.0)
         return np.clip(moved, middle - radius, middle + radius)
 
-    def try_at(self, rows: NDArray[np.intp], magnitude: Array) -> None:
+    def evaluate(self, rows: NDArray[np.intp], magnitude: Array) -> None:
         """Score new magnitudes and move the ends of the brackets to them."""
         value = self.excess(rows, magnitude)
         good = value >= 0.0

@@ -1,22 +1,22 @@
-"""Yields of lenses that seldom fail: importance sampling, with failures proposed by a model of the trials.
+"""Yields of lenses that seldom fail, by importance sampling with a model of the trials.
 
-A plain run of n trials that all pass says no more than that fewer than some 3 / n fail. Here a second-order
-model of the merits (:mod:`tolerancing.statistics.response`), fitted to trials that there are, tells of many
-more trials, which cost nothing, how likely each is to fail: with m_k the model's margin of merit k, and s_k
-the standard deviation of the scores that the fit leaves,
+If all n trials of a plain run pass, the fraction of failures is only known to be below about 3 / n. Here a
+second-order model of the merits (:mod:`tolerancing.statistics.response`) is fitted to the existing trials. It
+predicts for many more trials, at almost no cost, how likely each is to fail. With m_k the predicted margin of
+merit k and s_k the standard deviation of the residuals of the fit,
 
     p = 1 - prod_k Phi(m_k / s_k).
 
-Trials for the lens itself are drawn from these with chances q that go as the root of p, which is best where
-p is right, and a share of them evenly, lest failures of which the model knows nothing weigh much (Owen and
-Zhou, J. Am. Stat. Assoc. 95, 135, 2000). With N modelled trials, n scored ones, and f_i = 1 where a scored
-one fails,
+Trials of the lens itself are drawn from the modelled trials with probabilities q proportional to the square
+root of p, which is optimal if p is right. A fixed fraction of them is drawn uniformly, so that a failure that
+the model does not predict gets no large weight (Owen and Zhou, J. Am. Stat. Assoc. 95, 135, 2000). With N
+modelled trials, n scored trials, and f_i = 1 for a scored trial that fails,
 
     estimate = (1 / n) sum_i f_i / (N q_i),
 
-which has no bias whatever the model says. Its variance is that of the n terms, and that of the N trials
-themselves, which are a sample too. The interval is Wilson's with as many trials as have that variance (Korn
-and Graubard, Survey Methodology 24, 193, 1998); where no trial failed it is that of the evenly drawn ones.
+which is unbiased for any model. Its variance includes that of the n terms and that of the sample of N trials.
+The interval is Wilson's for the number of trials with this variance (Korn and Graubard, Survey Methodology
+24, 193, 1998). If no trial failed, it is the interval of the uniformly drawn trials.
 """
 
 from __future__ import annotations
@@ -42,161 +42,202 @@ from tolerancing.store.store import Store
 from tolerancing.study.evaluate import check_trial_memory, context_of
 from tolerancing.study.study import Study
 
-MODELLED = 400_000
-EVEN_SHARE = 0.2
-FEWEST_TRIALS = 50
+UNIFORM_FRACTION = 0.2
+"""Fraction of the scored trials that are drawn uniformly."""
 
-FIRST_TRIAL = 1 << 24
-"""Number of the first scored trial, by which figures of irregularities are drawn; beyond any store's."""
+FEWEST_TRIALS = 50
+"""Smallest number of trials that can be scored."""
 
 
 @dataclass(frozen=True, eq=False)
 class RareYield:
-    """A yield from trials that were chosen where failures are likely.
+    """A yield from trials that were selected where failures are likely.
 
     Attributes
     ----------
     study
-        Whose yield it is.
-    share, low, high
-        Yield over all limits, and the ends of its 95 % interval.
+        The study.
+    fraction, low, high
+        Yield over all limits (0 to 1), and the ends of its 95 % interval.
     standard_error
-        Of the yield.
+        Standard error of the yield.
     trials, failed
-        Trials of the lens that were scored, and those of them that failed.
+        Number of trials of the lens that were scored, and number of those that failed.
     plain_trials
-        How many plain trials have an interval as narrow.
-    modelled_share
-        Yield as the model alone has it.
+        Number of plain trials that would give the same interval width.
+    modelled_yield
+        Yield predicted by the model alone.
     cross_validated_r_squared : ndarray, shape (merits,)
-        How well the model predicts trials that it was not fitted to.
+        Accuracy of the model for trials that are not in its fit, by merit.
     """
 
     study: Study
-    share: float
+    fraction: float
     low: float
     high: float
     standard_error: float
     trials: int
     failed: int
     plain_trials: float
-    modelled_share: float
+    modelled_yield: float
     cross_validated_r_squared: Array
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return plain values for JSON."""
         merits = zip(self.study.merits, self.cross_validated_r_squared.tolist(), strict=True)
         return {
-            "yield": {"share": self.share, "low": self.low, "high": self.high, "confidence": CONFIDENCE},
+            "yield": {"share": self.fraction, "low": self.low, "high": self.high, "confidence": CONFIDENCE},
             "standard_error": self.standard_error,
             "trials": self.trials,
             "failed": self.failed,
             "plain_trials": self.plain_trials,
-            "modelled_yield": self.modelled_share,
+            "modelled_yield": self.modelled_yield,
             "cross_validated_r_squared": {merit.column: finite_or_none(r) for merit, r in merits},
         }
 
 
-def rare_yield(store: Store, trials: int, *, report: Callable[[int], None] | None = None) -> RareYield:
-    """Yield of a stored study from further trials of its lens, most of them where failures are likely.
+def rare_yield(store: Store, trials: int, *, progress: Callable[[int], None] | None = None) -> RareYield:
+    """Estimate the yield of a stored study from further trials of its lens where failures are likely.
 
     Parameters
     ----------
     store
-        An open store with enough trials for a model.
+        Open store with enough trials for a model.
     trials
         Number of trials of the lens to score.
-    report
-        Called with the number of trials scored after each part.
+    progress
+        Called as ``progress(count)`` with the number of trials scored since the last call.
+
+    Returns
+    -------
+    RareYield
+        Yield with its interval.
 
     Raises
     ------
     InputError
-        If there are fewer than `FEWEST_TRIALS` trials to score, or the store has too few for a model.
+        If `trials` is below `FEWEST_TRIALS`, or the store has too few trials for a model.
     """
     if trials < FEWEST_TRIALS:
         raise InputError(f"trials = {trials}: must be at least {FEWEST_TRIALS}")
     check_trial_memory(store.study, trials)
-    loaded, held = store.loaded, store.trials()
-    study, response = loaded.study, fit_response(held.values, held.scores)
+    loaded, stored = store.loaded, store.trials()
+    study, response = loaded.study, fit_response(stored.values, stored.scores)
     rng = np.random.default_rng(np.random.SeedSequence(study.seed, spawn_key=(0, 0, 2)))
-    values = modelled_trials(study, MODELLED, rng)
-    chances = failure_chances(study, response, held.values, held.scores, values)
-    drawn, weights = proposed(chances, trials, rng)
-    scorer = StudyScorer(context_of(loaded.lens, study), study, report)
-    scores = scorer(values[drawn], range(FIRST_TRIAL, FIRST_TRIAL + trials))
-    kept = all_passed(study.merits, scores)
-    share, error, plain = weighted_failures(~kept, weights, MODELLED)
-    low, high = wilson(1.0 - share, plain)
+    modelled = 400_000
+    values = modelled_trials(study, modelled, rng)
+    probabilities = failure_probabilities(study, response, stored.values, stored.scores, values)
+    drawn, weights = draw_trials(probabilities, trials, rng)
+    scorer = StudyScorer(context_of(loaded.lens, study), study, progress)
+    # Shapes of irregularities are drawn by the trial's number; these numbers are beyond those of any store.
+    first_number = 1 << 24
+    scores = scorer(values[drawn], range(first_number, first_number + trials))
+    passed = all_passed(study.merits, scores)
+    failures, error, plain = weighted_failures(~passed, weights, modelled)
+    low, high = wilson(1.0 - failures, plain)
     return RareYield(
         study=study,
-        share=1.0 - share,
+        fraction=1.0 - failures,
         low=low,
         high=high,
         standard_error=error,
         trials=trials,
-        failed=int(np.count_nonzero(~kept)),
+        failed=int(np.count_nonzero(~passed)),
         plain_trials=plain,
-        modelled_share=1.0 - float(np.mean(chances)),
+        modelled_yield=1.0 - float(np.mean(probabilities)),
         cross_validated_r_squared=response.cross_validated_r_squared,
     )
 
 
 def modelled_trials(study: Study, count: int, rng: np.random.Generator) -> Array:
-    """Deltas of many random trials, shape (count, perturbations)."""
+    """Draw the deviations of many random trials, shape (count, perturbations)."""
     drawn = np.clip(rng.random((count, len(study.perturbations))), SMALLEST, LARGEST)
     dependent = study.dependence.apply(drawn)
-    shapes = [p.distribution for p in study.perturbations]
-    return np.column_stack([shape.quantile(dependent[:, k]) for k, shape in enumerate(shapes)])
+    distributions = [p.distribution for p in study.perturbations]
+    return np.column_stack([one.quantile(dependent[:, k]) for k, one in enumerate(distributions)])
 
 
-def failure_chances(study: Study, response: Response, values: Array, scores: Array, asked: Array) -> Array:
-    """Chance of each of the asked trials to miss a limit, by a model and what it leaves of known scores."""
-    left = scores - response.predict(values)
-    # Left out, not fitted, a trial lies farther from the model by the root of the ratio of both R^2.
-    missed = 1.0 - response.r_squared
-    worse = (1.0 - response.cross_validated_r_squared) / np.maximum(missed, 1e-12)
-    spread = np.sqrt(np.nanmean(left**2, axis=0) * np.maximum(worse, 1.0))
-    predicted, good = response.predict(asked), np.ones(len(asked))
+def failure_probabilities(
+    study: Study, response: Response, values: Array, scores: Array, modelled: Array
+) -> Array:
+    """Return the probability of each modelled trial to miss a limit.
+
+    Parameters
+    ----------
+    study
+        Study with its merits.
+    response
+        Model of the merits.
+    values, scores : ndarray, shape (n, perturbations) and (n, merits)
+        Trials that the model was fitted to; their residuals give its error.
+    modelled : ndarray, shape (N, perturbations)
+        Deviations of the modelled trials.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Probabilities, 0 to 1.
+    """
+    residuals = scores - response.predict(values)
+    # The error for new trials exceeds the residuals by the root of the ratio of both unexplained variances.
+    unexplained = 1.0 - response.r_squared
+    ratio = (1.0 - response.cross_validated_r_squared) / np.maximum(unexplained, 1e-12)
+    spread = np.sqrt(np.nanmean(residuals**2, axis=0) * np.maximum(ratio, 1.0))
+    predicted, good = response.predict(modelled), np.ones(len(modelled))
     for k, merit in enumerate(study.merits):
         margin = merit.margin(predicted[:, k])
         good *= ndtr(margin / spread[k]) if spread[k] > 0.0 else margin >= 0.0
     return np.asarray(1.0 - good)
 
 
-def proposed(chances: Array, count: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
-    """Which modelled trials to score, drawn with replacement, and what each stands for.
+def draw_trials(probabilities: Array, count: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
+    """Draw the modelled trials to score, with replacement.
+
+    Parameters
+    ----------
+    probabilities : ndarray, shape (N,)
+        Probability of each modelled trial to fail.
+    count
+        Number of trials to draw.
+    rng
+        Random generator.
 
     Returns
     -------
     indices, weights : ndarray, shape (count,)
-        1 / (N q): the mean of the weights of those that fail is the share of failures.
+        Indices of the trials, and their weights 1 / (N q). The sum of the weights of failing trials, divided
+        by `count`, is the fraction of failures.
     """
-    likely = np.sqrt(np.clip(chances, 0.0, 1.0))
-    total, even = float(likely.sum()), 1.0 / len(chances)
-    rest = likely / total if total > 0.0 else np.full(len(chances), even)
-    q = EVEN_SHARE * even + (1.0 - EVEN_SHARE) * rest
-    drawn = rng.choice(len(chances), size=count, p=q / q.sum())
-    return drawn.astype(np.intp), even / q[drawn]
+    likely = np.sqrt(np.clip(probabilities, 0.0, 1.0))
+    total, uniform = float(likely.sum()), 1.0 / len(probabilities)
+    by_model = likely / total if total > 0.0 else np.full(len(probabilities), uniform)
+    q = UNIFORM_FRACTION * uniform + (1.0 - UNIFORM_FRACTION) * by_model
+    drawn = rng.choice(len(probabilities), size=count, p=q / q.sum())
+    return drawn.astype(np.intp), uniform / q[drawn]
 
 
 def weighted_failures(failed: NDArray[np.bool_], weights: Array, modelled: int) -> tuple[float, float, float]:
-    """Share of failures, its standard error, and how many plain trials have that.
+    """Estimate the fraction of failures from weighted trials.
 
     Parameters
     ----------
     failed : ndarray of bool, shape (n,)
-        Which scored trials fail.
+        Whether each scored trial fails.
     weights : ndarray, shape (n,)
-        From :func:`proposed`.
+        Weights from :func:`draw_trials`.
     modelled
-        Number of trials that they were drawn from.
+        Number of modelled trials from which they were drawn.
+
+    Returns
+    -------
+    fraction, standard_error, plain_trials : float
+        Fraction of failures, its standard error, and the number of plain trials with the same error.
     """
     n, terms = len(failed), np.where(failed, weights, 0.0)
-    share = min(float(terms.mean()), 1.0)
-    if not 0.0 < share < 1.0:
-        return share, 0.0, EVEN_SHARE * n
-    variance = float(terms.var(ddof=1)) / n + share * (1.0 - share) / modelled
+    fraction = min(float(terms.mean()), 1.0)
+    if not 0.0 < fraction < 1.0:
+        return fraction, 0.0, UNIFORM_FRACTION * n
+    variance = float(terms.var(ddof=1)) / n + fraction * (1.0 - fraction) / modelled
     if variance == 0.0:
-        return share, 0.0, float(n)
-    return share, math.sqrt(variance), share * (1.0 - share) / variance
+        return fraction, 0.0, float(n)
+    return fraction, math.sqrt(variance), fraction * (1.0 - fraction) / variance

@@ -1,6 +1,9 @@
-"""A second-order model of the merits over all perturbations, fitted to trials: cheap, and says how good.
+"""Response surface: a second-order model of the merits over all perturbations, fitted to trials.
 
-Response surfaces: Box and Wilson 1951. Ridge regression: Hoerl and Kennard 1970.
+The model is fast to evaluate, and its error for new trials is known by cross-validation.
+
+References: Box and Wilson 1951 (response surfaces); Hoerl and Kennard 1970 (ridge regression); Allen 1974
+(leave-one-out error in closed form, PRESS).
 """
 
 from __future__ import annotations
@@ -15,37 +18,36 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 
 Scorer = Callable[[Array], Array]
-"""Deltas from nominal, shape (n, perturbations), to scores, shape (n, merits); NaN where there is none."""
+"""Function from deviations, shape (n, perturbations), to scores, shape (n, merits); NaN without a score."""
 
 TRIALS_PER_TERM = 3
-"""A model has at most one term for so many trials."""
+"""Smallest number of trials for each term of a model."""
 
 PENALTIES = tuple(10.0**power for power in range(-8, 2))
-"""Ridge penalties that are tried, relative to the mean square of the terms."""
-
-ROWS_PER_CHUNK = 4096
+"""Candidate ridge penalties, relative to the mean square of the terms."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """Model of m merits over d perturbations; t terms beside the constant.
+    """Model of m merits over d perturbations, with t terms and a constant.
 
     Attributes
     ----------
     centre, spread : ndarray, shape (d,)
-        Mean and standard deviation of the values it was fitted to; terms are made of (x - centre) / spread.
+        Mean and standard deviation of the fitted deviations. Terms are made of (x - centre) / spread.
     order
-        1: linear terms; 2: squares too; 3: products of two perturbations too.
+        1 for linear terms, 2 for linear terms and squares, 3 for products of two perturbations as well.
     constant : ndarray, shape (m,)
+        Constant of each merit, in the merit's unit.
     coefficients : ndarray, shape (t, m)
-        Of linear terms, squares, products.
+        Coefficients of linear terms, squares and products, in this order.
     r_squared : ndarray, shape (m,)
-        Share of the variance of the fitted scores that the model explains.
+        Fraction of the variance of the fitted scores that the model explains.
     cross_validated_r_squared : ndarray, shape (m,)
-        The same for trials that are left out of the fit, one at a time: what to expect of new trials.
-        Below 0 the model is worse than the mean.
+        The same fraction for trials that are excluded from the fit one at a time. It is the accuracy to
+        expect for new trials. Below 0 the model is worse than the mean.
     used, left_out : ndarray, shape (m,)
-        Number of trials it was fitted to, and of those without a score.
+        Number of trials in the fit, and number of trials without a score.
     """
 
     centre: Array
@@ -59,11 +61,12 @@ class Response:
     left_out: NDArray[np.intp]
 
     def predict(self, values: ArrayLike) -> Array:
-        """Scores, shape (n, m), for deltas of shape (n, d); itself a `Scorer`."""
+        """Return predicted scores, shape (n, m), for deviations of shape (n, d). The method is a `Scorer`."""
         x = (np.atleast_2d(np.asarray(values, float)) - self.centre) / self.spread
         scores = np.empty((len(x), len(self.constant)))
-        for first in range(0, len(x), ROWS_PER_CHUNK):
-            chunk = slice(first, first + ROWS_PER_CHUNK)
+        rows_at_once = 4096  # The terms of all rows together may not fit in memory.
+        for first in range(0, len(x), rows_at_once):
+            chunk = slice(first, first + rows_at_once)
             scores[chunk] = self.constant + _terms(x[chunk], self.order) @ self.coefficients
         return scores
 
@@ -71,20 +74,21 @@ class Response:
 def fit_response(values: ArrayLike, scores: ArrayLike) -> Response:
     """Fit a response model to trials.
 
-    Terms of the second order are taken as far as there are `TRIALS_PER_TERM` trials for each: squares
-    first, then products. The ridge penalty of each merit is that of `PENALTIES` with the smallest error on
-    trials left out, in closed form from the hat matrix (Allen 1974, PRESS).
+    Squares, and then products, are included if there are at least `TRIALS_PER_TERM` trials for each term. The
+    ridge penalty of each merit is the one of `PENALTIES` with the smallest leave-one-out error, which follows
+    in closed form from the hat matrix (Allen 1974).
 
     Parameters
     ----------
     values : array_like, shape (n, d)
-        Deltas from nominal.
+        Deviations from nominal.
     scores : array_like, shape (n, m)
-        Trials without a score are left out of that merit's fit, and counted.
+        Scores. Trials with NaN are excluded from the fit of that merit, and counted.
 
     Returns
     -------
     Response
+        The fitted model.
 
     Raises
     ------
@@ -117,7 +121,7 @@ def fit_response(values: ArrayLike, scores: ArrayLike) -> Response:
 
 
 def _order(d: int, used: NDArray[np.intp]) -> int:
-    """The highest order that the merit with the fewest scores bears."""
+    """Return the highest order for which the merit with the fewest scores has enough trials."""
     numbers = {3: 1 + 2 * d + d * (d - 1) // 2, 2: 1 + 2 * d, 1: 1 + d}
     fewest = int(np.min(used))
     for order, terms in numbers.items():
@@ -130,7 +134,7 @@ def _order(d: int, used: NDArray[np.intp]) -> int:
 
 
 def _terms(x: Array, order: int) -> Array:
-    """Columns of linear terms, squares and products of standardized values, shape (n, terms)."""
+    """Return linear terms, squares and products of standardized values as columns, shape (n, terms)."""
     blocks = [x]
     if order >= 2:
         blocks.append(x * x)
@@ -141,12 +145,12 @@ def _terms(x: Array, order: int) -> Array:
 
 
 def _ridge(terms: Array, scores: Array) -> tuple[float, Array, float, float]:
-    """Constant (not penalised), coefficients, R^2 and leave-one-out R^2, at the best penalty."""
+    """Return constant (not penalized), coefficients, R^2 and leave-one-out R^2 at the best penalty."""
     n = len(scores)
     offset, mean = terms.mean(axis=0), float(scores.mean())
     u, s, vt = np.linalg.svd(terms - offset, full_matrices=False)
     y = scores - mean
-    # Rounding of the scores themselves, squared and summed: below it a merit is constant.
+    # A sum of squares below the rounding error of the scores means that the merit is constant.
     total = float(y @ y)
     if total <= n * (1e-14 * np.max(np.abs(scores))) ** 2:
         return mean, np.zeros(terms.shape[1]), 1.0, 1.0
@@ -154,19 +158,19 @@ def _ridge(terms: Array, scores: Array) -> tuple[float, Array, float, float]:
     best: tuple[float, Array, Array] | None = None
     for penalty in PENALTIES:
         shrink = s**2 / (s**2 + penalty * n)
-        left = y - u @ (shrink * projected)
+        residuals = y - u @ (shrink * projected)
         leverage = 1.0 / n + (u**2) @ shrink
-        press = float(np.sum((left / np.maximum(1.0 - leverage, 1e-9)) ** 2))
+        press = float(np.sum((residuals / np.maximum(1.0 - leverage, 1e-9)) ** 2))
         if best is None or press < best[0]:
-            best = (press, left, shrink * projected / np.where(s > 0.0, s, 1.0))
+            best = (press, residuals, shrink * projected / np.where(s > 0.0, s, 1.0))
     assert best is not None
-    press, left, scaled = best
+    press, residuals, scaled = best
     coefficients = vt.T @ scaled
-    # A trial left out is held against the mean of the others: total n^2 / (n - 1)^2.
-    against = total * (n / (n - 1)) ** 2
+    # An excluded trial is compared with the mean of the others, which gives the factor n^2 / (n - 1)^2.
+    reference = total * (n / (n - 1)) ** 2
     return (
         mean - float(offset @ coefficients),
         coefficients,
-        1.0 - float(left @ left) / total,
-        1.0 - press / against,
+        1.0 - float(residuals @ residuals) / total,
+        1.0 - press / reference,
     )

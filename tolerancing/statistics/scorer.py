@@ -1,4 +1,8 @@
-"""Scores of a study's merits for any deltas, and how these scatter: what limits and budgets search with."""
+"""Scores of a study's merits for given deviations from nominal, and the spread of these deviations.
+
+Inverse limits, variance-based indices, importance sampling and budgets score lenses of their own choice. They
+share the class :class:`StudyScorer` of this module.
+"""
 
 from __future__ import annotations
 
@@ -14,52 +18,70 @@ from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
 
-Report = Callable[[int], None]
+Progress = Callable[[int], None]
 
 ROWS_AT_ONCE = 64
-QUANTILES = 4096
+"""Number of lenses that are scored together."""
 
 
 @dataclass(frozen=True, eq=False)
 class StudyScorer:
-    """The study's merits as a function of deltas.
+    """The study's merits as a function of deviations from nominal.
 
     Attributes
     ----------
     context, study
-        What is scored.
-    report
-        Called with the number of rows after each of the parts in which they are scored.
+        Nominal lens with its cached analyses, and the study that names perturbations and merits.
+    progress
+        Called as ``progress(count)`` with the number of lenses scored since the last call.
     """
 
     context: Context
     study: Study
-    report: Report | None = None
+    progress: Progress | None = None
 
     def __call__(self, values: Array, trials: Sequence[int] | None = None) -> Array:
-        """Scores, shape (n, merits), of deltas from nominal, shape (n, perturbations).
+        """Return the scores of perturbed lenses.
 
         Parameters
         ----------
-        values
-            The deltas.
+        values : ndarray, shape (n, perturbations)
+            Deviations from nominal, in the units of the perturbations.
         trials
-            By whose numbers the shapes of irregularities, and noise, are drawn, one for each row; those of
-            trial 0 for all rows where left out.
+            Trial number of each row. The shapes of irregularities, and noise, are drawn by these numbers.
+            Default: trial 0 for all rows.
+
+        Returns
+        -------
+        ndarray, shape (n, merits)
+            Scores; NaN where a lens cannot be scored.
         """
-        study, parts = self.study, []
+        study, blocks = self.study, []
         for start in range(0, len(values), ROWS_AT_ONCE):
-            part = slice(start, start + ROWS_AT_ONCE)
-            rows = np.ascontiguousarray(values[part])
-            numbers = None if trials is None else trials[part]
+            block = slice(start, start + ROWS_AT_ONCE)
+            rows = np.ascontiguousarray(values[block])
+            numbers = None if trials is None else trials[block]
             batch = self.context.perturbed(study.perturbations, rows, numbers)
-            parts.append(score_batch(study.merits, self.context, batch)[0])
-            if self.report is not None:
-                self.report(len(rows))
-        return np.concatenate(parts) if parts else np.empty((0, len(study.merits)))
+            blocks.append(score_batch(study.merits, self.context, batch)[0])
+            if self.progress is not None:
+                self.progress(len(rows))
+        return np.concatenate(blocks) if blocks else np.empty((0, len(study.merits)))
 
     def worst_of_shapes(self, values: Array, shapes: int) -> Array:
-        """As a call, but where a row has an irregularity, the worst scores of so many shapes."""
+        """Return the scores of a call, or the worst scores of several random shapes for irregular surfaces.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, perturbations)
+            Deviations from nominal.
+        shapes
+            Number of random shapes for each row that has an irregularity.
+
+        Returns
+        -------
+        ndarray, shape (n, merits)
+            Scores; NaN where a lens cannot be scored.
+        """
         study = self.study
         columns = [k for k, p in enumerate(study.perturbations) if p.is_irregularity]
         rough = np.flatnonzero(np.any(values[:, columns] != 0.0, axis=1))
@@ -77,14 +99,16 @@ class StudyScorer:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How a study's perturbations scatter; arrays of shape (perturbations,).
+    """Moments of a study's perturbations, as arrays of shape (perturbations,).
 
     Attributes
     ----------
     tolerance
-        Largest deviation that counts as the tolerance.
-    mean, standard_deviation, kurtosis
-        Of the distributions.
+        Largest deviation that counts as within the tolerance.
+    mean, standard_deviation
+        Mean and standard deviation of each distribution.
+    kurtosis
+        Fourth central moment over the squared variance; 3 for a normal distribution.
     """
 
     tolerance: Array
@@ -94,41 +118,42 @@ class Scatter:
 
 
 def scatter_of(study: Study) -> Scatter:
-    """How a study's perturbations scatter."""
-    shapes = [p.distribution for p in study.perturbations]
+    """Return the moments of a study's perturbations."""
+    distributions = [p.distribution for p in study.perturbations]
     return Scatter(
-        tolerance=np.array([d.largest for d in shapes]),
-        mean=np.array([d.centre for d in shapes]),
-        standard_deviation=np.array([d.standard_deviation for d in shapes]),
-        kurtosis=np.array([kurtosis(d) for d in shapes]),
+        tolerance=np.array([d.largest for d in distributions]),
+        mean=np.array([d.centre for d in distributions]),
+        standard_deviation=np.array([d.standard_deviation for d in distributions]),
+        kurtosis=np.array([kurtosis(d) for d in distributions]),
     )
 
 
 def validate_settings(study: Study, what: str) -> None:
-    """Refuse an analysis that takes deviations for numbers between which there is always another.
+    """Check that all perturbations of a study vary continuously, as an analysis of deviations requires.
 
     Parameters
     ----------
     study
-        What is analysed.
+        Study to be analysed.
     what
-        What the analysis tells of a perturbation.
+        What the analysis finds for a perturbation, for the message.
 
     Raises
     ------
     InputError
-        If one of its perturbations is a setting of the reconstruction.
+        If a perturbation is a setting of the reconstruction, such as a number of slices.
     """
     for perturbation in study.perturbations:
         if perturbation.is_setting:
             raise InputError(
-                f"{perturbation.column}: a number of slices is no deviation from nominal, and nothing tells "
-                f"{what}; leave the perturbation out, or take a [[sweep]] of it"
+                f"{perturbation.column}: a number of slices is no deviation from nominal, so no value exists "
+                f"for {what}; remove the perturbation, or vary it in a [[sweep]]"
             )
 
 
 def kurtosis(distribution: Distribution) -> float:
-    """Fourth central moment over the squared variance, from the quantiles."""
-    values = distribution.quantile((np.arange(QUANTILES) + 0.5) / QUANTILES)
+    """Return the fourth central moment over the squared variance, computed from evenly spaced quantiles."""
+    count = 4096
+    values = distribution.quantile((np.arange(count) + 0.5) / count)
     values = values - values.mean()
     return float(np.mean(values**4) / np.mean(values**2) ** 2)

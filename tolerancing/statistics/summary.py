@@ -1,4 +1,4 @@
-"""What a store says in a few numbers: yield with its confidence, statistics of each merit."""
+"""Summary of a store: yield with its confidence interval, and statistics of each merit."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ PERCENTILES = (1, 5, 50, 95, 99)
 
 @dataclass(frozen=True)
 class MeritSummary:
-    """One merit over all trials; statistics leave out trials without a score, the yield does not.
+    """Statistics of one merit over all trials.
+
+    Trials without a score count as bad in the yield; the other statistics exclude them.
 
     Attributes
     ----------
     merit
         The merit.
     nominal
-        Score of the nominal lens; None where it has none.
+        Score of the nominal lens; None if it has none.
     good
-        Yield of this merit by itself; None where there are no trials.
+        Yield by the limit of this merit alone; None if there are no trials.
     scored
         Number of trials with a score.
     mean, standard_deviation
-        None with fewer than one, or two, scores.
+        Mean and standard deviation of the scores; None with fewer than one, or two, scores.
     percentiles
-        By `PERCENTILES`; empty without scores.
+        Percentiles of the scores by the numbers of `PERCENTILES`; empty without scores.
     """
 
     merit: Merit
@@ -53,22 +55,22 @@ class MeritSummary:
 
 @dataclass(frozen=True, repr=False)
 class Summary:
-    """A store in a few numbers.
+    """Summary of a store.
 
     Attributes
     ----------
     record, study
-        What was studied.
+        Record of the run, and its study.
     trials
         Number of trials in the store.
     failed
-        Number of those that could not be scored; they count as bad.
+        Number of trials that could not be scored; they count as bad.
     good
-        Yield over all limits; None where there are no trials.
+        Yield over all limits; None if there are no trials.
     merits
-        Merit by merit.
+        Summary of each merit.
     steps, planned_steps
-        Steps of sweeps and the like in the store, and in the study.
+        Number of steps of series in the store, and in the study.
     """
 
     record: StudyRecord
@@ -99,11 +101,11 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        """Whether all that was planned is there."""
+        """Whether the store holds all planned trials and steps."""
         return self.trials >= self.record.planned_trials and self.steps >= self.planned_steps
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary for JSON; names carry their units, missing numbers are null."""
+        """Return plain values for JSON. Names carry their units; missing numbers are None."""
         return {
             "title": self.study.title,
             "design": self.study.design,
@@ -122,7 +124,15 @@ class Summary:
 
 
 def summarize(store: Store) -> Summary:
-    """Summarize an open store."""
+    """Return the summary of an open store.
+
+    Examples
+    --------
+    >>> from tolerancing import open_store, summarize
+    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    ...     summarize(store).good.fraction
+    0.874
+    """
     record, steps = store.record(), len(store.finished_steps())
     return summary_of(record, store.study, store.nominal(), store.trials(), steps)
 
@@ -134,18 +144,18 @@ def summary_of(
     results: TrialResults,
     steps: int,
 ) -> Summary:
-    """Summarize trials.
+    """Return the summary of trials.
 
     Parameters
     ----------
     record, study
-        What was studied.
+        Record of the run, and its study.
     nominal
-        Scores of the nominal lens, by merit.
+        Scores of the nominal lens, by the merit's label.
     results
-        All trials that there are.
+        All trials in the store.
     steps
-        Number of steps of the study's series that there are.
+        Number of steps of the study's series in the store.
     """
     own = replicates(study.draws, results.trials)
     return Summary(
@@ -169,7 +179,7 @@ def merit_summary(
     scores: NDArray[np.float64],
     replicates: NDArray[np.int64] | None,
 ) -> MeritSummary:
-    """Summarize one merit's scores of all trials; `replicates` as of :func:`yield_of`."""
+    """Return the summary of one merit from its scores of all trials; `replicates` as in :func:`yield_of`."""
     known = scores[np.isfinite(scores)]
     nominal = None if nominal is None or not np.isfinite(nominal) else nominal
     values = np.percentile(known, PERCENTILES) if len(known) else ()
@@ -186,7 +196,7 @@ def merit_summary(
 
 
 def mean_and_deviation(known: NDArray[np.float64]) -> tuple[float | None, float | None]:
-    """Mean and standard deviation of values; None of fewer than one, and than two."""
+    """Return mean and standard deviation of values; None with fewer than one, or two, values."""
     mean = float(known.mean()) if len(known) else None
     return mean, float(known.std(ddof=1)) if len(known) > 1 else None
 
@@ -194,13 +204,13 @@ def mean_and_deviation(known: NDArray[np.float64]) -> tuple[float | None, float 
 def _yield_text(good: Yield | None) -> str:
     if good is None:
         return "no trials"
-    return f"{100.0 * good.share:.1f} % good ({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %)"
+    return f"{100.0 * good.fraction:.1f} % good ({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %)"
 
 
 def _yield_bars(yields: Sequence[Yield | None]) -> str:
-    """A bar for each yield, from 0 to 100 %, and its interval across the end."""
+    """Draw a bar for each yield, from 0 to 100 %, with its confidence interval as a line."""
     marks = [
-        f'<rect y="{10 * k + 2}" width="{200.0 * good.share:.1f}" height="6" fill="#2a6f97"/>'
+        f'<rect y="{10 * k + 2}" width="{200.0 * good.fraction:.1f}" height="6" fill="#2a6f97"/>'
         f'<path d="M{200.0 * good.low:.1f} {10 * k + 5}H{200.0 * good.high:.1f}" stroke="#e07a1f"/>'
         for k, good in enumerate(yields)
         if good is not None
@@ -210,7 +220,7 @@ def _yield_bars(yields: Sequence[Yield | None]) -> str:
 
 
 def _yield_dict(good: Yield | None) -> dict[str, Any] | None:
-    return None if good is None else {**vars(good), "confidence": CONFIDENCE}
+    return None if good is None else {**good.as_dict(), "confidence": CONFIDENCE}
 
 
 def _merit_dict(summary: MeritSummary) -> dict[str, Any]:

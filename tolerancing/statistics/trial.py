@@ -1,4 +1,4 @@
-"""One trial of a store: drawn, traced and scored again, and held against what the store says."""
+"""One trial of a store, which is drawn, traced and scored again and compared with the stored results."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from tolerancing.study.study import Study
 
 @dataclass(frozen=True, eq=False)
 class SingleTrial:
-    """A trial, stored and again.
+    """A trial as it is stored, and as it is scored again.
 
     Attributes
     ----------
     number
-        Of the trial.
+        Number of the trial, from 0.
     study
-        The study that it is one of.
+        Study of the trial.
     context, batch
-        The nominal lens, and the trial's perturbations.
+        Nominal lens with its cached analyses, and the trial's perturbations.
     again : TrialResults
-        As it comes out now.
+        Results computed now.
     stored : TrialResults or None
-        As the store has it; None where the run has not got to it.
-    dear : dict of str to float
-        Scores of the dear merits, where the store has any of this trial.
+        Results in the store; None if the run has not scored this trial yet.
+    high_fidelity : dict of str to float
+        Scores of the high-fidelity merits computed now; empty if they were not requested.
     """
 
     number: int
@@ -42,11 +42,11 @@ class SingleTrial:
     batch: PerturbationBatch
     again: TrialResults
     stored: TrialResults | None
-    dear: dict[str, float]
+    high_fidelity: dict[str, float]
 
     @property
     def same(self) -> bool | None:
-        """Whether values and scores are those stored, to the last bit; None where none are stored."""
+        """Whether values and scores equal the stored ones to the last bit; None if none are stored."""
         if self.stored is None:
             return None
         return all(
@@ -58,7 +58,7 @@ class SingleTrial:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; names carry their units."""
+        """Return plain values for JSON; names carry their units."""
         study, again = self.study, self.again
         scores = {m.column: _or_none(again.scores[0, k]) for k, m in enumerate(study.merits)}
         stored = self.stored
@@ -74,29 +74,41 @@ class SingleTrial:
                 name: _or_none(value)
                 for name, value in zip(study.extra_columns, again.extras[0], strict=True)
             },
-            "dear_scores": self.dear,
+            "dear_scores": self.high_fidelity,
             "passed": bool(again.passed[0]),
             "message": again.messages[0],
             "same_as_stored": self.same,
         }
 
 
-def single_trial(store: Store, number: int, *, dear: bool = False) -> SingleTrial:
-    """Draw, trace and score one trial again.
+def single_trial(store: Store, number: int, *, high_fidelity: bool = False) -> SingleTrial:
+    """Draw, trace and score one trial again, and return it with the stored results.
 
     Parameters
     ----------
     store
-        An open store; it is not written to.
+        Open store; nothing is written to it.
     number
-        Of the trial.
-    dear
-        Whether to score the dear merits too.
+        Number of the trial, from 0.
+    high_fidelity
+        Whether the high-fidelity merits are scored too.
+
+    Returns
+    -------
+    SingleTrial
+        The trial with its new and its stored results.
 
     Raises
     ------
     InputError
         If the study has no trial of this number.
+
+    Examples
+    --------
+    >>> from tolerancing import open_store, single_trial
+    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    ...     single_trial(store, 7).same
+    True
     """
     loaded, planned = store.loaded, store.record().planned_trials
     if not 0 <= number < planned:
@@ -105,7 +117,7 @@ def single_trial(store: Store, number: int, *, dear: bool = False) -> SingleTria
     context = context_of(loaded.lens, study)
     again = score_trials(context, study, [number])
     scores: dict[str, float] = {}
-    if dear and study.high_fidelity_merits:
+    if high_fidelity and study.high_fidelity_merits:
         found = score_high_fidelity(context, study, [number], [RANDOM])
         scores = {
             m.column: float(s) for m, s in zip(study.high_fidelity_merits, found.scores[0], strict=True)
@@ -118,7 +130,7 @@ def single_trial(store: Store, number: int, *, dear: bool = False) -> SingleTria
         batch=sample_perturbations(study, [number]),
         again=again,
         stored=stored if len(stored) else None,
-        dear=scores,
+        high_fidelity=scores,
     )
 
 

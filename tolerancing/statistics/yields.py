@@ -1,21 +1,22 @@
-"""Yield: the share of good parts, with its confidence interval.
+"""Yield, the fraction of lenses that keep all limits, with its confidence interval.
 
-Trials that stand each for itself have Wilson's interval. Those of a design do not: Latin hypercubes and
-Sobol sequences tell a share more sharply than as many independent trials. How much more is told by r
-replicates of the design, randomised independently: with s_k good trials of n_k in replicate k, and p their
-share over all,
+For independent trials, the interval is Wilson's. Trials of a Latin hypercube or a Sobol sequence estimate a
+fraction more precisely than the same number of independent trials. The gain is estimated from r replicates of
+the design that are randomized independently. With s_k good trials of n_k in replicate k, n trials in all, and
+p the fraction of good ones,
 
     variance = r / (r - 1) sum_k (s_k - p n_k)^2 / n^2
 
-(the ratio estimator of Cochran, Sampling Techniques, 1977, section 2.11). The interval is Wilson's with as
-many independent trials as have that variance, taken less by (z / t)^2, since the variance itself is known
-from r - 1 degrees of freedom only (Korn and Graubard, Survey Methodology 24, 193, 1998).
+(ratio estimator: Cochran, Sampling Techniques, 1977, section 2.11). The interval is then Wilson's for the
+number of independent trials that has this variance. That number is reduced by (z / t)^2, because the variance
+itself is estimated with only r - 1 degrees of freedom (Korn and Graubard, Survey Methodology 24, 193, 1998).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,68 +26,103 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Yield:
-    """Share of good parts, with its interval at `CONFIDENCE`.
+    """Fraction of good lenses, with its confidence interval.
 
     Attributes
     ----------
     passed, total
-        Good trials, and all trials.
-    share
-        Their ratio.
+        Number of good trials, and of all trials.
+    fraction
+        Ratio of the two numbers.
     low, high
-        Ends of the confidence interval.
+        Ends of the 95 % confidence interval.
     """
 
     passed: int
     total: int
-    share: float
+    fraction: float
     low: float
     high: float
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "passed": self.passed,
+            "total": self.total,
+            "share": self.fraction,
+            "low": self.low,
+            "high": self.high,
+        }
+
 
 def yield_of(passed: NDArray[np.bool_], replicates: NDArray[np.int64] | None = None) -> Yield | None:
-    """Yield with its confidence interval; None of nothing.
+    """Return the yield of trials with its confidence interval.
 
     Parameters
     ----------
     passed : ndarray of bool, shape (n,)
-        Which trials are good.
+        Whether each trial is good.
     replicates : ndarray of int, shape (n,), optional
-        Of which replicate of a design each trial is (:func:`tolerancing.perturbations.replicates`); left out
-        where trials are independent.
+        Replicate of the design to which each trial belongs (:func:`tolerancing.perturbations.replicates`).
+        Default: the trials are independent.
+
+    Returns
+    -------
+    Yield or None
+        None if there are no trials.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = yield_of(np.array([True] * 9 + [False]))
+    >>> found.fraction, round(found.low, 3), round(found.high, 3)
+    (0.9, 0.596, 0.982)
     """
     total = len(passed)
     if total == 0:
         return None
     good = int(np.count_nonzero(passed))
-    share = good / total
+    fraction = good / total
     trials = float(total) if replicates is None else _independent_trials(passed, replicates)
-    return Yield(good, total, share, *wilson(share, trials))
+    return Yield(good, total, fraction, *wilson(fraction, trials))
 
 
 def _independent_trials(passed: NDArray[np.bool_], replicates: NDArray[np.int64]) -> float:
-    """How many independent trials have a share as sure as that of a replicated design's trials."""
+    """Return how many independent trials estimate the yield as precisely as the trials of this design."""
     from scipy.special import ndtri, stdtrit
 
-    total, share = len(passed), float(np.mean(passed))
-    _, place, counts = np.unique(replicates, return_inverse=True, return_counts=True)
-    most = len(counts)
-    if most < 2 or share in (0.0, 1.0):
+    total, fraction = len(passed), float(np.mean(passed))
+    _, membership, counts = np.unique(replicates, return_inverse=True, return_counts=True)
+    count = len(counts)
+    if count < 2 or fraction in (0.0, 1.0):
         return float(total)
-    away = np.bincount(place, weights=passed) - share * counts
-    variance = most / (most - 1) * float(away @ away) / total**2
-    # A share of n trials is told in steps of 1 / n, whatever the replicates agree on.
+    deviations = np.bincount(membership, weights=passed) - fraction * counts
+    variance = count / (count - 1) * float(deviations @ deviations) / total**2
+    # A fraction of n trials has a resolution of 1 / n, even if all replicates agree.
     variance = max(variance, 0.25 / total**2)
     tail = 0.5 + 0.5 * CONFIDENCE
-    return share * (1.0 - share) / variance * float(ndtri(tail) / stdtrit(most - 1, tail)) ** 2
+    return fraction * (1.0 - fraction) / variance * float(ndtri(tail) / stdtrit(count - 1, tail)) ** 2
 
 
-def wilson(share: float, n: float) -> tuple[float, float]:
-    """Wilson's interval (Wilson 1927), for a number of trials that need not be whole."""
+def wilson(fraction: float, n: float) -> tuple[float, float]:
+    """Return Wilson's 95 % confidence interval of a fraction (Wilson 1927).
+
+    Parameters
+    ----------
+    fraction
+        Observed fraction, 0 to 1.
+    n
+        Number of independent trials; need not be a whole number.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper end of the interval.
+    """
     from scipy.special import ndtri
 
     z = float(ndtri(0.5 + 0.5 * CONFIDENCE))
-    middle = (share + 0.5 * z * z / n) / (1.0 + z * z / n)
-    half = z / (1.0 + z * z / n) * math.sqrt(share * (1.0 - share) / n + 0.25 * z * z / n**2)
-    # Rounding must not put an end on the wrong side of a share of 0 or 1.
-    return min(max(middle - half, 0.0), share), max(min(middle + half, 1.0), share)
+    middle = (fraction + 0.5 * z * z / n) / (1.0 + z * z / n)
+    half = z / (1.0 + z * z / n) * math.sqrt(fraction * (1.0 - fraction) / n + 0.25 * z * z / n**2)
+    # Rounding must not put an end on the wrong side of a fraction of 0 or 1.
+    return min(max(middle - half, 0.0), fraction), max(min(middle + half, 1.0), fraction)

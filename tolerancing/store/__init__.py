@@ -1,4 +1,4 @@
-"""Where trials are kept: one SQLite file that survives being killed, and tables of it for other programs."""
+"""Store of a study: one SQLite file that survives interruptions, and its export as tables."""
 
 import lazy_loader
 

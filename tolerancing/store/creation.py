@@ -1,4 +1,4 @@
-"""Making a store: whole under its name, or not at all, and never in the place of one that is in use."""
+"""Creation of a store. It gets its name when it is complete, and never replaces a store that is in use."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError, atomic_path
-from tolerancing.store.file import nobody_else, remove_logs, reported, start_writing
+from tolerancing.store.file import exclusive_access, remove_logs, start_writing, translated_errors
 from tolerancing.store.schema import (
     APPLICATION_ID,
     SCHEMA,
@@ -26,8 +26,8 @@ from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study
 
 
-class _Taken(Exception):
-    """A store has appeared meanwhile."""
+class _StoreExists(Exception):
+    """Another process has created the store in the meantime."""
 
 
 def create_store(
@@ -39,32 +39,32 @@ def create_store(
     levels: Mapping[str, str] | None = None,
     replace: bool = True,
 ) -> bool:
-    """Make a store without trials.
+    """Create a store without trials.
 
     Parameters
     ----------
     loaded
-        The study.
+        Study with its files.
     path
-        Where to make it.
+        Path of the new store.
     nominal
-        Scores of the nominal lens, by merit.
+        Scores of the nominal lens, by the merit's label.
     planned_trials
-        How many trials there are to be.
+        Planned number of trials.
     levels
-        The merits' levels by their labels, where the study leaves them open.
+        Level of each merit, by the merit's label. Default: the levels of the study.
     replace
-        Whether it takes the place of a store that stands there.
+        Whether an existing store is replaced.
 
     Returns
     -------
     bool
-        False if there is a store already, and it was not to be replaced.
+        False if a store exists and `replace` is false; nothing is changed then.
 
     Raises
     ------
     InputError
-        If the file cannot be written, or another process has the store open; whatever stood there stays.
+        If the file cannot be written, or another process has the store open. An existing file stays.
     """
     record = StudyRecord(
         schema_version=SCHEMA_VERSION,
@@ -78,27 +78,27 @@ def create_store(
     study = loaded.study.with_levels(levels or {})
     merits = [merit_record(m, nominal.get(m.label)) for m in study.all_merits]
     try:
-        with nobody_else(path) if replace else nullcontext(), atomic_path(path) as temporary:
-            with reported(path, "write"):
+        with exclusive_access(path) if replace else nullcontext(), atomic_path(path) as temporary:
+            with translated_errors(path, "write"):
                 _fill(temporary, record, study, merits, loaded.files)
             if not replace:
                 _claim(path, temporary)
-    except _Taken:
+    except _StoreExists:
         return False
     return True
 
 
 def remove_empty_store(path: Path) -> None:
-    """Remove a store that holds no results and that nobody else has open; any other stays."""
-    with suppress(InputError, OSError, sqlite3.Error), nobody_else(path):
-        place = Path(os.path.realpath(path))
-        with closing(sqlite3.connect(f"{place.as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
-            held = any(
+    """Remove a store if it holds no results and no other process has it open."""
+    with suppress(InputError, OSError, sqlite3.Error), exclusive_access(path):
+        file = Path(os.path.realpath(path))
+        with closing(sqlite3.connect(f"{file.as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+            has_results = any(
                 connection.execute(f"SELECT 1 FROM {table} LIMIT 1").fetchone()
                 for table in ("trial", "dear", "step", "picture")
             )
-        if not held:
-            place.unlink()
+        if not has_results:
+            file.unlink()
 
 
 def _fill(
@@ -108,10 +108,10 @@ def _fill(
     merits: Sequence[MeritRecord],
     files: Mapping[str, bytes],
 ) -> None:
-    """Write all but the trials, and leave one file."""
+    """Write tables, study and merits into a new file, and leave no log beside it."""
     connection = sqlite3.connect(temporary, isolation_level=None)
     try:
-        # As one transaction: a disk takes its time over each.
+        # One transaction, because each one waits for the disk.
         connection.executescript(f"BEGIN;{SCHEMA}{study_tables(study)}")
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
@@ -126,14 +126,14 @@ def _fill(
 
 
 def _claim(path: Path, temporary: Path) -> None:
-    """Give a new store its name, unless another process was first; a link does not take another's place."""
-    place = Path(os.path.realpath(path))
-    if not place.exists():
-        remove_logs(place)
+    """Give a new store its name, unless another process was first. A hard link never replaces a file."""
+    file = Path(os.path.realpath(path))
+    if not file.exists():
+        remove_logs(file)
     try:
-        os.link(temporary, place)
+        os.link(temporary, file)
     except FileExistsError:
-        raise _Taken from None
-    except OSError:  # a file system without links
-        if place.exists():
-            raise _Taken from None
+        raise _StoreExists from None
+    except OSError:  # The file system has no hard links.
+        if file.exists():
+            raise _StoreExists from None

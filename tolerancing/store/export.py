@@ -1,4 +1,4 @@
-"""Trials and steps of a store for other programs: CSV or Parquet, written block by block."""
+"""Export of a store's trials and steps as CSV or Parquet tables, written block by block."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from lensdesign.common.text import safe_cell
 from lensdesign.errors import InputError, atomic_path
 from tolerancing.store.checks import Columns, check_kinds
-from tolerancing.store.file import undamaged
+from tolerancing.store.file import damage_as_error
 from tolerancing.store.schema import number_columns
 from tolerancing.store.store import Store
 
@@ -21,21 +21,27 @@ Write = Callable[[Rows], None]
 
 
 def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
-    """Write all trials, with the dear scores of those that have them.
+    """Write all trials of a store as a table, with the high-fidelity scores of those that have them.
 
     Parameters
     ----------
     store
-        An open store, finished or not.
+        Open store; its run need not be finished.
     path
-        A ``.csv`` or ``.parquet`` file. A score that is missing is an empty cell there, or null. In CSV, a
-        text that a spreadsheet would take for a formula starts with an apostrophe.
+        Name of a ``.csv`` or ``.parquet`` file. A missing score is an empty cell, or null. In CSV, a text
+        that a spreadsheet would read as a formula starts with an apostrophe.
 
     Raises
     ------
     InputError
         If the name has another ending, the file cannot be written, ``pyarrow`` is not installed for Parquet,
-        or the store holds what no run writes; whatever stood there stays.
+        or the store has invalid cells. An existing file stays in these cases.
+
+    Examples
+    --------
+    >>> from tolerancing import open_store, write_trials
+    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    ...     write_trials(store, "trials.csv")
     """
     study = store.study
     columns: Columns = {"trial": "integer", "status": "text", "message": "text"}
@@ -43,9 +49,9 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     columns |= {"passed": "flag", "seconds": "number", "finished": "number"}
     own = [f'trial."{name}"' for name in columns]
     if study.high_fidelity_merits:
-        dear: Columns = {"chosen": "text"} | {m.column: "number" for m in study.high_fidelity_merits}
-        own += [f'dear."{name}"' for name in dear] + ["dear.message", "dear.seconds"]
-        columns |= dear | {"dear_message": "text", "dear_seconds": "number"}
+        high: Columns = {"chosen": "text"} | {m.column: "number" for m in study.high_fidelity_merits}
+        own += [f'dear."{name}"' for name in high] + ["dear.message", "dear.seconds"]
+        columns |= high | {"dear_message": "text", "dear_seconds": "number"}
     query = (
         f"SELECT {', '.join(own)} FROM trial LEFT JOIN dear ON dear.trial = trial.trial ORDER BY trial.trial"
     )
@@ -54,19 +60,22 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
 
 
 def write_steps(store: Store, path: str | os.PathLike[str]) -> None:
-    """Write all steps of sweeps, grids, slice counts and sensitivities, one row for each merit.
+    """Write all steps of sweeps, grids, slice counts and sensitivities, with one row for each merit.
 
-    What was varied has a column for each name; cells of other series are empty there.
+    Each quantity that is varied has a column; it is empty for steps of series that do not vary it.
 
     Parameters
     ----------
-    store, path
-        As of :func:`write_trials`.
+    store
+        Open store; its run need not be finished.
+    path
+        Name of a ``.csv`` or ``.parquet`` file; see :func:`write_trials`.
 
     Raises
     ------
     InputError
-        As of :func:`write_trials`.
+        If the name has another ending, the file cannot be written, ``pyarrow`` is not installed for Parquet,
+        or the store has invalid cells. An existing file stays in these cases.
     """
     steps = store.steps()
     varied: Columns = {}
@@ -77,7 +86,7 @@ def write_steps(store: Store, path: str | os.PathLike[str]) -> None:
     columns: Columns = {"series": "text", "step": "integer", **varied}
     columns |= {"merit": "text", "score": "number", "message": "text", "seconds": "number"}
 
-    def where(coordinates: Any) -> list[Any]:
+    def cells(coordinates: Any) -> list[Any]:
         values = [(coordinates.get(name), kind) for name, kind in varied.items()]
         return [str(v) if kind == "text" and v is not None else v for v, kind in values]
 
@@ -85,7 +94,7 @@ def write_steps(store: Store, path: str | os.PathLike[str]) -> None:
         (
             step.series,
             step.step,
-            *where(step.coordinates),
+            *cells(step.coordinates),
             merit,
             None if score != score else score,
             step.message,
@@ -106,7 +115,7 @@ def _write(store: Store, path: Path, columns: Columns, blocks: Iterator[Rows]) -
         raise InputError(f"cannot write {path}: it is the store itself; give another file name")
     with atomic_path(path) as temporary, writers[path.suffix](temporary, columns) as write:
         for rows in blocks:
-            with undamaged(store.path):
+            with damage_as_error(store.path):
                 check_kinds(columns, rows)
             write(rows)
 
@@ -140,10 +149,10 @@ def _parquet_writer(path: Path, columns: Columns) -> Iterator[Write]:
     with pq.ParquetWriter(path, schema) as file:
 
         def write(rows: Rows) -> None:
-            parts = [list(part) for part in zip(*rows, strict=True)]
+            values = [list(column) for column in zip(*rows, strict=True)]
             for k in flags:
-                parts[k] = [bool(value) for value in parts[k]]
-            arrays = [pa.array(part, kind) for part, kind in zip(parts, schema.types, strict=True)]
+                values[k] = [bool(value) for value in values[k]]
+            arrays = [pa.array(column, kind) for column, kind in zip(values, schema.types, strict=True)]
             file.write_table(pa.table(arrays, schema=schema))
 
         yield write

@@ -1,7 +1,7 @@
-"""The file of a store: SQLite with a write-ahead log, which lies beside the file while it is written.
+"""The SQLite file of a store, with a write-ahead log beside it while it is written.
 
-SQLite plays a log that was left behind into whatever database stands beside it, so one store may only take
-the place of another when that one's log is gone and nobody else has it open.
+SQLite merges a log that was left behind into any database of the same name. A store may therefore replace
+another one only if the log of the other is gone and no other process has it open.
 """
 
 from __future__ import annotations
@@ -16,23 +16,20 @@ from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError
 from tolerancing.store.schema import APPLICATION_ID, SCHEMA_VERSION
 
-LOGS = ("-wal", "-shm", "-journal")
-"""What SQLite puts beside a database, by the ends of the names."""
+BUSY_TIMEOUT_SECONDS = 60.0
+"""Longest wait while another process writes."""
 
-PATIENCE_SECONDS = 60.0
-"""How long to wait while another process writes."""
-
-FRESH_PATIENCE_SECONDS = 2.0
-"""How long to wait until nobody else has a store open that is to be replaced."""
+REPLACE_TIMEOUT_SECONDS = 2.0
+"""Longest wait until no other process has a store open that is to be replaced."""
 
 
 def check_is_store(path: Path) -> None:
-    """Refuse a file that is no store, or one of another version.
+    """Check that a file is a store of the present version.
 
     Raises
     ------
     InputError
-        If there is none, or the file is something else, or of another version; it is not touched.
+        If the file does not exist, is no store, or has another version. The file is not changed.
     """
     check_input(path)
     try:
@@ -40,7 +37,7 @@ def check_is_store(path: Path) -> None:
             header = file.read(100)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    # Identity and version stand at fixed places of a SQLite file's header.
+    # A SQLite header holds the application id and the user version at fixed offsets.
     if header[:16] != b"SQLite format 3\0" or int.from_bytes(header[68:72]) != APPLICATION_ID:
         raise InputError(f"{path} is no store of a tolerance study; give another file name")
     schema = int.from_bytes(header[60:64])
@@ -52,63 +49,63 @@ def check_is_store(path: Path) -> None:
 
 
 def connect(path: Path) -> sqlite3.Connection:
-    """Open a store's database, to write where that is allowed.
+    """Open the database of a store, for writing if that is permitted.
 
-    Where it is not, and no log lies beside it, it is taken as immutable: SQLite then needs no files of its
-    own, and reads from a folder or a medium that cannot be written.
+    A database that cannot be written and has no log is opened as immutable. SQLite then needs no files of its
+    own, and can read from a folder or medium without write access.
     """
-    place = Path(os.path.realpath(path))
-    how = "mode=rw"
-    if not (os.access(place, os.W_OK) and os.access(place.parent, os.W_OK)):
-        how = "mode=ro" if _log_holds_rows(place) else "mode=ro&immutable=1"
-    with reported(path, "open"):
+    file = Path(os.path.realpath(path))
+    options = "mode=rw"
+    if not (os.access(file, os.W_OK) and os.access(file.parent, os.W_OK)):
+        options = "mode=ro" if _log_holds_rows(file) else "mode=ro&immutable=1"
+    with translated_errors(path, "open"):
         connection = sqlite3.connect(
-            f"{place.as_uri()}?{how}", uri=True, isolation_level=None, timeout=PATIENCE_SECONDS
+            f"{file.as_uri()}?{options}", uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_SECONDS
         )
-        connection.execute("PRAGMA trusted_schema = OFF")  # others may have made it
+        connection.execute("PRAGMA trusted_schema = OFF")  # The file may come from someone else.
         return connection
 
 
 def start_writing(connection: sqlite3.Connection) -> None:
-    """Switch to a write-ahead log; a commit then survives the end of the process, whatever ends it."""
+    """Switch to a write-ahead log, so that a commit survives if the process is killed."""
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = NORMAL")
 
 
-def put_log_away(connection: sqlite3.Connection) -> None:
-    """Play the log into the database, so that the store is one file; left to others if they are at it."""
+def merge_log(connection: sqlite3.Connection) -> None:
+    """Merge the log into the database, so that the store is one file. Other open processes do it later."""
     connection.execute("PRAGMA busy_timeout = 1000")
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
 @contextmanager
-def nobody_else(path: Path) -> Iterator[None]:
-    """Keep a store, if there is one, from being used by others, with no log beside it.
+def exclusive_access(path: Path) -> Iterator[None]:
+    """Lock a store against other processes, and remove its log. Without a store, only remove left-over logs.
 
     Raises
     ------
     InputError
-        If another process has it open.
+        If another process has the store open.
     """
-    place = Path(os.path.realpath(path))
-    if not place.exists():
-        remove_logs(place)
+    file = Path(os.path.realpath(path))
+    if not file.exists():
+        remove_logs(file)
         yield
         return
-    with reported(path, "replace"):
+    with translated_errors(path, "replace"):
         connection = sqlite3.connect(
-            f"{place.as_uri()}?mode=rw", uri=True, isolation_level=None, timeout=FRESH_PATIENCE_SECONDS
+            f"{file.as_uri()}?mode=rw", uri=True, isolation_level=None, timeout=REPLACE_TIMEOUT_SECONDS
         )
     try:
         _lock(connection, path)
-        remove_logs(place)
+        remove_logs(file)
         yield
     finally:
         connection.close()
 
 
 def _lock(connection: sqlite3.Connection, path: Path) -> None:
-    """Have the database alone: only then SQLite goes back to a rollback journal, its log played in."""
+    """Lock the database exclusively. Only then can SQLite merge the log and return to a rollback journal."""
     try:
         connection.execute("PRAGMA journal_mode = DELETE")
         connection.execute("BEGIN EXCLUSIVE")
@@ -119,26 +116,26 @@ def _lock(connection: sqlite3.Connection, path: Path) -> None:
             ) from error
         raise InputError(f"cannot replace the store {path}: {reason(error)}") from error
     except sqlite3.DatabaseError:
-        return  # it is damaged, and about to be replaced
+        return  # The file is damaged, and will be replaced.
 
 
-def _log_holds_rows(place: Path) -> bool:
+def _log_holds_rows(file: Path) -> bool:
     try:
-        return place.with_name(f"{place.name}-wal").stat().st_size > 0
+        return file.with_name(f"{file.name}-wal").stat().st_size > 0
     except OSError:
         return False
 
 
-def remove_logs(place: Path) -> None:
-    """Remove what SQLite left beside a database that is not there any more, or alone with us.
+def remove_logs(file: Path) -> None:
+    """Remove SQLite's log files beside a database that no longer exists or is locked by this process.
 
     Raises
     ------
     InputError
-        If one cannot be removed.
+        If a log file cannot be removed.
     """
-    for end in LOGS:
-        log = place.with_name(f"{place.name}{end}")
+    for ending in ("-wal", "-shm", "-journal"):
+        log = file.with_name(f"{file.name}{ending}")
         try:
             log.unlink(missing_ok=True)
         except NotADirectoryError:
@@ -148,8 +145,8 @@ def remove_logs(place: Path) -> None:
 
 
 @contextmanager
-def reported(path: Path, action: str) -> Iterator[None]:
-    """Turn what SQLite and the file system say into an InputError that names the store."""
+def translated_errors(path: Path, action: str) -> Iterator[None]:
+    """Convert errors of SQLite into an InputError that names the store and the action."""
     try:
         yield
     except sqlite3.Error as error:
@@ -157,21 +154,22 @@ def reported(path: Path, action: str) -> Iterator[None]:
 
 
 def reason(error: sqlite3.Error) -> str:
-    """What SQLite says, and what to do about it where that is known."""
+    """Return the message of SQLite, with advice for the common errors."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    kept = "the store keeps its results, and the same command goes on from there"
     advice = {
-        sqlite3.SQLITE_FULL: "; make room: it keeps what it held, and the same command goes on from there",
-        sqlite3.SQLITE_IOERR: "; it keeps what it held, and the same command goes on from there",
-        sqlite3.SQLITE_READONLY: "; it stands where nothing can be written",
-        sqlite3.SQLITE_CANTOPEN: "; if a run was broken off here, its folder must be writable",
-        sqlite3.SQLITE_BUSY: f"; another process has been writing for {PATIENCE_SECONDS:g} s",
+        sqlite3.SQLITE_FULL: f"; free some disk space: {kept}",
+        sqlite3.SQLITE_IOERR: f"; {kept}",
+        sqlite3.SQLITE_READONLY: "; the file or its folder cannot be written",
+        sqlite3.SQLITE_CANTOPEN: "; if a run was interrupted here, its folder must be writable",
+        sqlite3.SQLITE_BUSY: f"; another process has been writing for {BUSY_TIMEOUT_SECONDS:g} s",
     }
     return f"{error}{advice.get(code, '')}"
 
 
 @contextmanager
-def undamaged(path: Path) -> Iterator[None]:
-    """What a store holds is ours: where text or numbers in it make no sense, it is damaged."""
+def damage_as_error(path: Path) -> Iterator[None]:
+    """Convert errors about invalid values in a store into an InputError that calls the store damaged."""
     try:
         yield
     except (InputError, sqlite3.OperationalError):

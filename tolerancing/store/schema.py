@@ -1,4 +1,4 @@
-"""Tables of a store, and their rows. SQLite keeps NaN as NULL."""
+"""Tables of a store and their rows. SQLite stores NaN as NULL."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tolerancing.study.study import Study
 Rows = list[tuple[Any, ...]]
 
 APPLICATION_ID = 0x544C5354
-"""Marks a SQLite file as one of ours ("TLST")."""
+"""Application id in the header of a SQLite file that is a store ("TLST")."""
 
 SCHEMA_VERSION = 2
 
 ENGINES = {"ray": "rays", "pupil": "point characteristic", "wave": "eikonal patch"}
-"""What scores come from, by a merit's level."""
+"""Name of the computation that gives the scores, by the level of a merit."""
 
 SCHEMA = """
 CREATE TABLE study (
@@ -71,24 +71,24 @@ CREATE TABLE picture (
 
 @dataclass(frozen=True)
 class StudyRecord:
-    """The store's one row about its study.
+    """Row of the table ``study``.
 
     Attributes
     ----------
     schema_version
-        Of the store.
+        Version of the store's tables.
     toolkit_version
-        Of the toolkit that made it.
+        Version of the toolkit that created the store.
     name
-        Of the study file among the store's files.
+        Name of the study file among the store's files.
     fingerprint
-        Of all that scores depend on.
+        Hash of everything that scores depend on.
     seed
-        The study's, as text.
+        Seed of the study, as text.
     planned_trials
-        How many trials there are to be.
+        Planned number of trials.
     created
-        When the store was made (UTC).
+        Date and time at which the store was created (UTC).
     """
 
     schema_version: int
@@ -102,18 +102,18 @@ class StudyRecord:
 
 @dataclass(frozen=True)
 class MeritRecord:
-    """The store's row about one merit.
+    """Row of the table ``merit``.
 
     Attributes
     ----------
     label, column
-        What the merit and its scores are called.
+        Name of the merit, and of the column of its scores.
     level, engine
-        What it is made of, decided where the study says ``auto``.
+        Level and computation of the scores, as the run decided where the study says ``auto``.
     at_least, at_most
-        Its limit.
+        Limit of the merit; one of the two is None.
     nominal
-        Score of the nominal lens.
+        Score of the nominal lens; None if it has none.
     """
 
     label: str
@@ -126,18 +126,18 @@ class MeritRecord:
 
 
 def engine_of(merit: Merit) -> str:
-    """What a merit's scores come from: its own word for it, or that of its level."""
+    """Return the name of the computation behind a merit's scores, from the merit itself or its level."""
     return str(getattr(merit, "engine", None) or ENGINES.get(merit.used_level, merit.used_level))
 
 
 def merit_record(merit: Merit, nominal: float | None) -> MeritRecord:
-    """What the store says about a merit whose level is decided."""
+    """Return the record of a merit whose level is decided."""
     limits = (merit.at_least, merit.at_most)
     return MeritRecord(merit.label, merit.column, merit.used_level, engine_of(merit), *limits, nominal)
 
 
 def number_columns(study: Study) -> tuple[str, ...]:
-    """Columns of a trial's numbers: perturbations, merits, and what goes with them."""
+    """Return the columns of a trial's numbers: perturbations, merits, and the study's extra columns."""
     return (
         *(p.column for p in study.perturbations),
         *(m.column for m in study.merits),
@@ -146,16 +146,16 @@ def number_columns(study: Study) -> tuple[str, ...]:
 
 
 def study_tables(study: Study) -> str:
-    """SQL that makes the tables of trials, and the view that joins all that is known of each."""
-    dear = [m.column for m in study.high_fidelity_merits]
+    """Return SQL that creates the tables of trials, and the view that joins all data of each trial."""
+    columns = [m.column for m in study.high_fidelity_merits]
     return (
         "CREATE TABLE trial (trial INTEGER PRIMARY KEY, status TEXT NOT NULL, message TEXT NOT NULL, "
         f"{_reals(number_columns(study))}passed INTEGER NOT NULL, seconds REAL NOT NULL, "
         "finished REAL NOT NULL);\n"
         "CREATE TABLE dear (trial INTEGER PRIMARY KEY, chosen TEXT NOT NULL, "
-        f"{_reals(dear)}message TEXT NOT NULL, seconds REAL NOT NULL, finished REAL NOT NULL);\n"
-        f"CREATE VIEW trial_record AS SELECT trial.*, {_dear_parts(dear)}"
-        f"{''.join(_engine_part(merit) for merit in study.all_merits)}"
+        f"{_reals(columns)}message TEXT NOT NULL, seconds REAL NOT NULL, finished REAL NOT NULL);\n"
+        f"CREATE VIEW trial_record AS SELECT trial.*, {_high_fidelity_columns(columns)}"
+        f"{''.join(_engine_column(merit) for merit in study.all_merits)}"
         "study.seed AS seed, study.toolkit_version AS toolkit_version, "
         "strftime('%Y-%m-%dT%H:%M:%SZ', trial.finished, 'unixepoch') AS finished_utc "
         "FROM trial CROSS JOIN study LEFT JOIN dear ON dear.trial = trial.trial;\n"
@@ -166,18 +166,18 @@ def _reals(columns: Iterable[str]) -> str:
     return "".join(f'"{column}" REAL, ' for column in columns)
 
 
-def _dear_parts(columns: list[str]) -> str:
+def _high_fidelity_columns(columns: list[str]) -> str:
     own = "".join(f'dear."{column}", ' for column in columns)
     return f"dear.chosen AS chosen, {own}dear.message AS dear_message, dear.seconds AS dear_seconds, "
 
 
-def _engine_part(merit: Merit) -> str:
+def _engine_column(merit: Merit) -> str:
     query = f"SELECT engine FROM merit WHERE label = '{merit.label}'"
     return f'({query}) AS "{merit.label}_engine", '
 
 
 def trial_rows(results: TrialResults) -> Rows:
-    """Rows of the table of trials."""
+    """Return the rows of the table ``trial``."""
     numbers = np.column_stack([results.values, results.scores, results.extras]).tolist()
     finished = time.time()
     return [
@@ -195,7 +195,7 @@ def trial_rows(results: TrialResults) -> Rows:
 
 
 def high_fidelity_rows(results: HighFidelityResults) -> Rows:
-    """Rows of the table of dear scores."""
+    """Return the rows of the table ``dear``, which holds the high-fidelity scores."""
     finished = time.time()
     return [
         (trial, chosen, *scores, message, seconds, finished)
@@ -211,13 +211,13 @@ def high_fidelity_rows(results: HighFidelityResults) -> Rows:
 
 
 def step_rows(results: StepResults) -> Rows:
-    """Rows of the table of steps, one for each merit."""
+    """Return the rows of the table ``step``, one for each merit."""
     key = (results.series, results.step, json.dumps(dict(results.coordinates)))
     return [(*key, m, score, results.message, results.seconds) for m, score in results.scores.items()]
 
 
 def picture_rows(results: StepResults) -> Rows:
-    """Rows of the table of pictures."""
+    """Return the rows of the table ``picture``."""
     return [
         (
             results.series,
@@ -234,7 +234,7 @@ def picture_rows(results: StepResults) -> Rows:
 
 
 def insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[Any]]) -> None:
-    """Insert rows but for those that are there; results are reproducible, so these are the same."""
+    """Insert rows, except those that exist already. Results are reproducible, so existing rows are equal."""
     if rows:
         marks = ", ".join("?" * len(rows[0]))
         connection.executemany(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", rows)

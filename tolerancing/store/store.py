@@ -1,8 +1,8 @@
 """The store of a study: one SQLite file that holds its files, trials, steps and pictures.
 
-A store appears under its name only when its tables and its study are in it, and every batch goes in as one
-transaction, so whatever interrupts a run leaves a store that opens and holds whole batches. Rows are only
-ever added: one that is there stays as it is, whoever computes it again.
+A new store gets its name only when its tables and its study are written, and each batch of results is one
+transaction. A run that is interrupted at any moment therefore leaves a store that opens and holds complete
+batches. Rows are only added; a row that exists is never changed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,14 @@ from tolerancing.store.checks import (
     record_of,
 )
 from tolerancing.store.creation import create_store
-from tolerancing.store.file import check_is_store, connect, put_log_away, reported, start_writing, undamaged
+from tolerancing.store.file import (
+    check_is_store,
+    connect,
+    damage_as_error,
+    merge_log,
+    start_writing,
+    translated_errors,
+)
 from tolerancing.store.schema import (
     MeritRecord,
     StudyRecord,
@@ -47,7 +54,7 @@ from tolerancing.store.schema import (
     step_rows,
     trial_rows,
 )
-from tolerancing.store.trust import without_leave
+from tolerancing.store.trust import restrict_python
 from tolerancing.study.files import LoadedStudy, load_from_files
 from tolerancing.study.results import HighFidelityResults, Picture, Results, StepResults, TrialResults
 from tolerancing.study.study import MOST_TRIALS, Study
@@ -55,24 +62,38 @@ from tolerancing.study.study import MOST_TRIALS, Study
 __all__ = ["Store", "StudyRecord", "create_store", "open_store"]
 
 ROWS_AT_ONCE = 20_000
-"""Rows that are turned into arrays, or written by an export, at a time."""
+"""Number of rows that are converted to arrays, or written by an export, at a time."""
 
 
 def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
-    """Open a store that is there.
+    """Open an existing store.
 
     Parameters
     ----------
     path
-        The store.
+        Path of the store.
     trust
-        Whether merits in Python that it holds may be run, by whoever scores its lenses again. Else those of
-        which no copy of one's own lies beside the store refuse to score; all that is stored can be read.
+        Whether Python merits that the store holds may be executed when lenses are scored again. Without it, a
+        Python merit is executed only if the user's own copy of the file lies beside the store. Stored results
+        can be read in any case.
+
+    Returns
+    -------
+    Store
+        The open store; use it as a context manager.
 
     Raises
     ------
     InputError
-        If there is none, or the file is something else, or of another version; it is not touched.
+        If the file does not exist, is no store, has another version, or has tables that no run creates. The
+        file is not changed.
+
+    Examples
+    --------
+    >>> from tolerancing import open_store
+    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    ...     store.trials().scores.shape
+    (500, 2)
     """
     path = Path(path)
     check_is_store(path)
@@ -91,9 +112,9 @@ class Store:
     Parameters
     ----------
     path
-        A file that :func:`create_store` made; go through :func:`open_store`, which makes sure.
+        Path of a file made by :func:`create_store`. :func:`open_store` checks this first.
     trust
-        As of :func:`open_store`.
+        Whether Python merits that the store holds may be executed; see :func:`open_store`.
     """
 
     def __init__(self, path: Path, trust: bool = False) -> None:
@@ -112,10 +133,10 @@ class Store:
 
     def __repr__(self) -> str:
         try:
-            held, planned = self.trial_count(), self.record().planned_trials
+            count, planned = self.trial_count(), self.record().planned_trials
         except (sqlite3.Error, TransferLensError):
             return f"Store({str(self.path)!r}, closed)"
-        return f"Store({str(self.path)!r}, {held} of {planned} trials)"
+        return f"Store({str(self.path)!r}, {count} of {planned} trials)"
 
     def _repr_html_(self) -> str:
         record = self.record()
@@ -131,20 +152,20 @@ class Store:
         return html_table(str(self.path), rows)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._connection.close()
         if self._folder is not None:
             self._folder.cleanup()
 
     @cached_property
     def loaded(self) -> LoadedStudy:
-        """The study and the lens from the store's own files, the merits' levels as they were decided."""
+        """The study and the lens, read from the store's own files, with the levels that the run decided."""
         sizes = self._rows("SELECT name, length(content) FROM file")
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             check_file_sizes(sizes)
         rows = self._rows("SELECT name, content FROM file")
         self._folder = TemporaryDirectory(prefix="tolerancing-")
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             check_kinds({"name": "text", "content": "bytes"}, rows)
             files = dict(rows)
             try:
@@ -153,28 +174,28 @@ class Store:
                 raise ValueError(str(error)) from error
         levels = {merit.label: merit.level for merit in self.merits()}
         loaded = replace(loaded, study=loaded.study.with_levels(levels))
-        return loaded if self._trust else without_leave(loaded, self.path)
+        return loaded if self._trust else restrict_python(loaded, self.path)
 
     @property
     def study(self) -> Study:
-        """The study whose results these are."""
+        """The study whose results the store holds."""
         return self.loaded.study
 
     def check(self) -> None:
-        """Refuse a database whose tables are no store's.
+        """Check that the tables of the database are those of a store.
 
         Raises
         ------
         InputError
-            If one is missing, or is something else than a run makes.
+            If a table is missing, or differs from what a run creates.
         """
-        with reported(self.path, "open"), undamaged(self.path):
+        with translated_errors(self.path, "open"), damage_as_error(self.path):
             check_tables(self._connection)
 
     def record(self) -> StudyRecord:
-        """The study's particulars."""
+        """Return the record of the study and its run."""
         rows = self._rows("SELECT * FROM study")
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             (row,) = rows
             record = record_of(StudyRecord, row)
             if not 1 <= record.planned_trials <= MOST_TRIALS:
@@ -182,50 +203,50 @@ class Store:
             return record
 
     def merits(self) -> list[MeritRecord]:
-        """What the store knows of each merit."""
-        with undamaged(self.path):
+        """Return the record of each merit."""
+        with damage_as_error(self.path):
             rows = self._rows("SELECT * FROM merit ORDER BY rowid")
             merits = [record_of(MeritRecord, row) for row in rows]
             check_scores("nominal", np.array([merit.nominal for merit in merits], float))
             return merits
 
     def nominal(self) -> dict[str, float]:
-        """Scores of the nominal lens, by merit."""
+        """Return the scores of the nominal lens by the merit's label; NaN where there is none."""
         return {m.label: np.nan if m.nominal is None else m.nominal for m in self.merits()}
 
     def start_writing(self) -> None:
-        """Get ready for a run.
+        """Prepare the store for a run.
 
         Raises
         ------
         InputError
             If the store cannot be written.
         """
-        with reported(self.path, "write"):
+        with translated_errors(self.path, "write"):
             start_writing(self._connection)
-        with self._transaction():  # tells now, not after the first results, that nothing can be written
+        with self._transaction():  # Fails now, not after the first results, if the store cannot be written.
             self._connection.execute("UPDATE study SET planned_trials = planned_trials")
 
     def finish_writing(self) -> None:
-        """Make the store one file again, unless others still use it."""
-        with reported(self.path, "write"):
-            put_log_away(self._connection)
+        """Merge the write-ahead log into the store, unless other processes still use it."""
+        with translated_errors(self.path, "write"):
+            merge_log(self._connection)
 
     def plan(self, trials: int) -> None:
-        """Note how many trials there are to be in the end; never fewer than there are."""
-        held = int(self._rows("SELECT coalesce(max(trial), -1) + 1 FROM trial")[0][0])
-        if self.record().planned_trials == max(trials, held):
+        """Set the planned number of trials, which is at least the number of stored trials."""
+        stored = int(self._rows("SELECT coalesce(max(trial), -1) + 1 FROM trial")[0][0])
+        if self.record().planned_trials == max(trials, stored):
             return
         with self._transaction():
-            self._connection.execute("UPDATE study SET planned_trials = ?", (max(trials, held),))
+            self._connection.execute("UPDATE study SET planned_trials = ?", (max(trials, stored),))
 
     def add(self, *batches: Results) -> None:
-        """Store some batches, all or none; rows that are there stay as they are.
+        """Add batches of results in one transaction. Rows that exist are not changed.
 
         Raises
         ------
         InputError
-            If the file cannot be written; it then holds what it held before.
+            If the file cannot be written. The store then holds what it held before.
         """
         with self._transaction():
             for results in batches:
@@ -238,29 +259,29 @@ class Store:
                     insert(self._connection, "picture", picture_rows(results))
 
     def trial_count(self, below: int = MOST_TRIALS) -> int:
-        """Number of trials that the store holds, of those with lower numbers."""
+        """Return the number of stored trials whose number is smaller than `below`."""
         return int(self._rows("SELECT count(*) FROM trial WHERE trial < ?", below)[0][0])
 
-    def lacking(self, trials: range) -> tuple[int, ...]:
-        """Those of some trials that the store does not hold."""
+    def missing(self, trials: range) -> tuple[int, ...]:
+        """Return those of the given trials that the store does not hold."""
         query = f"SELECT trial FROM trial WHERE trial BETWEEN {trials[0]} AND {trials[-1]}"
-        held = {row[0] for row in self._rows(query)}
-        return tuple(trial for trial in trials if trial not in held)
+        stored = {row[0] for row in self._rows(query)}
+        return tuple(trial for trial in trials if trial not in stored)
 
     def lacks_high_fidelity(self, trial: int) -> bool:
-        """Whether a trial has no dear scores."""
+        """Return whether the store has no high-fidelity scores of a trial."""
         return not self._rows(f"SELECT 1 FROM dear WHERE trial = {trial}")
 
     def lacks_step(self, series: str, step: int) -> bool:
-        """Whether a step of a series is not there."""
+        """Return whether the store does not hold a step of a series."""
         return not self._rows("SELECT 1 FROM step WHERE series = ? AND step = ? LIMIT 1", series, step)
 
     def finished_steps(self) -> set[tuple[str, int]]:
-        """Series and steps that the store holds."""
+        """Return the stored steps as pairs of series and step number."""
         return set(self._rows("SELECT DISTINCT series, step FROM step"))
 
     def trials(self, only: int | None = None) -> TrialResults:
-        """All trials in order, or the one of a number; none if it is not there."""
+        """Return all trials in order, or the trial of one number. The result is empty if it is not stored."""
         perturbations, merits = len(self.study.perturbations), len(self.study.merits)
         columns = number_columns(self.study)
         names = "".join(f'"{column}", ' for column in columns)
@@ -272,13 +293,13 @@ class Store:
             )
             messages = self._rows(f"SELECT trial, message FROM trial WHERE message != '' {which}")
         width = len(columns) + 3
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             rows = rows.reshape(len(rows), width)
             numbers = rows[:, 0].astype(np.int64)
             check_trials(numbers)
             check_scores("trial", rows[:, 1 + perturbations :])
             check_kinds({"trial": "integer", "message": "text"}, messages)
-            told = dict(messages)
+            message_of = dict(messages)
         values, scores, extras = np.split(
             rows[:, 1 : 1 + len(columns)], [perturbations, perturbations + merits], axis=1
         )
@@ -287,28 +308,28 @@ class Store:
             values=values,
             scores=scores,
             extras=extras,
-            messages=tuple(told.get(trial, "") for trial in numbers.tolist()),
+            messages=tuple(message_of.get(trial, "") for trial in numbers.tolist()),
             passed=rows[:, -2] != 0.0,
             seconds=rows[:, -1],
         )
 
     def scores(self, label: str, trials: int) -> NDArray[np.float64]:
-        """Scores of the first trials by one merit, shape (trials,); NaN where there is none."""
+        """Return the scores of the first `trials` trials by one merit, as an array; NaN without a score."""
         (column,) = [m.column for m in self.study.merits if m.label == label]
         rows = self._array(f'SELECT trial, "{column}" FROM trial WHERE trial < {trials}').reshape(-1, 2)
         scores, numbers = np.full(trials, np.nan), rows[:, 0].astype(np.int64)
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             check_trials(numbers)
             check_scores("trial", rows[:, 1])
         scores[numbers] = rows[:, 1]
         return scores
 
-    def dear(self) -> HighFidelityResults:
-        """All dear scores, by trials in order."""
+    def high_fidelity(self) -> HighFidelityResults:
+        """Return all high-fidelity scores in the order of the trials."""
         merits = self.study.high_fidelity_merits
         names = "".join(f', "{merit.column}"' for merit in merits)
         rows = self._rows(f"SELECT trial, chosen, message, seconds{names} FROM dear ORDER BY trial")
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             check_kinds({"trial": "integer", "chosen": "text", "message": "text", "seconds": "number"}, rows)
             check_trials(np.array([row[0] for row in rows], np.int64))
             scores = np.array([row[4:] for row in rows], float).reshape(len(rows), len(merits))
@@ -323,21 +344,21 @@ class Store:
         )
 
     def steps(self) -> list[StepResults]:
-        """All steps, series by series in order, with their pictures."""
+        """Return all steps with their pictures, ordered by series and step."""
         pictures = self._pictures()
         found: dict[tuple[str, int], StepResults] = {}
         rows = self._rows("SELECT * FROM step ORDER BY series, step, rowid")
-        with undamaged(self.path):
+        with damage_as_error(self.path):
             check_kinds(STEP_COLUMNS, rows)
             check_scores("step", np.array([row[4] for row in rows], float))
         for series, step, coordinates, merit, score, message, seconds in rows:
             key = (series, step)
             if key not in found:
-                with undamaged(self.path):
-                    where = json.loads(coordinates)
-                    check_coordinates(where)
+                with damage_as_error(self.path):
+                    location = json.loads(coordinates)
+                    check_coordinates(location)
                 found[key] = StepResults(
-                    series, step, where, {}, message, tuple(pictures.get(key, ())), seconds
+                    series, step, location, {}, message, tuple(pictures.get(key, ())), seconds
                 )
             found[key].scores[merit] = np.nan if score is None else score
         return list(found.values())
@@ -347,7 +368,7 @@ class Store:
         for series, step, width, refocused, orientation, half_width, points, data in self._rows(
             "SELECT * FROM picture ORDER BY line_width_um, refocused"
         ):
-            with undamaged(self.path):
+            with damage_as_error(self.path):
                 intensity = np.frombuffer(data, dtype="<f4").reshape(points, points)
                 check_picture(width, half_width, orientation, intensity)
             picture = Picture(width, orientation, bool(refocused), half_width, intensity)
@@ -355,15 +376,18 @@ class Store:
         return pictures
 
     def blocks(self, query: str) -> Generator[list[Any], None, None]:
-        """Rows of a query, some at a time, all from one moment."""
-        with self._snapshot(), reported(self.path, "read"), undamaged(self.path):
+        """Yield the rows of a query in blocks, all from one snapshot of the store."""
+        with self._snapshot(), translated_errors(self.path, "read"), damage_as_error(self.path):
             cursor = self._connection.execute(query)
             while rows := cursor.fetchmany(ROWS_AT_ONCE):
                 yield rows
 
     def _array(self, query: str, count: int | None = None) -> NDArray[np.float64]:
-        """Rows of numbers, NaN where there is none; in no more memory than they take, if counted before."""
-        with undamaged(self.path):
+        """Return rows of numbers as an array, with NaN for NULL.
+
+        With a known `count` of rows, the array is filled in place, which needs the least memory.
+        """
+        with damage_as_error(self.path):
             blocks = (np.array(rows, float) for rows in self.blocks(query))
             if count is None:
                 return np.concatenate([*blocks] or [np.empty((0, 0))])
@@ -375,27 +399,27 @@ class Store:
             return whole
 
     def _rows(self, query: str, *values: Any) -> list[Any]:
-        with reported(self.path, "read"), undamaged(self.path):
+        with translated_errors(self.path, "read"), damage_as_error(self.path):
             return self._connection.execute(query, values).fetchall()
 
     @contextmanager
     def _snapshot(self) -> Iterator[None]:
-        """Let several queries see one and the same moment."""
+        """Run several queries on one snapshot of the store."""
         if self._connection.in_transaction:
             yield
             return
-        with reported(self.path, "read"), undamaged(self.path):
+        with translated_errors(self.path, "read"), damage_as_error(self.path):
             self._connection.execute("BEGIN")
         try:
             yield
-        finally:  # nothing was written: a rollback ends it as well, and reads nothing more
+        finally:  # Nothing was written, so a rollback ends the transaction, and it reads no more pages.
             if self._connection.in_transaction:
-                with reported(self.path, "read"):
+                with translated_errors(self.path, "read"):
                     self._connection.execute("ROLLBACK")
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        with reported(self.path, "write"):
+        with translated_errors(self.path, "write"):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield

@@ -1,4 +1,4 @@
-"""Whether Python that a store holds may be run: only if its user says so, or has the same file already."""
+"""Permission to execute Python code from a store: the user grants it, or has an own copy of the file."""
 
 from __future__ import annotations
 
@@ -13,33 +13,38 @@ from tolerancing.merits.base import Merit
 from tolerancing.study.files import LoadedStudy, relative
 
 
-def without_leave(loaded: LoadedStudy, store: Path) -> LoadedStudy:
-    """A store's study whose merits in Python refuse to score, unless a copy of one's own vouches for them.
+def restrict_python(loaded: LoadedStudy, store: Path) -> LoadedStudy:
+    """Return a study whose Python merits refuse to score unless the user has an own copy of their file.
 
     Parameters
     ----------
     loaded
-        The study, from the files that the store holds.
+        Study from the files of the store.
     store
-        The store. A copy lies in its folder, under the same name and with the same bytes, and belongs to
-        whoever runs this.
+        Path of the store. An own copy of a file lies in the same folder, has the same name and the same
+        bytes, and belongs to the present user.
+
+    Returns
+    -------
+    LoadedStudy
+        The study with its merits.
     """
-    merits = tuple(_without_leave(merit, loaded, store) for merit in loaded.study.all_merits)
+    merits = tuple(_restrict(merit, loaded, store) for merit in loaded.study.all_merits)
     return replace(loaded, study=loaded.study.model_copy(update={"all_merits": merits}))
 
 
-def _without_leave(merit: Merit, loaded: LoadedStudy, store: Path) -> Merit:
+def _restrict(merit: Merit, loaded: LoadedStudy, store: Path) -> Merit:
     if merit.file_name is None:
         return merit
-    held = loaded.files[relative(PurePosixPath(loaded.name).parent / merit.file_name)]
+    content = loaded.files[relative(PurePosixPath(loaded.name).parent / merit.file_name)]
     copy = store.parent / PurePosixPath(merit.file_name).name
-    if _is_own(copy) and _has(copy, held):
+    if _is_own(copy) and _has_content(copy, content):
         return merit
-    digest = hashlib.sha256(held).hexdigest()
-    return merit.refused(
-        f"{store}: scoring again would run {merit.file_name}, Python that the store holds (SHA-256 "
-        f"{digest}), and that may do whatever you may; tolerancing report shows it without running it. If "
-        f"you trust it: --trust (in Python, open_store(..., trust=True)), or your own copy of it as {copy}"
+    digest = hashlib.sha256(content).hexdigest()
+    return merit.without_user_code(
+        f"{store}: scoring again would run {merit.file_name}, Python code in the store (SHA-256 {digest}) "
+        f"that would have all your rights; tolerancing report shows the code without running it. If you "
+        f"trust it: --trust (in Python, open_store(..., trust=True)), or put your own copy of it at {copy}"
     )
 
 
@@ -50,7 +55,7 @@ def _is_own(path: Path) -> bool:
         return False
 
 
-def _has(path: Path, content: bytes) -> bool:
+def _has_content(path: Path, content: bytes) -> bool:
     try:
         return read_input(path, len(content)) == content
     except InputError:

@@ -1,4 +1,4 @@
-"""A tolerance study: its file, its series of steps, and how a trial or a step is scored."""
+"""Tolerance studies: study files, series of steps, and scoring of trials and steps."""
 
 import lazy_loader
 

@@ -7,13 +7,12 @@ from .evaluate import (
     score_step,
     score_trials,
 )
-from .files import LoadedStudy, load_from_files, load_study, save_study
+from .files import LoadedStudy, load_from_files, load_study, save_study, start_study
 from .priors import Priors, calibration_priors
 from .results import HighFidelityResults, Picture, StepResults, TrialResults
 from .scoring import score_batch
 from .series import Series
 from .slice_counts import SliceCounts
-from .starting import start_study
 from .study import Fidelity, Study
 from .sweep import STEPS, OneAtATime, ParameterGrid, Sweep
 

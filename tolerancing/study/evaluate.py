@@ -1,4 +1,4 @@
-"""Scores of trials and of steps: what a worker does; and the level of each merit, settled beforehand."""
+"""Scoring of trials and steps in a worker process, and selection of the level of each merit."""
 
 from __future__ import annotations
 
@@ -20,45 +20,46 @@ from tolerancing.study.scoring import fault_text, score_batch
 from tolerancing.study.series import LinePairSection
 from tolerancing.study.study import Study
 
-TRIAL_COPIES = 6
-"""How many arrays of all trials exist at the same time while they are drawn."""
-
-PROBED_TRIALS = 6
-"""Trials that all levels of an ``auto`` merit score."""
-
 
 def context_of(lens: Lens, study: Study) -> Context:
-    """What the merits of a study share, all of them ready to score.
+    """Check that all merits of a study can score, and return their shared context.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    study
+        The study.
 
     Raises
     ------
     InputError
-        If one is not; as of :meth:`Merit.get_ready`.
+        If the user code of a merit cannot be run.
     """
-    make_ready(study)
-    return pupils_of(lens, study)
+    prepare_merits(study)
+    return pupil_context(lens, study)
 
 
-def make_ready(study: Study) -> None:
-    """Make sure that all merits of a study can score.
+def prepare_merits(study: Study) -> None:
+    """Check that all merits of a study can score.
 
     Raises
     ------
     InputError
-        If one cannot; as of :meth:`Merit.get_ready`.
+        If the user code of a merit cannot be run.
     """
     for merit in study.all_merits:
-        merit.get_ready()
+        merit.prepare()
 
 
-def pupils_of(lens: Lens, study: Study) -> Context:
-    """As :func:`context_of`, for those who look at pupils and score by no merit."""
+def pupil_context(lens: Lens, study: Study) -> Context:
+    """Return the context of a study for callers that evaluate pupils but no merits."""
     points = compensated_points(study)
     return Context(lens, study.sampling, study.compensators, points, study.pivot_z_mm, study.seed)
 
 
 def compensated_points(study: Study) -> tuple[tuple[tuple[float, float], float | None], ...]:
-    """Field points and wavelengths whose pupils together tell compensators their values."""
+    """Return the field points and wavelengths whose pupils determine the values of compensators."""
     points = dict.fromkeys(
         (point, merit.wavelength_um) for merit in study.all_merits for point in merit.pupil_points
     )
@@ -66,34 +67,47 @@ def compensated_points(study: Study) -> tuple[tuple[tuple[float, float], float |
 
 
 def check_trial_memory(study: Study, trials: int) -> None:
-    """Refuse a number of trials whose values and scores memory does not hold.
+    """Check that values and scores of the trials fit into memory.
 
     Raises
     ------
     MemoryLimitError
-        With the number and both sizes.
+        If they do not fit. The message has the number of trials, the needed and the available memory.
     """
     columns = len(study.perturbations) + len(study.all_merits)
-    check_memory(TRIAL_COPIES * 8.0 * trials * columns, f"trials = {trials}", "take fewer trials")
+    arrays = 6  # arrays of all trials that exist at the same time while trials are drawn
+    check_memory(arrays * 8.0 * trials * columns, f"trials = {trials}", "use fewer trials")
 
 
 def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBatch:
-    """Draw the deltas of given trials.
+    """Draw the deltas of the given trials.
 
-    A trial's values depend on nothing but the study and its number: on the perturbations, their order, the
-    seed, the way of drawing and, but for random draws, the number of trials that the study asks for.
+    The values of a trial depend only on its number and on the study: the perturbations and their order, the
+    seed, the sampling method and, except for random draws, the number of trials of the study.
 
     Parameters
     ----------
     study
-        What scatters, and how.
+        Study with the perturbations, their distributions and dependences.
     trials
         Numbers of the trials, from 0.
+
+    Returns
+    -------
+    PerturbationBatch
+        Deltas of the trials.
 
     Raises
     ------
     MemoryLimitError
-        If memory does not hold the values.
+        If the values do not fit into memory.
+
+    Examples
+    --------
+    >>> from tolerancing.study.files import load_study
+    >>> study = load_study("designs/paper_tolerances.toml").study
+    >>> sample_perturbations(study, [0, 1]).values.shape == (2, len(study.perturbations))
+    True
     """
     perturbations = study.perturbations
     check_trial_memory(study, len(trials))
@@ -104,12 +118,12 @@ def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBat
 
 
 def score_trials(context: Context, study: Study, trials: Sequence[int]) -> TrialResults:
-    """Draw and score some trials of a study; one that fails says why and spoils no other."""
+    """Draw and score some trials of a study; a trial that fails has a message and does not affect others."""
     start = time.perf_counter()
     batch = sample_perturbations(study, trials)
     scores, messages = score_batch(study.merits, context, batch)
     extras = np.column_stack(
-        [_tolerant(merit.uncompensated, context, batch) for merit in study.compensated]
+        [_scores_or_nan(merit.uncompensated, context, batch) for merit in study.compensated]
         + ([_compensator_values(context, batch)] if study.compensators else [])
         or [np.empty((len(batch), 0))]
     )
@@ -121,7 +135,7 @@ def score_trials(context: Context, study: Study, trials: Sequence[int]) -> Trial
 def score_high_fidelity(
     context: Context, study: Study, trials: Sequence[int], chosen: Sequence[str]
 ) -> HighFidelityResults:
-    """Score some trials by the dear merits."""
+    """Score some trials by the high-fidelity merits."""
     batch = sample_perturbations(study, trials)
     rows = []
     for one in batch.single_trials():
@@ -138,36 +152,36 @@ def score_high_fidelity(
 
 
 def score_step(context: Context, study: Study, series: int, step: int) -> StepResults:
-    """Score one step of one of a study's series; sweeps and grids may name dear merits too."""
+    """Score one step of one of a study's series; sweeps and grids may also name high-fidelity merits."""
     one = study.series[series]
     return one.score(context, study.all_merits if isinstance(one, LinePairSection) else study.merits, step)
 
 
-def first_scores(lens: Lens, study: Study) -> tuple[dict[str, str], dict[str, float]]:
-    """The level of each merit, and its score of the nominal lens, by its label.
+def levels_and_nominal_scores(lens: Lens, study: Study) -> tuple[dict[str, str], dict[str, float]]:
+    """Return the selected level of each merit and its score of the nominal lens, by label.
 
     Raises
     ------
     InputError
-        As of :func:`nominal_scores`.
+        If a merit cannot score the nominal lens.
     """
     levels = decide_levels(lens, study)
-    settled = study.with_levels(levels)
-    return levels, nominal_scores(context_of(lens, settled), settled)
+    with_levels = study.with_levels(levels)
+    return levels, nominal_scores(context_of(lens, with_levels), with_levels)
 
 
 def nominal_scores(context: Context, study: Study) -> dict[str, float]:
-    """Scores of the nominal lens, by merit.
+    """Return the scores of the nominal lens, by label of the merit.
 
     Raises
     ------
     InputError
-        If the nominal lens itself cannot be scored, whatever a merit raises.
+        If a merit cannot score the nominal lens.
     """
     batch = context.perturbed(study.perturbations, np.zeros((1, len(study.perturbations))))
-    # Line pairs of sweeps and grids are scored for their errors alone: they may share a label with a merit.
+    # Line pairs of sweeps and grids may share a label with a merit: they are scored only to find errors.
     for pairs in dict.fromkeys(
-        pairs for part in (*study.sweeps, *study.grids) for pairs in part.line_pairs()
+        pairs for series in (*study.sweeps, *study.grids) for pairs in series.line_pairs()
     ):
         _nominal_score(pairs, context, batch)
     return {merit.label: _nominal_score(merit, context, batch) for merit in study.all_merits}
@@ -178,34 +192,42 @@ def _nominal_score(merit: Merit, context: Context, batch: PerturbationBatch) -> 
         return float(merit.scores(context, batch)[0])
     except Exception as error:
         raise InputError(
-            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(error)}; nothing was "
-            "run: mend the merit or the design"
+            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(error)}; no trial was run: "
+            "correct the merit or the design"
         ) from error
 
 
 def decide_levels(lens: Lens, study: Study) -> dict[str, str]:
-    """The level of each merit, by its label; ``auto`` takes the cheapest that agrees with the dearest.
+    """Select the level of each merit, by label.
 
-    Trials 0 to 5 tell. Where a level cannot score one of them, the dearest is taken.
+    For ``auto``, the fastest level is selected that agrees with the most accurate level in trials 0 to 5. If
+    a level cannot score one of these trials, the most accurate level is selected.
 
     Parameters
     ----------
-    lens, study
-        What is to be run.
+    lens
+        The nominal lens.
+    study
+        The study.
+
+    Returns
+    -------
+    dict of str to str
+        Level by label of the merit.
     """
     context = context_of(lens, study)
     return {merit.label: _level(merit, context, study) for merit in study.all_merits}
 
 
-def _tolerant(score: object, context: Context, batch: PerturbationBatch) -> Array:
-    """Scores trial by trial where a batch fails; NaN where a trial does."""
+def _scores_or_nan(score: object, context: Context, batch: PerturbationBatch) -> Array:
+    """Score a batch, trial by trial if the batch fails; NaN for trials that fail."""
     assert callable(score)
     try:
         return np.asarray(score(context, batch), float)
     except Exception:
         if len(batch) == 1:
             return np.array([np.nan])
-        return np.concatenate([_tolerant(score, context, one) for one in batch.single_trials()])
+        return np.concatenate([_scores_or_nan(score, context, one) for one in batch.single_trials()])
 
 
 def _compensator_values(context: Context, batch: PerturbationBatch) -> Array:
@@ -221,7 +243,7 @@ def _level(merit: Merit, context: Context, study: Study) -> str:
     able = merit.able_levels()
     if merit.level != "auto" or len(able) == 1:
         return merit.used_level if merit.level != "auto" else able[0]
-    batch = sample_perturbations(study, range(min(PROBED_TRIALS, study.trials)))
+    batch = sample_perturbations(study, range(min(6, study.trials)))
     try:
         scores = {level: merit.model_copy(update={"level": level}).scores(context, batch) for level in able}
     except TransferLensError:

@@ -1,4 +1,4 @@
-"""Study files (TOML): reading them, with the design and the other files that they name."""
+"""Study files (TOML): reading and writing them, together with the design and other files that they name."""
 
 from __future__ import annotations
 
@@ -27,18 +27,12 @@ from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
-LONGEST_NAME = 255
-"""Most bytes of one name in a path, as file systems have it."""
-
-DEEPEST_PATH = 32
-"""Most names in the path of a file that a store holds."""
-
 
 class Checked(Protocol):
-    """Whatever can tell that it does not fit a lens."""
+    """A section of a study that can be checked against a lens."""
 
     def check(self, lens: Lens) -> None:
-        """Refuse it, with a ValueError."""
+        """Raise a ValueError if the section does not fit the lens."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +41,15 @@ class LoadedStudy:
 
     Attributes
     ----------
-    study, lens
-        What the files say.
+    study : Study
+        The study.
+    lens : Lens
+        The nominal lens.
     name : str
-        Of the study file among `files`.
+        Path of the study file among `files`.
     files : mapping of str to bytes
-        All files that scores depend on, by paths relative to one folder: study, design, glass catalogues,
-        measured surfaces, measured deviations, merits in Python.
+        Contents of all files that scores depend on, by paths relative to one folder: study, design, glass
+        catalogues, measured surfaces, measured deviations, user-defined merits.
     """
 
     study: Study
@@ -63,7 +59,7 @@ class LoadedStudy:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of all that scores depend on: files, refractive indices, how trials are drawn."""
+        """Digest of everything that scores depend on: files, refractive indices, sampling of trials."""
         digest = hashlib.sha256(self.name.encode())
         for name, content in sorted(self.files.items()):
             digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
@@ -75,54 +71,64 @@ class LoadedStudy:
 
     @property
     def study_text(self) -> str:
-        """The study file."""
+        """Text of the study file."""
         return self.files[self.name].decode("utf-8")
 
     @property
     def design_text(self) -> str:
-        """The design file."""
+        """Text of the design file."""
         return self.files[relative(PurePosixPath(self.name).parent / self.study.design)].decode("utf-8")
 
 
 def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
-    """Read a study file, its design, and what both name.
+    """Read a study file, its design, and the other files that both name.
 
     Parameters
     ----------
     path
-        A TOML file.
+        Study file (TOML).
+
+    Returns
+    -------
+    LoadedStudy
+        The study with its lens and files.
 
     Raises
     ------
     DesignError
-        If a file cannot be read or does not describe a study of its design; the message names file,
-        key, value and what is allowed.
+        If a file cannot be read or does not describe a study of its design. The message names file, key,
+        value and what is allowed.
+
+    Examples
+    --------
+    >>> load_study("designs/paper_tolerances.toml").study.draws
+    'random'
     """
     path = Path(path)
     study = study_from_tables(read_toml(path), str(path), path.parent)
     design = path.parent / study.design
-    if allowed_folder() is not None:  # of a store: its own, not a design of the reader
+    if allowed_folder() is not None:  # a study inside a store must not read other designs
         validate_inside(design, path, "design", DesignError)
     lens = load_design(design)
-    # A length in another unit often is the cause of other faults: it comes first.
-    _refuse([*doubted_study_lengths(study, lens), *_faults_against(study, lens)], str(path))
+    # A length in another unit is often the cause of other faults, so it comes first.
+    _raise_faults([*doubted_study_lengths(study, lens), *_faults_against(study, lens)], str(path))
     return LoadedStudy(study, lens, *_gathered(path, design, study, lens))
 
 
 def save_study(study: Study, path: str | os.PathLike[str]) -> None:
-    """Write a study file, without comments; only what was given stands in it.
+    """Write a study file, without comments and without default values.
 
     Parameters
     ----------
     study
         The study. Its design and other files are named relative to the folder of `path`.
     path
-        A TOML file.
+        File to write (TOML).
 
     Raises
     ------
     InputError
-        If the file cannot be written; whatever stood there stays.
+        If the file cannot be written. An existing file then stays as it is.
     """
     import tomli_w
 
@@ -134,7 +140,7 @@ def save_study(study: Study, path: str | os.PathLike[str]) -> None:
 
 
 def _gathered(path: Path, design: Path, study: Study, lens: Lens) -> tuple[str, dict[str, bytes]]:
-    """The study's name, and all files by their paths from the folder that holds them all."""
+    """Return the path of the study file and the contents of all files, relative to their common folder."""
     named = [p.file_name for p in study.perturbations] + [m.file_name for m in study.all_merits]
     figures = [s.figure.file for s in lens.surfaces if s.figure is not None and s.figure.file is not None]
     paths = [path, design, *lens.glass_catalogs, *figures, *(path.parent / n for n in named if n is not None)]
@@ -149,30 +155,33 @@ def _gathered(path: Path, design: Path, study: Study, lens: Lens) -> tuple[str, 
 
 
 def relative(path: PurePosixPath) -> str:
-    """A path without steps back."""
+    """Return a path without ``..`` steps."""
     return os.path.normpath(path.as_posix())
 
 
 def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> LoadedStudy:
-    """A study from the files that :class:`LoadedStudy` holds.
+    """Load a study from the contents of its files.
 
     Parameters
     ----------
-    name, files
-        As of :class:`LoadedStudy`.
+    name
+        Path of the study file among `files`.
+    files : mapping of str to bytes
+        Contents of all files, by relative paths.
     folder
-        An empty folder into which they are written, and which the lens needs as long as it is used.
+        An empty folder for the files. The lens needs it as long as the lens is used.
 
     Raises
     ------
     DesignError
-        As :func:`load_study`; also if a name is no plain relative path, or leads out of the folder.
+        If the files do not describe a study, if a path is not a plain relative path, or if a path leads out
+        of the folder.
     """
     root = folder.resolve()
     for own in (*files, name):
         _check_file_name(own)
     if name not in files:
-        raise DesignError(f"study {name!r:.80}: is none of the files that are held")
+        raise DesignError(f"study {name!r:.80}: is missing among the files of the store")
     for own, content in files.items():
         target = root / own
         try:
@@ -190,7 +199,8 @@ def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> Load
 
 
 def _check_file_name(name: object) -> None:
-    """Refuse a name that is no plain relative path: whoever made a store could have written anything."""
+    """Raise a DesignError unless a name is a plain relative path; stores of others are not trusted."""
+    longest_name, deepest_path = 255, 32  # bytes of a name (limit of file systems), names of a path
     if not isinstance(name, str):
         raise DesignError(f"file {name!r:.80}: its name must be text")
     parts = name.split("/")
@@ -203,36 +213,41 @@ def _check_file_name(name: object) -> None:
     try:
         longest = max(len(part.encode()) for part in parts)
     except UnicodeEncodeError as error:
-        raise DesignError(f"file {name!r:.80}: is no text that a file can be named by") from error
-    if longest > LONGEST_NAME or len(parts) > DEEPEST_PATH:
+        raise DesignError(f"file {name!r:.80}: cannot be the name of a file") from error
+    if longest > longest_name or len(parts) > deepest_path:
         raise DesignError(
-            f"file {name!r:.80}: at most {DEEPEST_PATH} names of at most {LONGEST_NAME} bytes are allowed"
+            f"file {name!r:.80}: at most {deepest_path} names of at most {longest_name} bytes are allowed"
         )
 
 
 def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = None) -> Study:
-    """A study from the tables of its file, all faults in one DesignError.
+    """Return a study from the tables of its file.
 
     Parameters
     ----------
     data
-        The tables.
+        Tables of the file.
     source
-        What to call the study in messages.
+        Name of the study in messages.
     folder
-        Folder of the study, from which the files of distributions and merits are read at once. Without it
-        the study names no files that can be read.
+        Folder of the study, from which the files of distributions and merits are read; default: these files
+        are not read.
+
+    Raises
+    ------
+    DesignError
+        If a key or value is not allowed. The message lists every fault.
     """
     faults: list[str] = []
     data = dict(data)
     readers: dict[str, Callable[[dict[str, Any], str], Section]] = {
         "perturbation": perturbation_from_table,
         "merit": merit_from_table,
-        "sweep": lambda table, where: validate(Sweep, table, where),
-        "grid": lambda table, where: validate(ParameterGrid, table, where),
-        "slice_count": lambda table, where: validate(SliceCounts, table, where),
-        "correlation": lambda table, where: validate(Correlation, table, where),
-        "compensator": lambda table, where: validate(Compensator, table, where),
+        "sweep": lambda table, location: validate(Sweep, table, location),
+        "grid": lambda table, location: validate(ParameterGrid, table, location),
+        "slice_count": lambda table, location: validate(SliceCounts, table, location),
+        "correlation": lambda table, location: validate(Correlation, table, location),
+        "compensator": lambda table, location: validate(Compensator, table, location),
     }
     for key, reader in readers.items():
         tables = data.get(key, [])
@@ -240,13 +255,13 @@ def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = N
             raise DesignError(f"{source}: {key}: must be tables, each headed [[{key}]]")
         items = []
         for number, table in enumerate(tables, start=1):
-            where = f"{source}: {key} {number}"
+            location = f"{source}: {key} {number}"
             try:
-                item = reader(table, where)
-                items.append(item if folder is None else _with_its_file(item, folder, source, where))
+                item = reader(table, location)
+                items.append(item if folder is None else _with_its_file(item, folder, source, location))
             except InputError as error:
-                told = str(error)
-                faults.append(told if told.startswith(f"{source}: ") else f"{where}: {told}")
+                message = str(error)
+                faults.append(message if message.startswith(f"{source}: ") else f"{location}: {message}")
         if key in data:
             data[key] = tuple(items)
     if faults:
@@ -254,23 +269,51 @@ def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = N
     return validate(Study, data, source)
 
 
-def _with_its_file(item: Section, folder: Path, source: str, where: str) -> Section:
-    """A perturbation or merit with what its own file holds; another section as it is."""
+def _with_its_file(item: Section, folder: Path, source: str, location: str) -> Section:
+    """Return a perturbation or merit with the data of its file; other sections are returned unchanged."""
     if not isinstance(item, Perturbation | Merit):
         return item
     if item.file_name is not None:
         validate_inside(
-            folder / item.file_name, folder / Path(source).name, where.removeprefix(f"{source}: ")
+            folder / item.file_name, folder / Path(source).name, location.removeprefix(f"{source}: ")
         )
     return item.loaded(folder)
 
 
+def start_study(
+    design: str | os.PathLike[str], path: str | os.PathLike[str], grade: str = "precision"
+) -> None:
+    """Write a study of a design with the usual tolerances of a manufacturing grade, to be edited.
+
+    Parameters
+    ----------
+    design
+        The design file.
+    path
+        The study file to write; an existing file is replaced. It names the design relative to its folder.
+    grade
+        One of :data:`tolerancing.perturbations.grades.GRADES`.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or written, if the grade is unknown, or if a part is larger than the table of
+        the standard covers.
+    """
+    from tolerancing.perturbations.grades import starting_study
+
+    name = Path(os.path.relpath(Path(design).resolve(), Path(path).resolve().parent)).as_posix()
+    text = starting_study(load_design(design), name, grade)
+    with atomic_path(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def check_against(study: Study, lens: Lens, source: str) -> None:
-    """Refuse what this lens does not have, with all faults in one DesignError."""
-    _refuse(_faults_against(study, lens), source)
+    """Raise a DesignError that lists everything of the study that does not fit the lens."""
+    _raise_faults(_faults_against(study, lens), source)
 
 
-def _refuse(faults: Sequence[str], source: str) -> None:
+def _raise_faults(faults: Sequence[str], source: str) -> None:
     if faults:
         raise DesignError(joined_faults([f"{source}: {fault}" for fault in faults]))
 
@@ -288,7 +331,7 @@ def _faults_against(study: Study, lens: Lens) -> list[str]:
 
 
 def _faults_of_merits(study: Study) -> list[str]:
-    """Parameters that are varied and that a merit which scores them cannot follow."""
+    """Return the faults of varied parameters that a merit cannot score."""
     faults = dict[str, None]()
     every = {merit.label for merit in study.all_merits}
     scored = [(p, every) for p in (*study.perturbations, *study.compensators)]

@@ -1,4 +1,4 @@
-"""What a tolerance study says of the parameters that a calibration seeks: how far each is from the design."""
+"""Priors of a calibration from a tolerance study: expected deviation of each parameter from the design."""
 
 from __future__ import annotations
 
@@ -18,19 +18,16 @@ from tolerancing.study.files import load_study
 from wavesim.calibration.parameters import all_names
 from wavesim.sensor.mounting import RIGID, WORKING_DISTANCE
 
-SHAPES = 400
-"""Figures that are drawn to see how much of an irregularity each of its terms is."""
-
 
 class Priors(NamedTuple):
-    """What a calibration expects of a lens that was made to a study's tolerances.
+    """Expected deviations of a lens that was manufactured to a study's tolerances.
 
     Attributes
     ----------
     deviations : dict of str to float
-        Root mean square of each parameter's deviation from the design, by the names of a calibration.
+        Root mean square deviation of each parameter from the design, by the names of a calibration.
     not_sought : tuple of str
-        Perturbations of the study, by their columns, that a calibration knows nothing of.
+        Columns of the study's perturbations that a calibration has no parameter for.
     """
 
     deviations: dict[str, float]
@@ -38,29 +35,29 @@ class Priors(NamedTuple):
 
 
 def calibration_priors(path: str | os.PathLike[str], lens: Lens) -> Priors:
-    """What a study's perturbations are to a calibration.
+    """Return the priors of a calibration from a study's perturbations.
 
-    Perturbations that do the same add up in squares. A despace of the lens counts as working distance.
-    Correlations between perturbations are left out.
+    Perturbations of the same parameter add up in squares. A despace of the lens counts as working distance.
+    Correlations between perturbations are neglected.
 
     Parameters
     ----------
     path
         The study file.
     lens
-        The design that is calibrated.
+        The calibrated design.
 
     Raises
     ------
     InputError
-        If the file is no study, or one of another design.
+        If the file is not a study, or is a study of another design.
     """
     loaded = load_study(path)
-    mine, theirs = (one.model_dump_json(exclude={"title"}) for one in (lens, loaded.lens))
-    if mine != theirs:
+    calibrated, studied = (one.model_dump_json(exclude={"title"}) for one in (lens, loaded.lens))
+    if calibrated != studied:
         raise InputError(
-            f"{path}: is a study of another design, {loaded.study.design}: must be that of the lens that is "
-            "calibrated"
+            f"{path}: is a study of another design, {loaded.study.design}: must be a study of the calibrated "
+            "lens"
         )
     names = all_names(lens)
     squares: dict[str, float] = {}
@@ -75,14 +72,14 @@ def calibration_priors(path: str | os.PathLike[str], lens: Lens) -> Priors:
 
 
 def _deviations(perturbation: Perturbation, lens: Lens) -> dict[str, float]:
-    """By names as a calibration may have them."""
+    """Return root mean square deviations by possible names of a calibration's parameters."""
     shape, parameter = perturbation.distribution, perturbation.parameter
     size = math.hypot(shape.standard_deviation, shape.centre)
     if perturbation.surface is not None:
         head = f"surface_{perturbation.surface + 1}_"
         if perturbation.is_irregularity:
             terms = _figure_terms(perturbation.parameter)
-            return {f"{head}figure_{j}_um": size * share for j, share in terms.items()}
+            return {f"{head}figure_{j}_um": size * term for j, term in terms.items()}
         if RADII.get(parameter) == "radius_mm":
             change = radius_delta_mm(lens, perturbation.surface, parameter, np.array(size))
             return {f"{head}radius_mm": abs(float(change))}
@@ -99,9 +96,9 @@ def _deviations(perturbation: Perturbation, lens: Lens) -> dict[str, float]:
 
 
 def _figure_terms(parameter: str) -> dict[int, float]:
-    """Root mean square in um of each Zernike term of an irregularity of one wave."""
+    """Return the root mean square in um of each Zernike term for an irregularity of one wave."""
     generator = np.random.default_rng(0)
-    shapes = np.stack([draw_shape(generator) for _ in range(SHAPES)])
+    shapes = np.stack([draw_shape(generator) for _ in range(400)])
     if "_pv_" in parameter:
         shapes /= peak_to_valley(shapes)[:, None]
     sizes = TEST_WAVELENGTH_UM * np.sqrt(np.mean(shapes**2, axis=0))

@@ -1,4 +1,4 @@
-"""What a run hands from its workers to its store."""
+"""Results of trials and steps, which workers return and a store saves."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ OK = "ok"
 FAILED = "failed"
 
 WORST, RANDOM = "worst", "random"
-"""Why a trial was chosen for the dear merits."""
+"""Reasons why a trial was selected for the high-fidelity merits."""
 
 
 @dataclass(frozen=True)
 class TrialResults:
-    """Trials, row by row.
+    """Values and scores of trials, one row for each trial.
 
     Attributes
     ----------
     trials : tuple of int, or ndarray of int
         Numbers of the trials, from 0.
     values : ndarray, shape (trials, perturbations)
-        Realised deltas, in the units of the perturbations' columns.
+        Sampled deltas, in the units of the perturbations' columns.
     scores : ndarray, shape (trials, merits)
-        NaN where a trial could not be scored.
+        Scores; NaN if a trial could not be scored.
     extras : ndarray, shape (trials, extra columns)
-        By :attr:`tolerancing.study.study.Study.extra_columns`: scores without compensation, and what the
-        compensators took. NaN where there is none.
+        Values of :attr:`tolerancing.study.study.Study.extra_columns`: scores without compensation, and values
+        of the compensators; NaN if missing.
     messages : tuple of str
-        Why a trial could not be scored; empty where it could.
+        Reasons why trials could not be scored; empty for scored trials.
     passed : ndarray of bool, shape (trials,)
-        Whether all limits are kept; a trial that could not be scored keeps none.
+        True if all limits are met; False for trials that could not be scored.
     seconds : ndarray, shape (trials,)
-        Time that each took, with its share of what a chunk of trials does together.
+        Computing time of each trial, including its fraction of common work.
     """
 
     trials: tuple[int, ...] | NDArray[np.int64]
@@ -53,26 +53,26 @@ class TrialResults:
 
     @property
     def status(self) -> list[str]:
-        """`OK` or `FAILED`, trial by trial."""
+        """`OK` or `FAILED` for each trial."""
         return [FAILED if message else OK for message in self.messages]
 
 
 @dataclass(frozen=True)
 class HighFidelityResults:
-    """Scores of the dear merits for trials that were chosen.
+    """Scores of the high-fidelity merits for selected trials.
 
     Attributes
     ----------
     trials : tuple of int
-        Their numbers.
+        Numbers of the trials.
     chosen : tuple of str
-        Why each was chosen: `WORST` by the cheap merit, or by `RANDOM` draw.
-    scores : ndarray, shape (trials, dear merits)
-        NaN where a trial could not be scored.
+        Reason for the selection of each trial: `WORST` by the low-fidelity merit, or a `RANDOM` draw.
+    scores : ndarray, shape (trials, high-fidelity merits)
+        Scores; NaN if a trial could not be scored.
     messages : tuple of str
-        Why it could not.
+        Reasons why trials could not be scored; empty for scored trials.
     seconds : ndarray, shape (trials,)
-        Time that each took.
+        Computing time of each trial.
     """
 
     trials: tuple[int, ...]
@@ -87,20 +87,20 @@ class HighFidelityResults:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A reconstructed line pair target.
+    """Image of a reconstructed line pair target.
 
     Attributes
     ----------
     line_width_um
         Width of a bar and of a gap.
     orientation
-        Axis along which the bars follow each other, x or y.
+        Axis along which the bars repeat, x or y.
     refocused
         Whether the reconstruction was refocused.
     half_width_um
-        Half the side of the square picture.
+        Half the side of the square image.
     intensity : ndarray of float32, shape (points, points)
-        Row: y, column: x; 1 is that of a large bright area.
+        Intensity relative to a large bright area; rows along y, columns along x.
     """
 
     line_width_um: float
@@ -112,7 +112,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class StepResults:
-    """One step of a series: a sweep, a grid, a comparison of slice counts, or the sensitivities.
+    """Scores of one step of a series: a sweep, a grid, a comparison of slice counts, or the sensitivities.
 
     Attributes
     ----------
@@ -121,15 +121,15 @@ class StepResults:
     step
         Number of the step, from 0.
     coordinates : mapping of str to float or str
-        What was varied, by name.
+        Values of the varied parameters, by name.
     scores : mapping of str to float
-        By merit; NaN where there is none.
+        Scores by label of the merit; NaN if missing.
     message
-        Why a score is missing.
+        Reason why a score is missing; empty if none is.
     pictures : tuple of Picture
-        Of line pairs, where they were asked for.
+        Images of line pairs, if the study requests them.
     seconds
-        Time that it took.
+        Computing time.
     """
 
     series: str

@@ -1,4 +1,4 @@
-"""Scores of perturbed lenses by merits, with failures as data."""
+"""Scores of perturbed lenses by merits; failures become messages."""
 
 from __future__ import annotations
 
@@ -17,27 +17,32 @@ from tolerancing.perturbations.batch import PerturbationBatch
 def score_batch(
     merits: Sequence[Merit], context: Context, batch: PerturbationBatch
 ) -> tuple[Array, tuple[str, ...]]:
-    """Scores, shape (trials, merits), and for each trial why a score is missing.
+    """Score a batch by all merits; the failure of one trial does not affect the others.
 
-    Whatever goes wrong with one trial of the batch, the others are scored.
+    Returns
+    -------
+    scores : ndarray, shape (trials, merits)
+        Scores; NaN if missing.
+    messages : tuple of str
+        Reason for missing scores of each trial; empty if none is missing.
     """
     try:
         scores = np.column_stack([merit.scores(context, batch) for merit in merits])
     except Exception:
         if len(batch) == 1:
             return _score_singly(merits, context, batch)
-        parts = [score_batch(merits, context, single) for single in batch.single_trials()]
-        return np.concatenate([part[0] for part in parts]), tuple(part[1][0] for part in parts)
-    why = [""] * len(scores)
+        results = [score_batch(merits, context, single) for single in batch.single_trials()]
+        return np.concatenate([own for own, _ in results]), tuple(messages[0] for _, messages in results)
+    messages = [""] * len(scores)
     for trial in np.flatnonzero(np.any(np.isnan(scores), axis=1)):
-        why[trial] = _missing(merits, scores[trial])
-    return scores, tuple(why)
+        messages[trial] = _missing(merits, scores[trial])
+    return scores, tuple(messages)
 
 
 def _score_singly(
     merits: Sequence[Merit], context: Context, batch: PerturbationBatch
 ) -> tuple[Array, tuple[str, ...]]:
-    """Score what can be scored of one trial, merit by merit."""
+    """Score one trial merit by merit, so that a failing merit does not affect the others."""
     scores, faults = np.full((1, len(merits)), np.nan), []
     for k, merit in enumerate(merits):
         try:
@@ -48,10 +53,10 @@ def _score_singly(
 
 
 def fault_text(error: Exception) -> str:
-    """What went wrong in a merit, in printable characters."""
+    """Return the message of an error in printable characters."""
     return visible(str(error) if isinstance(error, TransferLensError) else f"{type(error).__name__}: {error}")
 
 
 def _missing(merits: Sequence[Merit], scores: Array) -> str:
-    lost = [merit.label for merit, score in zip(merits, scores, strict=True) if np.isnan(score)]
-    return f"{', '.join(lost)}: no ray arrives" if lost else ""
+    missing = [merit.label for merit, score in zip(merits, scores, strict=True) if np.isnan(score)]
+    return f"{', '.join(missing)}: no ray arrives" if missing else ""

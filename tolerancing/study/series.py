@@ -1,4 +1,4 @@
-"""What a study varies step by step beside its trials: sweeps, grids, slice counts, sensitivities."""
+"""Series of a study, scored step by step in addition to its trials: base class and line pairs."""
 
 from __future__ import annotations
 
@@ -25,49 +25,47 @@ if TYPE_CHECKING:
 
 Coordinates = Mapping[str, float | str]
 
-PICTURE_POINTS = 121
-
 
 class Series(ABC):
-    """Steps, each scored by itself."""
+    """A series of steps that are scored independently."""
 
     @property
     @abstractmethod
     def label(self) -> str:
-        """What to call the series."""
+        """Name of the series."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Number of steps."""
+        """Return the number of steps."""
 
     @abstractmethod
     def coordinates(self, step: int) -> Coordinates:
-        """What is varied in a step, by name with its unit."""
+        """Return the values of the varied parameters of a step, by name with unit."""
 
     @abstractmethod
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
         """Score one step; `merits` are those that score all trials of the study."""
 
     def batch(self, context: Context, step: int) -> PerturbationBatch | None:
-        """The perturbed lens of a step; None where it is none."""
+        """Return the perturbed lens of a step; None if a step is not a perturbed lens."""
         return None
 
     def seconds(self, context: Context, step: int) -> float | None:
-        """What a step takes on this machine, told before it runs; None where it is what a trial takes."""
+        """Estimate the computing time of a step; None if it is that of a trial."""
         return None
 
 
 class LinePairSection(Section):
-    """What sweeps and grids score: merits of the study, and line pairs of their own.
+    """Scores of sweeps and grids: merits of the study, and contrasts of additional line pairs.
 
     Attributes
     ----------
     merits
-        Names of the study's merits to score at each step.
+        Names of the study's merits that are scored at each step.
     line_widths_um
-        Line pairs whose contrast to score at each step, with and without refocusing.
+        Widths of line pairs whose contrast is scored at each step, with and without refocusing.
     orientation
-        Axis along which the bars follow each other, or the worse of both.
+        Axis along which the bars repeat, or the worse axis.
     field_mm
         Object point (x, y) of the line pairs.
     """
@@ -87,18 +85,17 @@ class LinePairSection(Section):
         shared = [pairs.label for pairs in self.line_pairs() if pairs.label in self.merits]
         if shared:
             raise ValueError(
-                f"merits: {shared[0]!r} is also what the line pairs of line_widths_um are called, whose "
-                "contrast is that of the reconstruction pupil: give the merit another name, or leave out "
-                "line_widths_um"
+                f"merits: {shared[0]!r} is also the name of a contrast of line_widths_um, which is computed "
+                "from the reconstruction pupil: give the merit another name, or remove line_widths_um"
             )
         return self
 
     def check(self, lens: Lens) -> None:
-        """Refuse a field point that the lens does not see, with a ValueError."""
+        """Raise a ValueError for a field point outside the field of view."""
         check_field_point(lens, self.field_mm, "field_mm")
 
     def line_pairs(self) -> tuple[LinePairContrast, ...]:
-        """The contrasts to score, each line width refocused and not; limit 0 is where lines reverse."""
+        """Return the contrast merits, with and without refocusing; below the limit 0 lines are reversed."""
         return tuple(
             LinePairContrast(
                 kind="line_pair_contrast",
@@ -115,16 +112,16 @@ class LinePairSection(Section):
         )
 
     def scored(self, merits: Sequence[Merit]) -> tuple[Merit, ...]:
-        """All that is scored: those of the study's merits that are named, and the line pairs."""
+        """Return all scored merits: the named merits of the study, and the line pairs."""
         return (*(m for m in merits if m.label in self.merits), *self.line_pairs())
 
 
 def validate_unique(section: Section, *keys: str) -> None:
-    """Refuse lists in which something stands twice, with a ValueError."""
+    """Raise a ValueError for lists with repeated values."""
     for key in keys:
         items = getattr(section, key)
         if len(set(items)) < len(items):
-            raise ValueError(f"{key} = {list(items)}: one stands there twice")
+            raise ValueError(f"{key} = {list(items)}: must be different from each other")
 
 
 def score_perturbed(
@@ -135,7 +132,7 @@ def score_perturbed(
     batch: PerturbationBatch,
     pictured: LinePairSection | None = None,
 ) -> StepResults:
-    """Score a step that is a perturbed lens; draw its pictures if asked for and nothing is missing."""
+    """Score a step that is a perturbed lens, and compute its images if requested and no score is missing."""
     start = time.perf_counter()
     scores, (message,) = score_batch(merits, context, batch)
     pictures = _line_pair_pictures(context, pictured, batch) if pictured and not message else ()
@@ -153,7 +150,7 @@ def score_perturbed(
 def _line_pair_pictures(
     context: Context, section: LinePairSection, batch: PerturbationBatch
 ) -> tuple[Picture, ...]:
-    """Of each line width of a section, refocused and not."""
+    """Return images of the line pairs of a section, with and without refocusing."""
     pictures = []
     for merit in section.line_pairs():
         (pupil,) = context.pupils(batch, section.field_mm, merit.wavelength_um, merit.refocus, True)
@@ -164,19 +161,19 @@ def _line_pair_pictures(
 def line_pair_picture(
     pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation, refocused: bool
 ) -> tuple[float, Picture]:
-    """Contrast and picture of a line pair along an axis, or along the worse of both; in its best focus."""
+    """Return contrast and image of a line pair along an axis or the worse axis; in best focus if asked."""
     from wavesim import line_pair_contrast
     from wavesim.pupil import line_pair_image
 
     axes: tuple[Axis, ...] = ("x", "y") if orientation == "worse" else (orientation,)
-    seen = {
+    results = {
         axis: line_pairs_in_focus(pupil, line_width_um, axis)
         if refocused
         else (line_pair_contrast(pupil, line_width_um, axis), pupil)
         for axis in axes
     }
-    axis = min(axes, key=lambda one: seen[one][0])
-    contrast, focused = seen[axis]
-    coordinates, intensity = line_pair_image(focused, line_width_um, axis, points=PICTURE_POINTS)
+    axis = min(axes, key=lambda one: results[one][0])
+    contrast, focused = results[axis]
+    coordinates, intensity = line_pair_image(focused, line_width_um, axis, points=121)
     half_width = float(coordinates[-1])
     return contrast, Picture(line_width_um, axis, refocused, half_width, intensity.astype(np.float32))

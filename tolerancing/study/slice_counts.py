@@ -1,8 +1,8 @@
-"""How many annular slices a reconstruction needs, as in the paper's Fig. 7(a).
+"""Number of annular slices that a reconstruction needs, as in the paper's Fig. 7(a).
 
-Lines are carried to the exit plane by the eikonal engine, which knows no slices, and back by annular slices
-of each number and compensation; the eikonal engine itself brings them back for comparison. All this is on a
-meridional line: a plane of the paper's lens has 31,000 samples along each side.
+The eikonal engine, which has no slices, propagates lines to the exit plane. Annular slices of each number and
+compensation propagate them back, and the eikonal engine does so for comparison. The simulation uses a
+meridional line, because a plane of the paper's lens has 31,000 samples along each side.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ Result = TypeVar("Result")
 
 
 class SliceCounts(Section, Series):
-    """Annular slices in several numbers, one or both phase compensations.
+    """Series over numbers of annular slices and phase compensations.
 
     Attributes
     ----------
     name
-        What to call the series.
+        Name of the series.
     slices
         Numbers of slices of each surface.
     compensations
-        ``vertical`` is the paper's (Eq. C3), ``oblique`` takes the slope of the light.
+        ``vertical`` as in the paper (Eq. C3), ``oblique`` along the direction of the light.
     line_widths_um
         Widths of the lines.
     field_height_mm
-        Of the lines' middle, along y.
+        Height of the centre of the lines, along y.
     picture_slices
-        Numbers of slices at which to keep pictures.
+        Numbers of slices for which images are saved.
     """
 
     name: Name = "slice_count"
@@ -66,10 +66,10 @@ class SliceCounts(Section, Series):
     @model_validator(mode="after")
     def _consistent(self) -> SliceCounts:
         validate_unique(self, "slices", "compensations", "line_widths_um")
-        strangers = [n for n in self.picture_slices if n not in self.slices]
-        if strangers:
+        unknown = [n for n in self.picture_slices if n not in self.slices]
+        if unknown:
             raise ValueError(
-                f"picture_slices = {strangers}: allowed are those of slices, {list(self.slices)}"
+                f"picture_slices = {unknown}: allowed: the values of slices, {list(self.slices)}"
             )
         return self
 
@@ -81,7 +81,7 @@ class SliceCounts(Section, Series):
         return len(self.slices) * len(self.compensations)
 
     def check(self, lens: Lens) -> None:
-        """Refuse a field height that the lens does not see, with a ValueError."""
+        """Raise a ValueError for a field height outside the field of view."""
         check_field_point(lens, (0.0, self.field_height_mm), "field_height_mm")
 
     def coordinates(self, step: int) -> Coordinates:
@@ -93,11 +93,11 @@ class SliceCounts(Section, Series):
 
         start = time.perf_counter()
         coordinates = self.coordinates(step)
-        found = self._by_slices(resolve, context, step)
+        result = self._by_slices(resolve, context, step)
         slices = int(coordinates["slices"])
-        pictures = tuple(_picture(line) for line in found.lines if slices in self.picture_slices)
+        pictures = tuple(_picture(line) for line in result.lines if slices in self.picture_slices)
         scores: dict[str, float] = {}
-        for line in found.lines:
+        for line in result.lines:
             width = f"{line.line_width_um:g}um".replace(".", "p")
             scores[f"contrast_{width}"] = line.contrast
             scores[f"weakest_contrast_{width}"] = line.weakest_contrast
@@ -119,12 +119,12 @@ class SliceCounts(Section, Series):
         return self._by_slices(resolving_seconds, context, step)
 
     def _by_slices(self, work: Callable[..., Result], context: Context, step: int) -> Result:
-        """What the resolving test, or what tells its time, makes of a step."""
+        """Call the resolving test, or its time estimate, with the settings of a step."""
         from wavesim import SamplingWarning
 
         coordinates = self.coordinates(step)
         with warnings.catch_warnings():
-            # Too few slices are what this is about.
+            # The series uses too few slices on purpose.
             warnings.simplefilter("ignore", SamplingWarning)
             return work(
                 context.lens,
@@ -138,7 +138,7 @@ class SliceCounts(Section, Series):
 
 
 def _picture(line: LineContrast) -> Picture:
-    """The lines as they look, drawn out along x."""
+    """Return an image of the lines, extended along x."""
     profile = line.profile.astype(np.float32)
     return Picture(
         line_width_um=line.line_width_um,

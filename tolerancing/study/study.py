@@ -1,4 +1,4 @@
-"""A tolerance study: which lens, what scatters, what is judged, what is swept."""
+"""A tolerance study: lens, perturbations, merits and series; the contents of a study file."""
 
 from __future__ import annotations
 
@@ -23,63 +23,68 @@ MOST_TRIALS = 10_000_000
 
 RESERVED_COLUMNS = ("trial", "status", "message", "passed", "seconds", "finished")
 
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Fidelity(Section):
-    """How cheap a level may be, and which trials the dear merits score.
+    """Criteria for the levels of merits, and for the trials that high-fidelity merits score.
 
-    Dear merits are those that name in `predicted_by` the cheap merit that they refine.
+    A high-fidelity merit names in `predicted_by` the low-fidelity merit that it refines.
 
     Attributes
     ----------
     largest_difference
-        Between the scores of the levels of an ``auto`` merit, in any of the trials that probe it, for the
-        cheaper level to do.
+        Largest difference between the scores of two levels of an ``auto`` merit, in any of the first six
+        trials, for which the faster level is selected.
     worst_share
-        Share of all trials, the worst by the cheap merit.
+        Fraction of all trials that are selected because they are the worst by the low-fidelity merit.
     random_share
-        Share of all trials, drawn at random from the others.
+        Fraction of all trials that are selected at random from the others.
+
+    Examples
+    --------
+    >>> Fidelity(random_share=0.1).worst_share
+    0.02
     """
 
     largest_difference: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.03
-    worst_share: Share = 0.02
-    random_share: Share = 0.05
+    worst_share: Fraction = 0.02
+    random_share: Fraction = 0.05
 
 
 class Study(Section):
-    """A tolerance study; the study file, in memory.
+    """A tolerance study, with the contents of a study file.
 
     Attributes
     ----------
     title
-        What to call it.
+        Title of the study.
     design
         Design file of the lens, relative to the study file.
     trials
         Number of Monte Carlo trials.
     seed
-        Seed of all randomness.
+        Seed of all random numbers.
     pivot_z_mm
-        Where on the axis the whole lens turns, from its front vertex.
+        Position on the axis about which the whole lens tilts, from its front vertex.
     sampling
-        How finely merits are sampled.
+        Sampling of rays and pupils.
     draws
-        How trials are drawn: ``random``, ``latin_hypercube`` or ``sobol``.
+        Sampling method of the trials: ``random``, ``latin_hypercube`` or ``sobol``.
     sensitivity
-        Whether each perturbation is also taken by itself to shares of its tolerance.
+        Whether each perturbation is also varied alone, to fractions of its tolerance.
     fidelity
-        Which trials the dear merits score.
+        Selection of levels, and of trials for the high-fidelity merits.
     perturbations
-        What scatters; the ``[[perturbation]]`` tables.
+        Perturbed parameters with distributions; the ``[[perturbation]]`` tables.
     correlations
-        Which perturbations scatter together; the ``[[correlation]]`` tables.
+        Correlations of perturbations; the ``[[correlation]]`` tables.
     compensators
-        What the reconstruction's model adapts; the ``[[compensator]]`` tables.
+        Parameters that the reconstruction's model adapts; the ``[[compensator]]`` tables.
     all_merits
-        What is judged; the ``[[merit]]`` tables.
+        Merits with their limits; the ``[[merit]]`` tables.
     sweeps, grids, slice_counts
-        What is varied by itself; the ``[[sweep]]``, ``[[grid]]`` and ``[[slice_count]]`` tables.
+        Series of steps; the ``[[sweep]]``, ``[[grid]]`` and ``[[slice_count]]`` tables.
     """
 
     title: str = ""
@@ -103,23 +108,23 @@ class Study(Section):
 
     @property
     def merits(self) -> tuple[Merit, ...]:
-        """The merits that all trials are scored by."""
+        """Merits that score all trials."""
         return tuple(m for m in self.all_merits if m.predicted_by is None)
 
     @property
     def high_fidelity_merits(self) -> tuple[Merit, ...]:
-        """The merits that chosen trials are scored by."""
+        """High-fidelity merits, which score selected trials."""
         return tuple(m for m in self.all_merits if m.predicted_by is not None)
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """All that is varied step by step."""
+        """All series: sweeps, grids, slice counts and sensitivities."""
         alone = (OneAtATime(self.perturbations),) if self.sensitivity else ()
         return (*self.sweeps, *self.grids, *self.slice_counts, *alone)
 
     @cached_property
     def dependence(self) -> Dependence:
-        """Which perturbations scatter together."""
+        """Dependences between perturbations: groups and correlations."""
         groups: dict[str, list[str]] = {}
         for p in self.perturbations:
             if p.group is not None:
@@ -128,12 +133,12 @@ class Study(Section):
 
     @property
     def compensated(self) -> tuple[Merit, ...]:
-        """The merits that the reconstruction's refocusing or compensators help."""
+        """Merits that depend on refocusing or compensators."""
         return tuple(m for m in self.merits if m.is_compensated(bool(self.compensators)))
 
     @property
     def extra_columns(self) -> tuple[str, ...]:
-        """Columns beside scores: scores without compensation, and what the compensators took."""
+        """Columns in addition to scores: scores without compensation, and values of the compensators."""
         return (
             *(f"{m.column}_uncompensated" for m in self.compensated),
             *(f"compensator_{c.column}" for c in self.compensators),
@@ -141,11 +146,11 @@ class Study(Section):
 
     @property
     def levels(self) -> dict[str, str]:
-        """The merits' levels, by their labels; where they are open, the cheapest."""
+        """Levels of the merits, by label; for an undecided level, the fastest."""
         return {merit.label: merit.used_level for merit in self.all_merits}
 
     def with_levels(self, levels: Mapping[str, str]) -> Study:
-        """The study with its merits' levels, by their labels, settled."""
+        """Return the study with the given levels of its merits, by label."""
         merits = tuple(
             merit.model_copy(update={"level": levels.get(merit.label, merit.used_level)})
             for merit in self.all_merits
@@ -167,55 +172,55 @@ class Study(Section):
         validate_not_repeated(columns, "a perturbation or merit and another column")
         self._check_names()
         self._check_settings()
-        self.dependence  # noqa: B018  refuses what does not go together
+        self.dependence  # noqa: B018  raises if groups and correlations contradict each other
         return self
 
     def _check_names(self) -> None:
-        """Refuse merits named by others that are not there, with a ValueError."""
+        """Raise a ValueError for names of merits that do not exist."""
         labels = [m.label for m in self.merits]
         if not labels:
-            raise ValueError("merit: all are predicted_by another; at least one must score all trials")
+            raise ValueError("merit: all have predicted_by; at least one merit must score all trials")
         for merit in self.high_fidelity_merits:
             validate_merit_name(f"merit {merit.label!r}: predicted_by", merit.predicted_by, labels)
         every = [m.label for m in self.all_merits]
-        for kind, parts in (("sweep", self.sweeps), ("grid", self.grids)):
-            for part in parts:
-                for label in part.merits:
-                    validate_merit_name(f"{kind} {part.label!r}: merits", label, every)
+        for kind, tables in (("sweep", self.sweeps), ("grid", self.grids)):
+            for table in tables:
+                for label in table.merits:
+                    validate_merit_name(f"{kind} {table.label!r}: merits", label, every)
 
     def _check_settings(self) -> None:
-        """Refuse settings of the reconstruction that no merit follows, or that have no derivative."""
+        """Raise a ValueError for settings of the reconstruction without effect or without derivative."""
         varied = [p for p in self.varied_parameters if p.is_setting]
         for parameter in varied:
             if not any(merit.varies_slices for merit in self.all_merits):
                 raise ValueError(
-                    f"{parameter.column}: no merit of the study follows the number of slices; give one of "
-                    "kind 'reconstruction' with reconstruction_engine = 'slices'"
+                    f"{parameter.column}: no merit of the study depends on the number of slices; add a merit "
+                    "of kind 'reconstruction' with reconstruction_engine = 'slices'"
                 )
         named = [p.column for p in self.perturbations if p.is_setting]
         if named and self.sensitivity:
             raise ValueError(
                 f"{named[0]}: a number of slices has no fractions of a tolerance; give sensitivity = false, "
-                "and a [[sweep]] of it to see what it does alone"
+                "and add a [[sweep]] of it to see its effect"
             )
 
     @property
     def varied_parameters(self) -> tuple[PerturbedParameter, ...]:
-        """All that trials, sweeps and grids vary."""
+        """All parameters that trials, sweeps and grids vary."""
         axes = (axis for grid in self.grids for axis in (grid.x, grid.y))
         return (*self.perturbations, *self.sweeps, *axes)
 
 
-def validate_merit_name(what: str, label: str | None, allowed: Sequence[str]) -> None:
-    """Refuse the name of a merit that is not there, with a ValueError."""
+def validate_merit_name(key: str, label: str | None, allowed: Sequence[str]) -> None:
+    """Raise a ValueError for the name of a merit that does not exist."""
     if label not in allowed:
-        raise ValueError(f"{what}: there is no merit {label!r}; allowed: {', '.join(allowed)}")
+        raise ValueError(f"{key}: there is no merit {label!r}; allowed: {', '.join(allowed)}")
 
 
-def validate_not_repeated(names: Iterable[str], what: str) -> None:
-    """Refuse a name that stands twice, with a ValueError."""
-    seen: set[str] = set()
+def validate_not_repeated(names: Iterable[str], items: str) -> None:
+    """Raise a ValueError for a repeated name; `items` names the two items in the message."""
+    known: set[str] = set()
     for name in names:
-        if name in seen:
-            raise ValueError(f"{what} are both called {name!r}; give one of them another name")
-        seen.add(name)
+        if name in known:
+            raise ValueError(f"{items} are both called {name!r}; give one of them another name")
+        known.add(name)

@@ -1,4 +1,4 @@
-"""Sweeps of one parameter, as in the paper's Figs. 7(b) and 7(c), grids of two, each perturbation alone."""
+"""Sweeps of one parameter (paper, Figs. 7(b) and 7(c)), grids of two parameters, and sensitivities."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tolerancing.study.results import StepResults
 from tolerancing.study.series import Coordinates, LinePairSection, Series, score_perturbed, validate_unique
 
 STEPS = (-1.0, -0.5, 0.5, 1.0)
-"""Where each perturbation is scored alone, in fractions of its tolerance."""
+"""Deviations at which each perturbation is scored alone, as fractions of its tolerance."""
 
 SENSITIVITY = "sensitivity"
-"""Label of the series of perturbations alone."""
+"""Label of the series of single perturbations."""
 
 
 class Sweep(PerturbedParameter, LinePairSection, Series):
-    """One parameter taken through some values while all else stays nominal.
+    """Series over values of one parameter; all other parameters are nominal.
 
     Attributes
     ----------
     values
         Deltas from nominal, in the parameter's unit.
     picture_values
-        Those of the values at which to keep pictures of the line pairs.
+        Values for which images of the line pairs are saved.
     """
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
@@ -43,13 +43,11 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
 
     @model_validator(mode="after")
     def _consistent(self) -> Sweep:
-        strangers = [v for v in self.picture_values if v not in self.values]
-        if strangers:
-            raise ValueError(
-                f"picture_values = {strangers}: allowed are those of values, {list(self.values)}"
-            )
+        unknown = [v for v in self.picture_values if v not in self.values]
+        if unknown:
+            raise ValueError(f"picture_values = {unknown}: allowed: those of values, {list(self.values)}")
         if self.picture_values and not self.line_widths_um:
-            raise ValueError("picture_values: pictures are of line pairs; give line_widths_um")
+            raise ValueError("picture_values: pictures show line pairs; give line_widths_um")
         validate_unique(self, "values")
         self.check_setting(self.values)
         return self
@@ -69,15 +67,15 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
         return {self.parameter: self.values[step]}
 
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
-        pictured = self if self.values[step] in self.picture_values else None
-        return score_perturbed(context, self, step, self.scored(merits), self.batch(context, step), pictured)
+        section = self if self.values[step] in self.picture_values else None
+        return score_perturbed(context, self, step, self.scored(merits), self.batch(context, step), section)
 
     def batch(self, context: Context, step: int) -> PerturbationBatch:
         return context.perturbed((self,), np.array([[self.values[step]]]))
 
 
 class GridAxis(PerturbedParameter):
-    """One of the two parameters of a grid, and its values."""
+    """A parameter of a grid, and its values."""
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
 
@@ -91,14 +89,14 @@ class GridAxis(PerturbedParameter):
 
 
 class ParameterGrid(LinePairSection, Series):
-    """Two parameters taken through all pairs of their values while all else stays nominal.
+    """Series over all pairs of values of two parameters; all other parameters are nominal.
 
     Attributes
     ----------
     name
-        What to call the grid.
+        Name of the grid.
     x, y
-        The parameters.
+        The two parameters and their values.
     """
 
     name: Name
@@ -108,7 +106,7 @@ class ParameterGrid(LinePairSection, Series):
     @model_validator(mode="after")
     def _two(self) -> ParameterGrid:
         if self.x.column == self.y.column:
-            raise ValueError(f"x and y are both {self.x.column}; give two parameters, or names")
+            raise ValueError(f"x and y are both {self.x.column}; give two different parameters, or names")
         return self
 
     @property
@@ -137,12 +135,12 @@ class ParameterGrid(LinePairSection, Series):
 
 @dataclass(frozen=True)
 class OneAtATime(Series):
-    """The study's merits, with one perturbation away from nominal and all others nominal.
+    """Series of sensitivities: one perturbation deviates from nominal while all others are nominal.
 
     Attributes
     ----------
     perturbations
-        Of the study; each takes `STEPS` times its largest deviation.
+        Perturbations of the study; each is varied by `STEPS` times its largest deviation.
     """
 
     perturbations: tuple[Perturbation, ...]
@@ -170,5 +168,5 @@ class OneAtATime(Series):
         return context.perturbed((perturbation,), values)
 
     def _step(self, step: int) -> tuple[Perturbation, float]:
-        index, part = divmod(step, len(STEPS))
-        return self.perturbations[index], STEPS[part]
+        index, position = divmod(step, len(STEPS))
+        return self.perturbations[index], STEPS[position]

@@ -1,4 +1,4 @@
-"""Exact solutions that engines are held against."""
+"""Scenes with exact solutions, as references for the engines."""
 
 import lazy_loader
 

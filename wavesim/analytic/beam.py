@@ -1,4 +1,4 @@
-"""A beam in free space, exact beyond the paraxial range: plane waves with a Gaussian angular spectrum."""
+"""Exact non-paraxial beam in free space: plane waves with a Gaussian angular spectrum."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from lensdesign.errors import InputError, validate_positive
 ComplexArray = NDArray[np.complex128]
 
 SPREAD_CUT = 8.5
-"""Where the angular spectrum ends, in units of its spread: at 2e-16 of its peak."""
+"""Half-width of the angular spectrum in units of its spread, where it is 2e-16 of its peak."""
 
 WAIST_CUT = 6.0
-"""Where the waist ends, in units of its width 1 / (k s)."""
+"""Half-width of the waist in units of its width 1 / (k s)."""
 
 LARGEST_SPREAD = 0.18
-"""Radians; a wider spectrum would be cut by the horizon, a quarter turn from the axis."""
+"""Largest spread in radians; a wider spectrum would extend to waves at right angles to the axis."""
 
 CHUNK = 1 << 18
-"""Most exponentials held at one time."""
+"""Most exponentials that are stored at a time."""
 
 
 @dataclass(frozen=True)
 class Beam:
-    """A TE beam in the meridional world, symmetric about z.
+    """A two-dimensional TE beam, symmetric about z.
 
     At (y, z) it is the integral of exp(-theta^2 / (2 s^2)) exp(i k (y sin theta + (z - waist) cos theta))
     over theta.
@@ -67,14 +67,13 @@ class Beam:
 
     @property
     def waist_half_width_mm(self) -> float:
-        """Half of the width in the waist's plane beyond which the field is less than 2e-8 of its peak."""
+        """Half-width in the plane of the waist outside which the field is below 2e-8 of its peak."""
         return WAIST_CUT / (self.wavenumber_per_mm * self.spread)
 
     def plane_waves(self, reach_mm: float) -> tuple[Array, Array]:
-        """Angles and weights of enough plane waves for points within a reach of the waist.
+        """Return angles and weights of plane waves that represent the beam within a reach of its waist.
 
-        The trapezoidal rule over them converges to rounding, since the spectrum is entire and falls to
-        nothing.
+        Their trapezoidal rule is accurate to rounding, since the spectrum is entire and vanishes at its ends.
         """
         edge = SPREAD_CUT * self.spread
         phase = self.wavenumber_per_mm * reach_mm + 40.0 / self.spread
@@ -82,7 +81,7 @@ class Beam:
         return angle, np.exp(-0.5 * (angle / self.spread) ** 2) * (angle[1] - angle[0])
 
     def field(self, y_mm: ArrayLike, z_mm: ArrayLike) -> ComplexArray:
-        """The beam at points; `y_mm` and `z_mm` are broadcast together."""
+        """Return the field at points; `y_mm` and `z_mm` are broadcast together."""
         y, z = np.broadcast_arrays(np.asarray(y_mm, float), np.asarray(z_mm, float) - self.waist_z_mm)
         angle, weight = self.plane_waves(float(np.max(np.hypot(y, z), initial=0.0)))
         return superpose(angle, weight, self.wavenumber_per_mm, y, z)
@@ -105,7 +104,7 @@ class Beam:
 def superpose(
     angle: Array, amplitude: Array | ComplexArray, wavenumber_per_mm: float, y_mm: Array, z_mm: Array
 ) -> ComplexArray:
-    """Sum of plane waves amplitude exp(i k (y sin angle + z cos angle)), of the shape of `y_mm`."""
+    """Return the sum of plane waves amplitude exp(i k (y sin angle + z cos angle)), shaped as `y_mm`."""
     y, z = y_mm.ravel(), z_mm.ravel()
     along_y, along_z = wavenumber_per_mm * np.sin(angle), wavenumber_per_mm * np.cos(angle)
     result = np.empty(y.size, complex)

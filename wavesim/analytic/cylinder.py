@@ -1,4 +1,4 @@
-"""A beam through a homogeneous dielectric cylinder: the exact field, in the meridional world, TE.
+"""Exact two-dimensional TE field of a beam through a homogeneous dielectric cylinder.
 
 In cylinder waves about the axis of the cylinder, with r cos(phi) = z and r sin(phi) = y, the incident beam is
 the sum of b_m J_m(k r) exp(i m phi), J = (H1 + H2) / 2, and each order is scattered by itself. The outgoing
@@ -35,16 +35,16 @@ ComplexArray = NDArray[np.complex128]
 RadialFunctions = tuple[Array, Array, Array, Array]
 
 EDGE_ORDERS = 10.0
-"""Orders kept beyond the size parameter x, in units of x^(1/3): the last scatters less than 1e-16."""
+"""Orders beyond the size parameter x, in units of x^(1/3); the last one scatters less than 1e-16."""
 
 SCENE_INDEX = 1.5195
 
 STOP_ANGLE = 0.5
-"""Radians to which the scene's stop takes in the beam: beyond 0.567 rays from the axis fold, and from beside
-it earlier."""
+"""Angle in radians to which the scene's stop admits the beam. Beyond 0.567, rays from the axis fold; off-axis
+rays fold earlier."""
 
 LARGEST_SIZE = 2e4
-"""Largest size parameter for which the Bessel functions were checked."""
+"""Largest size parameter for which the Bessel functions are checked."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Cylinder:
 
     @property
     def size_parameter(self) -> float:
-        """k a: the circumference in wavelengths."""
+        """Size parameter k a: the circumference in wavelengths."""
         return 2e3 * math.pi * self.radius_mm / self.wavelength_um
 
     @property
@@ -101,12 +101,12 @@ class Cylinder:
 
     @cached_property
     def _matched(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """(R11 - 1) / 2, T12 T21 and R22 of every order."""
+        """Coefficients (R11 - 1) / 2, T12 T21 and R22 of every order."""
         wronskians = (-4j / (math.pi * self.size_parameter)) ** 2
         return matched_orders(self.index, self._outside, self._inside, wronskians)
 
     def debye_coefficients(self, p: int) -> ComplexArray:
-        """One term of the Debye series.
+        """Return one term of the Debye series.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Cylinder:
         return returned if p == 0 else np.asarray(0.5 * through * kept ** (p - 1))
 
     def full_coefficients(self) -> ComplexArray:
-        """All terms of the Debye series together, in the closed form of Rayleigh and Mie."""
+        """Return the sum of the Debye series in the closed form of Rayleigh and Mie."""
         n = self.index
         j, dj, y, dy = self._outside
         j_in, dj_in, _, _ = self._inside
@@ -135,7 +135,7 @@ class Cylinder:
 def matched_orders(
     index: float, outside: RadialFunctions, inside: RadialFunctions, wronskians: complex
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """How one round surface divides each order, from matching u and du/dr.
+    """Return reflection and transmission of each order at a round surface, from matching u and du/dr.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def matched_orders(
 
 
 def _bessel_functions(orders: int, argument: float) -> RadialFunctions:
-    """J, J', Y, Y' for the orders 0 ... orders."""
+    """Return J, J', Y and Y' for the orders 0 to `orders`."""
     m = np.arange(orders + 1)
     j, y = np.asarray(jv(m, argument), float), np.asarray(yv(m, argument), float)
     return j, _slope(m, j, argument), y, _slope(m, y, argument)
@@ -178,7 +178,7 @@ def _slope(orders: NDArray[np.int_], values: Array, argument: float) -> Array:
 def outgoing_field(
     cylinder: Cylinder, beam: Beam, coefficients: ComplexArray, y_mm: ArrayLike, z_mm: ArrayLike
 ) -> ComplexArray:
-    """Sum of outgoing waves outside the cylinder.
+    """Return the sum of outgoing waves outside the cylinder.
 
     Parameters
     ----------
@@ -221,12 +221,12 @@ def outgoing_field(
 
 
 def transmitted_field(cylinder: Cylinder, beam: Beam, y_mm: ArrayLike, z_mm: ArrayLike) -> ComplexArray:
-    """What passes the cylinder once, without inner reflections (Debye p = 1); arguments as above."""
+    """Return the light that passes the cylinder once, without inner reflections (Debye p = 1)."""
     return outgoing_field(cylinder, beam, cylinder.debye_coefficients(1), y_mm, z_mm)
 
 
 def total_field(cylinder: Cylinder, beam: Beam, y_mm: ArrayLike, z_mm: ArrayLike) -> ComplexArray:
-    """The whole field outside: incident, reflected, and everything that comes out; arguments as above."""
+    """Return the total field outside: incident, reflected and transmitted; arguments as in the sum above."""
     scattered = outgoing_field(cylinder, beam, cylinder.full_coefficients(), y_mm, z_mm)
     return np.asarray(beam.field(y_mm, z_mm) + scattered)
 
@@ -234,7 +234,7 @@ def total_field(cylinder: Cylinder, beam: Beam, y_mm: ArrayLike, z_mm: ArrayLike
 def cylinder_scene(
     radius_mm: float = 0.1, wavelength_um: float = 0.532, spread: float = 0.12
 ) -> AnalyticCase:
-    """A beam from half a radius in front of a cylinder of index 1.5195 to a tenth of a radius behind it.
+    """Return the scene of a beam from half a radius in front of a cylinder to a tenth of a radius behind it.
 
     Parameters
     ----------
@@ -286,9 +286,9 @@ def cylinder_scene(
 
 
 def round_lens(title: str, radius_mm: float, wavelength_um: float, stop_angle: float) -> Lens:
-    """The middle of a cylinder or a sphere, as a lens for a point half a radius in front of it.
+    """Return the central part of a cylinder or a sphere as a lens for a point half a radius in front of it.
 
-    Its stop takes in rays up to an angle (radians).
+    Its stop admits rays up to an angle (radians).
     """
     stop = math.sin(math.asin(1.5 * math.sin(stop_angle)) - stop_angle)
     return Lens(

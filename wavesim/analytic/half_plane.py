@@ -1,4 +1,4 @@
-"""A beam that the straight edge of a screen cuts, behind a plane-parallel plate: Sommerfeld's half-plane, TE.
+"""Diffraction of a TE beam at a straight edge, seen through a plane-parallel plate: Sommerfeld's half-plane.
 
 A plane wave that comes in at the angle a on a black screen is behind it, in air, the sum of plane waves of
 the spectrum 1 / (4 pi i sin((a - b) / 2)) over all angles b, which is the incoming wave times Fresnel's
@@ -30,14 +30,14 @@ from wavesim.scene.scene import Scene
 Screen = Literal["black", "conductor"]
 
 BEYOND, FADES, STEEPEST = 0.2, 0.4, 1.5
-"""Radians: how far beyond the exit grid's border, as seen from the edge, plane waves are whole, and over how
-much more they fade out, at the most up to there. Steeper ones go by the exit grid."""
+"""Angles in radians beyond the exit grid's border, as seen from the edge, up to which plane waves are
+complete, and over which they are attenuated, and the upper limit. Steeper waves miss the exit grid."""
 
 LIT = 5.0
-"""What the beam is wide at the screen to either side of its middle, in units of its spread."""
+"""Half-width of the beam at the screen, in units of its spread."""
 
 GAP = 0.2
-"""From the screen to the plate, as a share of the object's distance."""
+"""Distance from the screen to the plate, relative to the object's distance."""
 
 STOP_SPREADS = 12.0
 """Semi-diameter of the stop, whose other end the beam does not reach."""
@@ -51,7 +51,7 @@ def half_plane_scene(
     spread: float = 0.05,
     screen: Screen = "black",
 ) -> AnalyticCase:
-    """A beam of which the upper half is stopped in front of a plate.
+    """Return the scene of a beam whose upper half is blocked in front of a plate.
 
     The waist is `distance_mm` in front of the stop's upper end, the plate a fifth of that behind it, the exit
     grid a `distance_mm` behind the plate.
@@ -111,9 +111,9 @@ def half_plane_scene(
 def _behind_screen(
     beam: Beam, distance_mm: float, reach_mm: tuple[float, float], screen: Screen
 ) -> tuple[Array, NDArray[np.complex128]]:
-    """Angles and weights of plane waves about the edge, behind a screen that covers y > 0.
+    """Return angles and weights of plane waves about the edge of a screen that covers y > 0.
 
-    They are for points within a reach of it, across and along the axis.
+    They represent the field at points within a reach of the edge, across and along the axis.
     """
     wide, far = reach_mm
     whole = math.atan(wide / far) + BEYOND
@@ -137,7 +137,7 @@ def _behind_screen(
 
 
 def _spectrum(beam: Beam, angle: Array, distance_mm: float) -> NDArray[np.complex128]:
-    """Of the beam about the edge, over angles."""
+    """Return the spectrum of the beam about the edge, over angles."""
     path = beam.wavenumber_per_mm * distance_mm * np.cos(angle)
     return np.asarray(np.exp(1j * path - 0.5 * (angle / beam.spread) ** 2))
 
@@ -145,7 +145,7 @@ def _spectrum(beam: Beam, angle: Array, distance_mm: float) -> NDArray[np.comple
 def _lens(
     index: float, thickness_mm: float, distance_mm: float, stop_mm: float, wavelength_um: float
 ) -> Lens:
-    """A stop in air, and a plate behind it."""
+    """Return the lens of a stop in air with a plate behind it."""
     return Lens(
         title="Stop in front of a plate",
         wavelengths_um=(wavelength_um,),

@@ -1,4 +1,4 @@
-"""The light of one object sample behind a stop in free space: Rayleigh-Sommerfeld sums.
+"""Light of one object sample behind a stop in free space, by Rayleigh-Sommerfeld sums.
 
 Rayleigh's first integral takes the light to the stop; what passes it radiates as the same integral says. On a
 line the stop is a slit and the sum is direct; on a plane it is a round hole about the sample's axis, and the
@@ -23,20 +23,20 @@ from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
 
 APART, BEHIND = 5.0, 10.0 / 3.0
-"""From the object to the stop and from there to the exit grid, over the stop's semi-diameter."""
+"""Distances from object to stop and from stop to exit grid, relative to the stop's semi-diameter."""
 
 SEEN = 1.2
-"""Half width of the exit grid, over the geometrical footprint's."""
+"""Half-width of the exit grid, relative to the geometrical footprint's."""
 
 OBJECT_SAMPLES, EXIT_SAMPLES = 5, 160
 NODES = 8
-"""Of a Gauss-Legendre rule in each panel, a wavelength wide."""
+"""Nodes of a Gauss-Legendre rule in each panel, which is one wavelength wide."""
 
 LARGEST, SMALLEST = 2000.0, 50.0
-"""Semi-diameter of the stop, in wavelengths."""
+"""Semi-diameter of the stop in wavelengths."""
 
 OWN_ERROR = 1e-5
-"""Of the sums: evanescent waves, and panels."""
+"""Relative error of the sums, from evanescent waves and panels."""
 
 BLOCK = 200
 

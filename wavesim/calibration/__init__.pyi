@@ -1,7 +1,7 @@
 from .calibrated import Calibrated, read_calibration
-from .estimation import calibrate
+from .frame_calibration import calibrate_empty, calibrate_frames
 from .free_space.field import FreeSpaceField, reconstruct_free_space
-from .from_frames import calibrate_empty, calibrate_frames
+from .known_object import calibrate
 from .planning import Plan, Plans, plan_frames
 
 __all__ = [

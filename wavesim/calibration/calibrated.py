@@ -1,4 +1,4 @@
-"""A bench that explains frames, and its file."""
+"""Result of a calibration: a bench that explains the frames, and its file."""
 
 from __future__ import annotations
 
@@ -22,64 +22,63 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.settings import StopOrigin
 from wavesim.sensor.mounting import mounting_of, mounting_table, read_table
 
-NOT_TOLD = 0.5
-"""Share of what is expected of a parameter: with a standard deviation beyond it, frames do not tell."""
+UNDETERMINED_DEVIATION = 0.5
+"""Standard deviation over the expected one above which the frames hardly determine a parameter."""
 
-ALIKE = 0.5
-"""Correlation of two parameters' errors from which on frames do not tell one from the other."""
+CORRELATED = 0.5
+"""Correlation of the errors of two parameters above which the frames do not distinguish them."""
 
 
 MOST_NAMED = 4
-"""Parameters that a sentence names."""
+"""Largest number of parameters that a sentence names."""
 
 STOP_PARAMETERS = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """A bench that explains the frames, and how well it does.
+    """A bench that explains the frames, and the quality of the calibration.
 
     Attributes
     ----------
     bench : Bench
-        With what was found.
+        The calibrated bench.
     parameters : tuple of str
-        Those that were sought.
+        Parameters that were sought.
     values : tuple of float
-        Estimate of each.
+        Estimate of each parameter.
     deviations : tuple of float or None
-        Standard deviation of each estimate, with what is expected of it before; None where the object was
-        known.
+        Standard deviation of each estimate, with the prior included; None for a known object.
     covariance : ndarray of shape (n, n), or None
-        Of the estimates, with the prior included; None where the object was known, and where the light comes
-        from other frames than the rest.
+        Covariance of the estimates, with the prior included; None for a known object, and where the light
+        comes from other frames than the other parameters.
     typical : tuple of float or None
-        What is expected of each.
+        Expected standard deviation of each parameter (prior).
     misfit_before, misfit : float
-        Relative L2 difference of amplitudes at the start and with the bench found, each with the best
+        Relative L2 difference of amplitudes at the start and with the calibrated bench, each with the best
         object.
     trail : tuple of (tuple of float, float)
-        Values tried, and their misfits.
+        Values that were tried, and their misfits.
     at_reach : tuple of str
-        Parameters that ended at the border of what was searched.
+        Parameters that ended at the bounds of the search.
     stopped_because : str
-        What ended the search.
+        Reason for the end of the search.
     misfit_of_noise : float or None
-        What the stated noise alone would leave (:func:`wavesim.sensor.measurement.noise_misfit`).
+        Misfit that the stated noise alone would leave (:func:`wavesim.sensor.measurement.noise_misfit`).
     traded : mapping
-        Of parameters that frames do not tell from others: names of the others.
+        For parameters that the frames do not distinguish from others: names of the others.
     nominal : tuple of str
-        Parameters that the frames do not need: the bench has their nominal values, and not the estimates.
+        Parameters that the frames do not need: the bench has their nominal values instead of the estimates.
     undetermined : tuple of str
-        Parameters that were not sought, for an object that is complex itself takes on what they do.
+        Parameters that were not sought, because a complex object can imitate them.
     applied : mapping or None
-        Values of the bench, by name; None where they are the estimates.
-    verdict : Verdict or None
-        How well the object found on this bench explains the frames, as :func:`wavesim.reconstruct_frames`
-        judges it; None where that was not asked for.
+        Values of the bench by name; None where they are the estimates.
+    verdict : GoodnessOfFit or None
+        Assessment of the object on this bench by :func:`wavesim.reconstruct_frames`; None if it was not
+        requested.
     field_stop_mm, field_stop_at_mm, field_stop_from : float or None, (x, y), str
-        Diameter and middle of the field stop of which the light was taken, and where they come from: "patch"
-        where nothing was stated, "stated", or "frames" where they were found.
+        Diameter and center of the field stop of the light, and their origin: "patch" if nothing was stated,
+        "stated", or "frames" if they were found.
     """
 
     bench: Bench
@@ -105,33 +104,37 @@ class Calibrated:
 
     @property
     def mounting(self) -> Placement:
-        """The lens as mounted."""
+        """Mounting of the lens."""
         return self.bench.placement
 
     @property
-    def not_told(self) -> tuple[str, ...]:
-        """Parameters of which the frames say next to nothing."""
+    def poorly_determined(self) -> tuple[str, ...]:
+        """Parameters that the frames hardly determine."""
         if self.deviations is None or self.typical is None:
             return ()
-        told = zip(self.parameters, self.deviations, self.typical, strict=True)
-        return tuple(name for name, deviation, typical in told if deviation > NOT_TOLD * typical)
+        rows = zip(self.parameters, self.deviations, self.typical, strict=True)
+        return tuple(
+            name for name, deviation, typical in rows if deviation > UNDETERMINED_DEVIATION * typical
+        )
 
     @property
-    def moved(self) -> tuple[str, ...]:
-        """Parameters, except backgrounds, in which the bench differs from its nominal values."""
+    def changed_parameters(self) -> tuple[str, ...]:
+        """Parameters, except backgrounds, in which the bench differs from the design."""
         applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
         return tuple(name for name, value in applied.items() if value and not name.endswith("_background"))
 
     @property
-    def stop_doubt(self) -> str:
-        """Why position and diameter of the field stop are not determined; empty where they are.
+    def stop_warning(self) -> str:
+        """Warning that position and diameter of the field stop are not determined; empty where they are.
 
-        A stop that is found is found on the nominal bench. A light that is wrong displaces it, and the
-        object with it, by what frames tell hardly from other light: residuals do not show that.
+        A field stop is found on the nominal bench. An error of the light displaces it together with the
+        object, in a way that frames hardly distinguish from other light. Residuals do not show this.
         """
-        if self.field_stop_from != "frames" or not self.moved:
+        if self.field_stop_from != "frames" or not self.changed_parameters:
             return ""
-        names = ", ".join(self.moved[:MOST_NAMED]) + ", ..." * (len(self.moved) > MOST_NAMED)
+        names = ", ".join(self.changed_parameters[:MOST_NAMED]) + ", ..." * (
+            len(self.changed_parameters) > MOST_NAMED
+        )
         return (
             "position and diameter of the field stop were found on the nominal bench, from which the "
             f"calibrated one differs ({names}): stop and object may be displaced together, and residuals do "
@@ -140,16 +143,16 @@ class Calibrated:
 
     @property
     def over_noise(self) -> float | None:
-        """Residuals over the expected ones, as the verdict states it; None where none was made."""
+        """Residuals over the expected ones, from the verdict; None without a verdict."""
         return None if self.verdict is None else self.verdict.over_noise
 
     @property
     def explained(self) -> bool | None:
-        """Whether the frames are explained, as the verdict states it; None where none was made."""
+        """Whether the frames are explained, from the verdict; None without a verdict."""
         return None if self.verdict is None else self.verdict.explained
 
     def table(self) -> dict[str, Any]:
-        """What :func:`read_calibration` reads, and all figures, ready for JSON."""
+        """Return all figures for JSON, with those that :func:`read_calibration` reads."""
         deviations = self.deviations or (None,) * len(self.parameters)
         return {
             "mounting": mounting_table(self.mounting),
@@ -158,8 +161,8 @@ class Calibrated:
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
             "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
             "kept_at_nominal": list(self.nominal),
-            "undetermined": [*self.undetermined, *STOP_PARAMETERS * bool(self.stop_doubt)],
-            "not_told": list(self.not_told),
+            "undetermined": [*self.undetermined, *STOP_PARAMETERS * bool(self.stop_warning)],
+            "not_told": list(self.poorly_determined),
             "not_told_from": {name: list(others) for name, others in self.traded.items()},
             "parameters": list(self.parameters),
             "misfit_before": self.misfit_before,
@@ -174,7 +177,7 @@ class Calibrated:
             "field_stop_mm": self.field_stop_mm,
             "field_stop_at_mm": list(self.field_stop_at_mm),
             "field_stop_from": self.field_stop_from,
-            "field_stop_doubt": self.stop_doubt,
+            "field_stop_doubt": self.stop_warning,
         }
 
     def __repr__(self) -> str:
@@ -185,35 +188,35 @@ class Calibrated:
 
     def _rows(self) -> list[tuple[str, str]]:
         noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
-        told = [(name, f"{value:.5g}") for name, value in zip(self.parameters, self.values, strict=True)]
-        told.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
-        told.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
-        return told + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
+        rows = [(name, f"{value:.5g}") for name, value in zip(self.parameters, self.values, strict=True)]
+        rows.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
+        rows.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
+        return rows + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
 
 
-def traded(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]]:
-    """For each parameter that has such, those with which its error goes along or against it."""
-    size = np.sqrt(np.diag(covariance))
-    alike = np.abs(covariance / np.outer(size, size)) >= ALIKE
+def correlated_parameters(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]]:
+    """Return, for each parameter that has such, the others with strongly correlated errors."""
+    deviations = np.sqrt(np.diag(covariance))
+    is_correlated = np.abs(covariance / np.outer(deviations, deviations)) >= CORRELATED
     found = {
         name: tuple(o for o, is_so in zip(names, row, strict=True) if is_so and o != name)
-        for name, row in zip(names, alike, strict=True)
+        for name, row in zip(names, is_correlated, strict=True)
     }
     return {name: others for name, others in found.items() if others}
 
 
 def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float]] | None:
-    """Diameter and middle of the field stop of a calibration; None where it had none but the patch's sides.
+    """Return diameter and center in mm of a calibration's field stop, or None if it is the patch itself.
 
     Parameters
     ----------
     path
-        Its calibration.json.
+        File calibration.json.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or states a field stop that is none.
+        If the file cannot be read, or its field stop is invalid.
     """
     table = read_table(path)
     if table.get("field_stop_from", "patch") == "patch":
@@ -228,13 +231,13 @@ def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, flo
     return float(numbers[0]), (float(numbers[1]), float(numbers[2]))
 
 
-def stop_doubt_of(path: str | os.PathLike[str]) -> str:
-    """Why the field stop of a calibration is not determined; empty where it is.
+def stop_warning_of(path: str | os.PathLike[str]) -> str:
+    """Return the warning that a calibration's field stop is not determined; empty where it is.
 
     Parameters
     ----------
     path
-        Its calibration.json.
+        File calibration.json.
 
     Raises
     ------
@@ -245,19 +248,24 @@ def stop_doubt_of(path: str | os.PathLike[str]) -> str:
 
 
 def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
-    """The bench that `wavesim calibrate` has found.
+    """Return the bench that `wavesim calibrate` has found.
 
     Parameters
     ----------
     path
-        Its calibration.json; one that holds a mounting alone does too.
+        File calibration.json, or a file with only a mounting.
     lens
         The design that was calibrated.
+
+    Returns
+    -------
+    Bench
+        The calibrated bench.
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds no calibration, or one of another kind of lens.
+        If the file cannot be read, contains no calibration, or belongs to another lens.
     """
     table = read_table(path)
     mounting, values = mounting_of(table["mounting"], path), table.get("applied", table.get("values"))
@@ -266,14 +274,14 @@ def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
     if not isinstance(values, dict):
         raise InputError(f"{path}: values: must be a table of numbers")
     allowed = all_names(lens)
-    mounted = [name for name in values if name not in allowed and name.startswith("plane_distance_")]
+    ignored = [name for name in values if name not in allowed and name.startswith("plane_distance_")]
     for name, value in values.items():
-        if name not in allowed and name not in mounted:
+        if name not in allowed and name not in ignored:
             raise InputError(
                 f"{path}: values: {name!r}: this lens has no such parameter{did_you_mean(name, allowed)}; "
                 "give the design that was calibrated"
             )
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{path}: values: {name} = {value!r}: must be a finite number")
-    kept = {name: float(value) for name, value in values.items() if name not in mounted}
+    kept = {name: float(value) for name, value in values.items() if name not in ignored}
     return Unknowns(lens, Bench(mounting), kept).bench

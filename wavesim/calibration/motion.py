@@ -1,4 +1,4 @@
-"""What moving a lens between object and sensor does to fields."""
+"""Derivatives of fields with respect to a rigid motion of the lens."""
 
 from __future__ import annotations
 
@@ -18,19 +18,24 @@ ComplexArray = NDArray[np.complexfloating]
 
 
 def motion(field: Field, mounting: Placement, parameter: str) -> ComplexArray:
-    """Change of a field for a unit of a rigid parameter if its sources moved with the lens.
+    """Return the change of a field per unit of a rigid parameter if its sources moved with the lens.
 
-    The generator of the motion: for a shift along x, -d/dx; for a rotation w about a point c,
-    -(w x (r - c)) . grad; along z the field goes on as free space has it.
+    The generator of the motion is -d/dx for a shift along x, and -(w x (r - c)) . grad for a rotation w
+    about a point c. The derivative along z follows from propagation in free space.
 
     Parameters
     ----------
     field
-        On a plane.
+        Field on a plane.
     mounting
-        Where the lens is.
+        Mounting of the lens.
     parameter
-        One of `DECENTERS` or `TILTS`.
+        One of `DECENTERS` (per mm) or `TILTS` (per deg).
+
+    Returns
+    -------
+    ndarray
+        Change of the field, of its shape.
     """
     along_x, along_y, along_z = gradient(field)
     if parameter == DECENTERS[0]:
@@ -57,7 +62,7 @@ def motion(field: Field, mounting: Placement, parameter: str) -> ComplexArray:
 
 
 def gradient(field: Field) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Derivatives of a field along x, y and z, the last for waves towards +z."""
+    """Return the derivatives of a field along x, y and z (for waves towards +z), per mm."""
     grid = field.grid
     spectrum = scipy.fft.fft2(np.asarray(field.values), workers=-1)
     cycles = fft_frequencies(grid.shape, grid.pitch_mm)

@@ -1,4 +1,4 @@
-"""What may be unknown of a bench: names, units, and how far each usually is from the design."""
+"""Parameters of a bench that may be unknown: names, units, and usual deviations from the design."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from wavesim.sensor.mounting import (
     with_values,
 )
 
-Part = Literal["light", "lens", "mounting", "camera"]
+Group = Literal["light", "lens", "mounting", "camera"]
 
 FIGURES = (3, 5, 7, 8)
-"""Zernike terms of a surface's figure, by OSA/ANSI index: astigmatism twice, coma twice."""
+"""Zernike terms of a surface's figure by OSA/ANSI index: two of astigmatism, two of coma."""
 
 FIGURE_STEP_UM, FIGURE_TYPICAL_UM = 0.03, 0.05
-"""Root mean square of one term: 0.08 waves of a 633 nm interferometer are usual."""
+"""Usual root mean square of one Zernike term in um: 0.08 waves of a 633 nm interferometer."""
 
 TYPICAL = {
     "index": 2e-3,
@@ -42,14 +42,16 @@ TYPICAL = {
     "tilt_deg": 0.3,
     "distance": 0.01,
 }
-"""Of a lens whose object is 1 mm in front of it, as shares or in mm; deviations of an equal number of waves
-are smaller the larger a lens is."""
+"""Usual deviations for a lens whose object is 1 mm in front of it, relative or in mm.
+
+Deviations of an equal number of waves are smaller for a larger lens.
+"""
 
 LIGHT_WAVES, PHASE_WAVES, AMPLITUDE = 1.0, 0.15, 0.1
-"""Of the light over the patch: tilt and bend in waves, and unevenness as a share."""
+"""Usual deviations of the light over the patch: tilt and bend in waves, and relative unevenness."""
 
 LIGHT_ORDER, LIGHT_ORDER_ALONE = 2, 4
-"""Highest sum of orders of the light's modes that are sought beside an unknown object, and without any."""
+"""Highest sum of orders of the light's modes with an unknown object, and without an object."""
 
 LIGHT_MODE = re.compile(r"light_(amplitude|phase)_(\d)(\d)(?:_waves)?")
 
@@ -57,22 +59,22 @@ MOST_PLANES = 99
 
 SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
 
-STEP_SHARE = 0.05
-"""Of what is usual of a parameter: so small a change is linear."""
+STEP_FRACTION = 0.05
+"""Step of a parameter over its usual deviation; its effect is linear over this step."""
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Values of what is sought, beside a bench that holds all else.
+    """Values of the parameters that are sought, and a bench with all other values.
 
     Attributes
     ----------
     lens : Lens
         The nominal lens.
     fixed : Bench
-        What is not sought.
+        Bench with the values that are not sought.
     values : mapping
-        By name.
+        Values that are sought, by name.
     """
 
     lens: Lens
@@ -80,72 +82,77 @@ class Unknowns:
     values: Mapping[str, float] = field(default_factory=dict)
 
     def changed(self, names: Sequence[str], values: Sequence[float]) -> Unknowns:
-        """The same but for some values."""
+        """Return a copy with some values changed."""
         return replace(self, values={**self.values, **dict(zip(names, map(float, values), strict=True))})
 
     def of(self, names: Sequence[str]) -> Array:
-        """Values by name; 0 for what has none."""
+        """Return values by name; a value that is not set is 0."""
         return np.array([self.values.get(name, 0.0) for name in names])
 
     @property
     def bench(self) -> Bench:
-        """With these values."""
+        """Bench with these values."""
         result = self.fixed
-        for part in (_with_light, _with_camera, _with_lens, _with_mounting):
-            result = part(self, result)
+        for add_group in (_with_light, _with_camera, _with_lens, _with_mounting):
+            result = add_group(self, result)
         return result
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Something that may be unknown.
+    """A parameter of a bench that may be unknown.
 
     Attributes
     ----------
     name : str
-        With its unit.
-    part : {"light", "lens", "mounting", "camera"}
+        Name with its unit.
+    group : {"light", "lens", "mounting", "camera"}
+        Part of the bench to which it belongs.
     typical : float
-        Standard deviation that is expected.
+        Expected standard deviation (prior).
     usual : float, optional
-        The same of a bench of which nobody has said anything, where that is another.
+        Standard deviation of a usual bench, if it differs from `typical`.
     """
 
     name: str
-    part: Part
+    group: Group
     typical: float
     usual: float | None = None
 
     @property
     def small(self) -> float:
-        """A change over which its effect is taken as linear, and is no rounding."""
-        return STEP_SHARE * (self.usual or self.typical)
+        """Step over which the effect of the parameter is linear and well above rounding errors."""
+        return STEP_FRACTION * (self.usual or self.typical)
 
 
 def bench_parameters(
     lens: Lens, planes: int, patch_mm: float, wavelength_um: float, *, light_order: int = LIGHT_ORDER
 ) -> tuple[Parameter, ...]:
-    """All that may be sought of a bench, with what is expected of each.
+    """Return all parameters of a bench with their expected deviations.
 
-    The first plane is the reference of the others: its shift is the lens's decenter, its distance the lens's
-    despace.
+    The first plane is the reference of the others. Its shift is the lens's decenter, and its distance the
+    lens's despace.
 
     Parameters
     ----------
     lens
         The nominal lens.
     planes
-        How many were recorded.
+        Number of planes.
     patch_mm
-        Side of the object patch.
+        Side of the object patch in mm.
     wavelength_um
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     light_order
-        Highest sum of orders of the light's modes; 0 where no light is told from the object: not from one
-        that is complex itself.
+        Highest sum of orders of the light's modes. 0 excludes the light, which a complex object can imitate.
+
+    Returns
+    -------
+    tuple of Parameter
+        All parameters, in a fixed order.
     """
-    found = list(_of_light(patch_mm, wavelength_um, light_order)) if light_order else []
-    pitch_um, size = lens.sensor.pixel_pitch_um, abs(lens.object_z_mm)
+    found = list(_light_parameters(patch_mm, wavelength_um, light_order)) if light_order else []
+    pitch_um, object_distance_mm = lens.sensor.pixel_pitch_um, abs(lens.object_z_mm)
     for n in range(1, planes + 1):
         if n > 1:
             found += [
@@ -154,19 +161,19 @@ def bench_parameters(
             found.append(Parameter(PLANE_DISTANCE.format(n), "camera", TYPICAL["distance"]))
         found.append(Parameter(f"plane_{n}_background", "camera", BACKGROUND))
     half_mm = 0.5e-3 * pitch_um * max(lens.sensor.pixels)
-    tilted = math.degrees(TYPICAL["distance"] / half_mm)
-    found += [Parameter(name, "camera", tilted) for name in SENSOR_TILTS]
-    # Errors of equal effect in waves are shares that fall as a lens grows.
-    share = min(1.0, 1.0 / size)
-    found += _of_lens(lens, share)
+    tilt_deg = math.degrees(TYPICAL["distance"] / half_mm)
+    found += [Parameter(name, "camera", tilt_deg) for name in SENSOR_TILTS]
+    # Relative errors with an equal effect in waves decrease with the size of the lens.
+    fraction = min(1.0, 1.0 / object_distance_mm)
+    found += _lens_parameters(lens, fraction)
     found += [Parameter(name, "mounting", TYPICAL["decenter"]) for name in DECENTERS]
-    found += [Parameter(name, "mounting", TYPICAL["tilt_deg"] * share) for name in TILTS]
+    found += [Parameter(name, "mounting", TYPICAL["tilt_deg"] * fraction) for name in TILTS]
     found.append(Parameter(WORKING_DISTANCE, "mounting", TYPICAL["distance"]))
     return tuple(found)
 
 
 def all_names(lens: Lens) -> tuple[str, ...]:
-    """Of whatever may be sought of a lens and its bench."""
+    """Return the names of all parameters that a lens and its bench can have."""
     found = bench_parameters(lens, MOST_PLANES, 1.0, 1.0, light_order=LIGHT_ORDER_ALONE)
     return tuple(p.name for p in found)
 
@@ -174,21 +181,21 @@ def all_names(lens: Lens) -> tuple[str, ...]:
 def with_priors(
     parameters: Sequence[Parameter], priors: Mapping[str, float], allowed: Sequence[str]
 ) -> tuple[Parameter, ...]:
-    """The same, of which other standard deviations are expected.
+    """Return parameters with other expected standard deviations.
 
     Parameters
     ----------
     parameters
-        What is sought.
+        Parameters that are sought.
     priors
-        Standard deviations by name; the others stay as they are.
+        Standard deviations by name; other parameters stay as they are.
     allowed
-        Names that there are.
+        Names that exist.
 
     Raises
     ------
     InputError
-        If a name is none of them, or a deviation not above 0.
+        If a name does not exist, or a standard deviation is not above 0.
     """
     for name, deviation in priors.items():
         if name not in allowed:
@@ -201,20 +208,21 @@ def with_priors(
 
 
 def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """Those asked for: all, parts (light, lens, mounting, camera), or names, separated by commas.
+    """Return the requested parameters: all, groups (light, lens, mounting, camera), or names, separated by
+    commas.
 
     Raises
     ------
     InputError
-        If a name is unknown or stands twice.
+        If a name is unknown or is given twice.
     """
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    parts = {parameter.part for parameter in allowed}
+    names_and_groups = [word.strip() for word in text.split(",") if word.strip()]
+    parts = {parameter.group for parameter in allowed}
     names = [parameter.name for parameter in allowed]
     chosen: list[Parameter] = []
-    for word in words:
+    for word in names_and_groups:
         found = [
-            p for p in allowed if word in ("all", p.part, p.name) or (word == "rigid" and p.name in RIGID)
+            p for p in allowed if word in ("all", p.group, p.name) or (word == "rigid" and p.name in RIGID)
         ]
         if not found:
             raise InputError(
@@ -231,14 +239,16 @@ SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
 
 
 def light_orders(name: str) -> Orders:
-    """Of the mode of the light that a parameter changes: a tilt is a mode of the phase, too."""
+    """Return the orders of the mode of the light that a parameter changes; a tilt is a mode of the phase,
+    too.
+    """
     match = LIGHT_MODE.fullmatch(name)
     if match is None:
         return (1, 0) if name == "light_tilt_x_deg" else (0, 1)
     return int(match[2]), int(match[3])
 
 
-def _of_light(patch_mm: float, wavelength_um: float, order: int) -> list[Parameter]:
+def _light_parameters(patch_mm: float, wavelength_um: float, order: int) -> list[Parameter]:
     tilt_deg = math.degrees(1e-3 * LIGHT_WAVES * wavelength_um / patch_mm)
     return [
         *(Parameter(f"light_tilt_{axis}_deg", "light", tilt_deg) for axis in "xy"),
@@ -248,32 +258,32 @@ def _of_light(patch_mm: float, wavelength_um: float, order: int) -> list[Paramet
 
 
 def _orders(least: int, most: int) -> list[Orders]:
-    """Of modes, by their sum; the phase's first orders are the tilt."""
+    """Return the orders of modes, sorted by their sum; the first orders of the phase are the tilt."""
     return [(total - j, j) for total in range(least, most + 1) for j in range(total + 1)]
 
 
-def _of_lens(lens: Lens, share: float) -> list[Parameter]:
+def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
     found = []
-    for number, surface in enumerate(lens.surfaces, start=1):
-        head = f"surface_{number}_"
+    for surface_number, surface in enumerate(lens.surfaces, start=1):
+        prefix = f"surface_{surface_number}_"
         if surface.material is not None:
-            found.append(Parameter(f"{head}index", "lens", TYPICAL["index"] * share))
+            found.append(Parameter(f"{prefix}index", "lens", TYPICAL["index"] * fraction))
         if surface.radius_mm and math.isfinite(surface.radius_mm):
             found.append(
-                Parameter(f"{head}radius_mm", "lens", TYPICAL["radius"] * share * abs(surface.radius_mm))
+                Parameter(f"{prefix}radius_mm", "lens", TYPICAL["radius"] * fraction * abs(surface.radius_mm))
             )
-        if number < len(lens.surfaces):
-            found.append(Parameter(f"{head}thickness_mm", "lens", TYPICAL["thickness"]))
+        if surface_number < len(lens.surfaces):
+            found.append(Parameter(f"{prefix}thickness_mm", "lens", TYPICAL["thickness"]))
         if surface.semi_diameter_mm is not None:
-            found += [Parameter(f"{head}figure_{j}_um", "lens", FIGURE_TYPICAL_UM) for j in FIGURES]
+            found += [Parameter(f"{prefix}figure_{j}_um", "lens", FIGURE_TYPICAL_UM) for j in FIGURES]
     return found
 
 
 def _with_light(unknowns: Unknowns, bench: Bench) -> Bench:
-    told, light = unknowns.values, bench.light
-    x, y = (told.get(f"light_tilt_{a}_deg", own) for a, own in zip("xy", light.tilt_deg, strict=True))
+    values, light = unknowns.values, bench.light
+    x, y = (values.get(f"light_tilt_{a}_deg", own) for a, own in zip("xy", light.tilt_deg, strict=True))
     modes = {"amplitude": dict(light.amplitude), "phase": dict(light.phase_waves)}
-    for name, value in told.items():
+    for name, value in values.items():
         if match := LIGHT_MODE.fullmatch(name):
             modes[match[1]][light_orders(name)] = value
     found = replace(light, tilt_deg=(x, y), amplitude=modes["amplitude"], phase_waves=modes["phase"])
@@ -281,34 +291,40 @@ def _with_light(unknowns: Unknowns, bench: Bench) -> Bench:
 
 
 def _with_camera(unknowns: Unknowns, bench: Bench) -> Bench:
-    told = unknowns.values
+    values = unknowns.values
     planes = max(
-        (int(n.split("_")[1]) for n in told if n.startswith("plane_") and "_distance_" not in n), default=0
+        (int(n.split("_")[1]) for n in values if n.startswith("plane_") and "_distance_" not in n), default=0
     )
     shifts = [*bench.plane_shifts_um, *((0.0, 0.0),) * planes]
     backgrounds = [*bench.plane_backgrounds, *(0.0,) * planes]
     for n in range(planes):
-        x, y = (told.get(f"plane_{n + 1}_shift_{a}_um", own) for a, own in zip("xy", shifts[n], strict=True))
+        x, y = (
+            values.get(f"plane_{n + 1}_shift_{a}_um", own) for a, own in zip("xy", shifts[n], strict=True)
+        )
         shifts[n] = (x, y)
-        backgrounds[n] = max(told.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
-    kept = max(planes, len(bench.plane_shifts_um)), max(planes, len(bench.plane_backgrounds))
+        backgrounds[n] = max(values.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
+    counts = max(planes, len(bench.plane_shifts_um)), max(planes, len(bench.plane_backgrounds))
     return replace(
-        bench, plane_shifts_um=tuple(shifts[: kept[0]]), plane_backgrounds=tuple(backgrounds[: kept[1]])
+        bench, plane_shifts_um=tuple(shifts[: counts[0]]), plane_backgrounds=tuple(backgrounds[: counts[1]])
     )
 
 
 def _with_lens(unknowns: Unknowns, bench: Bench) -> Bench:
     deltas = dict(bench.placement.surface_perturbations)
     for n, surface in enumerate(unknowns.lens.surfaces):
-        head = f"surface_{n + 1}_"
-        mine = {name[len(head) :]: v for name, v in unknowns.values.items() if name.startswith(head) and v}
-        terms = {int(name.split("_")[1]): mine.pop(name) for name in list(mine) if name.startswith("figure_")}
-        given: dict[str, Any] = dict(mine)
+        prefix = f"surface_{n + 1}_"
+        changes = {
+            name[len(prefix) :]: v for name, v in unknowns.values.items() if name.startswith(prefix) and v
+        }
+        terms = {
+            int(name.split("_")[1]): changes.pop(name) for name in list(changes) if name.startswith("figure_")
+        }
+        perturbation: dict[str, Any] = dict(changes)
         if terms:
             assert surface.semi_diameter_mm is not None
-            given["figure"] = figure_from_zernike(terms, surface.semi_diameter_mm)
-        if given:
-            deltas[n] = replace(deltas.get(n, SurfacePerturbation()), **given)
+            perturbation["figure"] = figure_from_zernike(terms, surface.semi_diameter_mm)
+        if perturbation:
+            deltas[n] = replace(deltas.get(n, SurfacePerturbation()), **perturbation)
     return replace(bench, placement=replace(bench.placement, surface_perturbations=deltas))
 
 

@@ -1,14 +1,14 @@
-"""Which frames to take: how many planes, where, and which exposures, before any frame is there.
+"""Recommend the number, positions and exposure times of the recording planes, before frames are recorded.
 
-Each plan is tried: objects of the kind are imaged through the lens by a sensor with noise and reconstructed
-as :func:`wavesim.reconstruct_frames` reconstructs them. Planes are spread evenly; one exposure stands beside
-a bracket. Where lens or patch is large, a smaller twin of it stands for it (:class:`Twin`).
+Each plan is simulated. Objects of the kind are imaged through the lens by a sensor with noise, and
+reconstructed as by :func:`wavesim.reconstruct_frames`. Planes are spread evenly; plans with one exposure are
+compared with plans with several. A large lens or patch is replaced by a smaller twin (:class:`Twin`).
 
 The correlation depends on the object. Noise leaves an error of nearly the same size whatever the object is,
 and the correlation compares this error with the light that the object changes. A thin phase object changes
-little light. Most of its error is smooth phase, which the planes hardly determine: iterations reach the noise
-before smooth phase has converged. Each plan is therefore tried with several objects (:data:`TRIAL_OBJECTS`),
-and the prediction is the range of their correlations.
+little light. Most of its error is smooth phase, which the planes hardly determine: iterations reach the
+noise before smooth phase has converged. Each plan is therefore tried with several objects
+(:data:`TRIAL_OBJECTS`), and the prediction is the range of their correlations.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.metrics.judgement import truth_metrics
 from wavesim.reconstruction.diagnostics.held_out import hold_out
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
@@ -45,33 +45,35 @@ from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import TILE_ERROR, diversity, exit_scene, footprint_mm
 from wavesim.targets.patch import Patch, lit, object_patch
 
-SIDE, SAMPLES = 144, 192
-"""Pixels across the light on the farthest plane, and samples of the object, that a twin has at most."""
+MOST_PIXELS, MOST_SAMPLES = 144, 192
+"""Largest number of pixels across the light on the farthest plane, and of object samples along a side, of a
+twin.
+"""
 
 EXPLAINED = 1.2
-"""Misfit over that of the noise, up to which an object explains the frames of a plan."""
+"""Misfit over that of the noise up to which an object explains the frames of a plan."""
 
-ALIKE = 0.9
-"""Fraction of the lens's diversity from which on that of a twin counts as the same."""
+SAME_DIVERSITY = 0.9
+"""Fraction of the lens's diversity above which that of a twin counts as the same."""
 
 SMOOTH_CYCLES = 4.0
-"""Errors of fewer cycles than this across the patch count as smooth."""
+"""Errors with fewer cycles than this across the patch count as smooth."""
 
 
 class _Random(NamedTuple):
-    """Random patterns on a patch, of which the samples inside the field stop are the measure."""
+    """Random patterns on a patch, normalized by the samples inside the field stop."""
 
     generator: np.random.Generator
     inside: NDArray[np.bool_]
 
     def smooth(self, detail: float) -> NDArray[np.float64]:
-        """Noise of mean 0 and standard deviation 1, smoothed by a Gaussian of so many samples."""
+        """Return noise of mean 0 and standard deviation 1, smoothed by a Gaussian of `detail` samples."""
         values = gaussian_filter(self.generator.standard_normal(self.inside.shape), detail)
-        own = values[self.inside]
-        return np.asarray((values - own.mean()) / own.std())
+        inside_values = values[self.inside]
+        return np.asarray((values - inside_values.mean()) / inside_values.std())
 
     def grains(self, detail: float, fraction: float) -> NDArray[np.bool_]:
-        """Grains that cover a fraction of the samples."""
+        """Return grains that cover a fraction of the samples."""
         values = self.smooth(detail)
         return np.asarray(values > np.quantile(values[self.inside], 1.0 - fraction))
 
@@ -84,9 +86,9 @@ class TrialObject(NamedTuple):
     kind : str
         "complex" or "amplitude".
     description : str
-        What it is, in words.
+        Description for the user.
     transmission : callable
-        Makes its transmission from random patterns.
+        Returns the transmission from random patterns.
     """
 
     kind: Kind
@@ -127,16 +129,26 @@ TRIAL_OBJECTS = {
         lambda random: np.exp(1j * random.grains(4.0, 0.05)),
     ),
 }
-"""Objects with which plans are tried, by name: those that change much of the light and those that change
-little."""
+"""Objects with which plans are tried, by name. Some change much of the light, others change little."""
 
 
 class Twin(NamedTuple):
-    """What was simulated in place of lens and patch.
+    """Smaller lens and patch that are simulated in place of the real ones.
 
-    The patch shrinks by the root of the lens's scale, so that planes tell as much of the phase, but where the
-    twin's field or `SAMPLES` leave less. Read noise grows as the patch shrinks: that of all pixels together
-    then stands to their light as it does on the lens itself.
+    The patch shrinks with the square root of the lens's scale, so that the planes keep their diversity,
+    unless the twin's field or `MOST_SAMPLES` are too small. Read noise grows as the patch shrinks, so that
+    its total over all pixels has the same ratio to the light.
+
+    Attributes
+    ----------
+    scale : float
+        Size of the twin over that of the lens.
+    patch_mm : float
+        Side of the twin's patch in mm.
+    read_noise_electrons : float
+        Read noise of the twin in electrons.
+    diversity : float
+        Diversity of the twin's planes.
     """
 
     scale: float
@@ -147,27 +159,27 @@ class Twin(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """Frames that might be taken, and what they would tell of an object.
+    """Frames that might be taken, and the predicted quality of a reconstruction.
 
     Attributes
     ----------
     planes_mm : tuple of float
-        From the exit vertex of the lens itself.
+        Distances of the planes from the exit vertex of the lens in mm.
     exposures : tuple of float
         Exposure times of each plane; 1 gives the peak fill of the brightest pixel.
     correlation : float
-        Lowest correlation of the object found with the true one
-        (:func:`wavesim.metrics.contrast.object_correlation`), of all objects tried.
+        Lowest correlation between the reconstructed and the true object
+        (:func:`wavesim.metrics.contrast.object_correlation`), of all trial objects.
     misfit_over_noise : float
-        Misfit of the frames over that of their noise, of the object that is explained worst: far above 1,
-        the object that explains the frames was not found.
+        Misfit of the frames over that of their noise, for the object that is explained worst. A value far
+        above 1 means that the object was not found.
     iterations : int
         Iterations of the longest reconstruction.
     by_object : dict
-        Correlation of each trial object, by its name.
+        Correlation of each trial object by name.
     smooth_fraction : float
-        Fraction of the squared error with less than `SMOOTH_CYCLES` cycles across the patch, of the object of
-        the lowest correlation.
+        Fraction of the squared error with less than `SMOOTH_CYCLES` cycles across the patch, for the object
+        with the lowest correlation.
     """
 
     planes_mm: tuple[float, ...]
@@ -180,39 +192,39 @@ class Plan:
 
     @property
     def frames(self) -> int:
-        """To be taken."""
+        """Number of frames."""
         return len(self.planes_mm) * len(self.exposures)
 
     @property
     def highest_correlation(self) -> float:
-        """Highest correlation of all objects tried."""
+        """Highest correlation of all trial objects."""
         return max([self.correlation, *self.by_object.values()])
 
     @property
     def error(self) -> float:
-        """Largest relative error of what the object does to its light: sqrt(1 - correlation^2)."""
+        """Largest relative error of the light that the object changes: sqrt(1 - correlation^2)."""
         return math.sqrt(max(1.0 - self.correlation**2, 0.0))
 
 
 @dataclass(frozen=True)
 class Plans:
-    """Plans compared.
+    """Comparison of plans.
 
     Attributes
     ----------
     settings : PlanSettings
-        For which they are.
+        Settings of the comparison.
     twin : Twin
-        On which they were tried.
+        Twin that was simulated.
     diversity : float
-        What the outermost planes tell of the phase on the lens itself.
+        Diversity of the outermost planes of the lens itself.
     plans : tuple of Plan
-        Fewest frames first.
+        Plans, sorted by their number of frames.
     strengths : dict
-        Fraction of the transmitted amplitude that each trial object changes, rms.
+        For each trial object, the rms fraction of the transmitted amplitude that it changes.
     engine_error : float
-        Upper bound of the relative error of the engine on the nearest plane. It is not part of the
-        prediction, since the same engine makes the frames and reconstructs.
+        Upper bound of the engine's relative error on the nearest plane. It is not part of the prediction,
+        since the same engine makes the frames and reconstructs.
     """
 
     settings: PlanSettings
@@ -224,7 +236,7 @@ class Plans:
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """What the predictions take for granted, in sentences."""
+        """Assumptions of the predictions, as sentences."""
         chosen, best = self.settings, self.recommended
         objects = "; ".join(
             f"{name} ({TRIAL_OBJECTS[name].description}, changes {strength:.2g} of the light's amplitude)"
@@ -247,7 +259,7 @@ class Plans:
                 f"{self.twin.diversity:.3g}, those of the lens {self.diversity:.3g}"
                 + (
                     ": objects that change much of the light converge more slowly on the lens."
-                    if self.twin.diversity < ALIKE * self.diversity
+                    if self.twin.diversity < SAME_DIVERSITY * self.diversity
                     else "."
                 )
             )
@@ -261,17 +273,19 @@ class Plans:
 
     @property
     def enough(self) -> bool:
-        """Whether a plan reaches the correlation that is asked for."""
+        """Whether a plan reaches the requested correlation."""
         return self.recommended.correlation >= self.settings.correlation
 
     @property
     def at_noise(self) -> bool:
-        """Whether the frames of the recommended plan are explained, so that only their noise is left."""
+        """Whether the frames of the recommended plan are explained up to their noise."""
         return self.recommended.misfit_over_noise <= EXPLAINED
 
     @property
     def recommended(self) -> Plan:
-        """Of the fewest frames that reach the correlation asked for; the best where none does."""
+        """Plan with the fewest frames that reaches the requested correlation, or the best one if none
+        does.
+        """
         reaching = [plan for plan in self.plans if plan.correlation >= self.settings.correlation]
         return reaching[0] if reaching else max(self.plans, key=lambda plan: plan.correlation)
 
@@ -298,23 +312,28 @@ class Plans:
 def plan_frames(
     lens: Lens, settings: PlanSettings | None = None, *, progress: Progress | None = None, **changes: Any
 ) -> Plans:
-    """Predict how well objects are reconstructed from one plane or more, of one exposure or several.
+    """Predict the quality of reconstructions from different numbers of planes and exposures.
 
     Parameters
     ----------
     lens
         The nominal lens.
     settings
-        All that may be set; defaults if left out.
+        All settings; default: `PlanSettings()`.
     progress
-        Told what is tried, how many plans are done, and of how many.
+        Callback `progress(stage, completed, total)` with the number of plans.
     **changes
-        Settings by name, in place of those of `settings`.
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    Plans
+        All plans, and the recommended one.
 
     Raises
     ------
     InputError, SamplingError
-        If a value is not usable.
+        If a value is invalid.
     """
     settings = (settings or PlanSettings()).replaced(**changes)
     validate_lengths(lens, settings)
@@ -322,18 +341,18 @@ def plan_frames(
     patch_mm = lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm
     patch = object_patch(lens, patch_mm, wavelength_um=settings.wavelength_um)
     twin = _twin(lens, patch, settings, far)
-    own = lens if twin.scale == 1.0 else scaled(lens, twin.scale)
-    small = object_patch(own, twin.patch_mm, wavelength_um=settings.wavelength_um)
-    brackets = dict.fromkeys([settings.exposures[:1], settings.exposures])
-    wanted = [
+    small_lens = lens if twin.scale == 1.0 else scaled(lens, twin.scale)
+    small = object_patch(small_lens, twin.patch_mm, wavelength_um=settings.wavelength_um)
+    exposure_sets = dict.fromkeys([settings.exposures[:1], settings.exposures])
+    candidates = [
         (tuple(float(z) for z in np.linspace(near, far, count)), exposures)
         for count in range(1, settings.most_planes + 1)
-        for exposures in brackets
+        for exposures in exposure_sets
     ]
-    wanted.sort(key=lambda one: (len(one[0]) * len(one[1]), len(one[0])))
+    candidates.sort(key=lambda plan: (len(plan[0]) * len(plan[1]), len(plan[0])))
     targets = random_objects(small, settings)
     return predicted_plans(
-        own, targets, settings, twin, wanted, diversity(lens, patch, (near, far)), progress
+        small_lens, targets, settings, twin, candidates, diversity(lens, patch, (near, far)), progress
     )
 
 
@@ -342,54 +361,56 @@ def predicted_plans(
     targets: Mapping[str, Field],
     settings: PlanSettings,
     twin: Twin,
-    wanted: Sequence[tuple[tuple[float, ...], tuple[float, ...]]],
+    candidates: Sequence[tuple[tuple[float, ...], tuple[float, ...]]],
     diversity_of_planes: float,
     progress: Progress | None = None,
 ) -> Plans:
-    """Try some plans on a twin.
+    """Simulate plans on a twin.
 
     Parameters
     ----------
     lens
-        The twin itself.
+        The twin's lens.
     targets
-        Objects with which plans are tried, by name.
+        Trial objects by name.
     settings, twin
-        As of :class:`Plans`.
-    wanted
-        Planes (of the lens for which the twin stands) and exposures of each plan.
+        See :class:`Plans`.
+    candidates
+        Planes in mm (of the original lens) and exposures of each plan.
     diversity_of_planes
-        Of the lens for which the twin stands.
+        Diversity of the original lens's planes.
     progress
-        As of :func:`plan_frames`.
+        See :func:`plan_frames`.
     """
-    tell = progress or (lambda what, done, count: None)
-    tell("frames of all plans", 0, len(wanted))
-    planes = sorted({z for planes, _ in wanted for z in planes})
-    tries = {name: _tries(lens, target, settings, twin, planes) for name, target in targets.items()}
+    progress = progress or (lambda what, done, count: None)
+    progress("frames of all plans", 0, len(candidates))
+    planes = sorted({z for planes, _ in candidates for z in planes})
+    trials = {name: _trial(lens, target, settings, twin, planes) for name, target in targets.items()}
     plans = []
-    for number, (planes_mm, exposures) in enumerate(wanted):
-        tell(f"{len(planes_mm)} planes, {len(exposures)} exposures", number, len(wanted))
-        outcomes = {name: one.outcome(settings.kind, planes_mm, exposures) for name, one in tries.items()}
+    for index, (planes_mm, exposures) in enumerate(candidates):
+        progress(f"{len(planes_mm)} planes, {len(exposures)} exposures", index, len(candidates))
+        outcomes = {
+            name: trial.outcome(settings.kind, planes_mm, exposures) for name, trial in trials.items()
+        }
         plans.append(_plan(planes_mm, exposures, outcomes))
-    tell("planned", len(wanted), len(wanted))
-    strengths = {name: _strength(one.target.values[one.inside]) for name, one in tries.items()}
-    engine_error = max(one.engine_error for one in tries.values())
+    progress("planned", len(candidates), len(candidates))
+    strengths = {name: _strength(trial.target.values[trial.inside]) for name, trial in trials.items()}
+    engine_error = max(trial.engine_error for trial in trials.values())
     return Plans(settings, twin, diversity_of_planes, tuple(plans), strengths, engine_error)
 
 
 def _plan(
     planes_mm: tuple[float, ...], exposures: tuple[float, ...], outcomes: Mapping[str, _Outcome]
 ) -> Plan:
-    """The plan as its worst object has it."""
-    worst = min(outcomes.values(), key=lambda one: one.correlation)
+    """Return a plan with the figures of its worst object."""
+    worst = min(outcomes.values(), key=lambda trial: trial.correlation)
     return Plan(
         planes_mm,
         exposures,
         worst.correlation,
-        max(one.misfit_over_noise for one in outcomes.values()),
-        max(one.iterations for one in outcomes.values()),
-        {name: one.correlation for name, one in outcomes.items()},
+        max(trial.misfit_over_noise for trial in outcomes.values()),
+        max(trial.iterations for trial in outcomes.values()),
+        {name: trial.correlation for name, trial in outcomes.items()},
         worst.smooth_fraction,
     )
 
@@ -404,35 +425,35 @@ def _range(lens: Lens, settings: PlanSettings) -> tuple[float, float]:
 
 
 def _twin(lens: Lens, patch: Patch, settings: PlanSettings, far_mm: float) -> Twin:
-    across = 1e3 * footprint_mm(lens, patch, far_mm) / lens.sensor.pixel_pitch_um
-    scale = min(1.0, SIDE / across)
-    widest = SAMPLES * patch.grid.pitch_mm
-    patch_mm = min(patch.field_stop_mm * math.sqrt(scale), scale * lens.object.field_diameter_mm, widest)
-    own = scaled(lens, scale)
-    small = object_patch(own, patch_mm, wavelength_um=settings.wavelength_um)
+    pixels_across = 1e3 * footprint_mm(lens, patch, far_mm) / lens.sensor.pixel_pitch_um
+    scale = min(1.0, MOST_PIXELS / pixels_across)
+    widest_mm = MOST_SAMPLES * patch.grid.pitch_mm
+    patch_mm = min(patch.field_stop_mm * math.sqrt(scale), scale * lens.object.field_diameter_mm, widest_mm)
+    small_lens = scaled(lens, scale)
+    small = object_patch(small_lens, patch_mm, wavelength_um=settings.wavelength_um)
     near, far = (scale * z for z in _range(lens, settings))
     noise = settings.read_noise_electrons * patch.field_stop_mm / patch_mm
-    return Twin(scale, patch_mm, noise, diversity(own, small, (near, far)))
+    return Twin(scale, patch_mm, noise, diversity(small_lens, small, (near, far)))
 
 
 def random_objects(patch: Patch, settings: PlanSettings) -> dict[str, Field]:
-    """The trial objects of a kind on a patch, by name."""
+    """Return the trial objects of a kind on a patch, by name."""
     random = _Random(np.random.default_rng(settings.seed), patch.inside)
     return {
-        name: Field(patch.grid, one.transmission(random).astype(np.complex64), patch.wavelength_um)
-        for name, one in TRIAL_OBJECTS.items()
-        if one.kind == settings.kind
+        name: Field(patch.grid, trial.transmission(random).astype(np.complex64), patch.wavelength_um)
+        for name, trial in TRIAL_OBJECTS.items()
+        if trial.kind == settings.kind
     }
 
 
 def _strength(transmission: NDArray[Any]) -> float:
-    """Fraction of the transmitted amplitude that is not the mean."""
+    """Return the fraction of the transmitted amplitude that differs from the mean."""
     power = float(np.mean(np.abs(transmission) ** 2))
     return math.sqrt(max(1.0 - abs(complex(np.mean(transmission, dtype=complex))) ** 2 / power, 0.0))
 
 
 class _Outcome(NamedTuple):
-    """What one plan gave of one object."""
+    """Result of one plan for one object."""
 
     correlation: float
     misfit_over_noise: float
@@ -440,8 +461,8 @@ class _Outcome(NamedTuple):
     smooth_fraction: float
 
 
-class _Tries(NamedTuple):
-    """What all plans share for one object: frames by plane and exposure, and the engine."""
+class _Trial(NamedTuple):
+    """Frames by plane and exposure, and the engine, which all plans share for one object."""
 
     frames: dict[tuple[float, float], Frame]
     engine: Engine
@@ -451,9 +472,9 @@ class _Tries(NamedTuple):
     engine_error: float
 
     def outcome(self, kind: Kind, planes_mm: tuple[float, ...], exposures: tuple[float, ...]) -> _Outcome:
-        """Of those planes and exposures."""
-        recorded = recorded_planes([self.frames[one] for one in product(planes_mm, exposures)])
-        # As reconstruct_frames does it: without the pixels with which it compares.
+        """Return the result for planes and exposures."""
+        recorded = recorded_planes([self.frames[key] for key in product(planes_mm, exposures)])
+        # Pixels are held out as in reconstruct_frames.
         given, _ = hold_out(recorded)
         found = reconstruct(
             self.engine,
@@ -475,7 +496,9 @@ class _Tries(NamedTuple):
         return _Outcome(correlation, found.misfit[-1] / noise, len(found.misfit), smooth)
 
     def _smooth_fraction(self, found: NDArray[Any], correlation: float) -> float:
-        """Fraction of the squared error with less than `SMOOTH_CYCLES` cycles across the patch."""
+        """Return the fraction of the squared error with less than `SMOOTH_CYCLES` cycles across the
+        patch.
+        """
         found, true = (np.where(self.inside, one, 0.0) for one in (found, self.target.values))
         factor = np.vdot(found, true) / np.vdot(found, found)
         cycles = [scipy.fft.fftfreq(count, 1.0 / count) for count in found.shape]
@@ -486,9 +509,9 @@ class _Tries(NamedTuple):
         return min(float(smooth) / error, 1.0) if error > 0.0 else 0.0
 
 
-def _tries(
+def _trial(
     lens: Lens, target: Field, settings: PlanSettings, twin: Twin, planes_mm: Sequence[float]
-) -> _Tries:
+) -> _Trial:
     imaged = image(
         lens,
         target,
@@ -505,4 +528,4 @@ def _tries(
     engine = engine_for(scene, "eikonal", error=TILE_ERROR)
     frames = dict(zip(product(planes_mm, settings.exposures), imaged.frames, strict=True))
     light = lit(patch, PatchSettings())
-    return _Tries(frames, engine, light, target, patch.inside, imaged.predicted_error)
+    return _Trial(frames, engine, light, target, patch.inside, imaged.predicted_error)

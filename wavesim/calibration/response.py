@@ -1,4 +1,4 @@
-"""What is left of recorded amplitudes behind a mounted lens, and how it changes as the mounting does."""
+"""Residuals of the amplitudes behind a mounted lens, and their derivatives with respect to the mounting."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
 DARK = 1e-6
-"""Share of the mean intensity that keeps roots of dark pixels smooth."""
+"""Fraction of the mean intensity that is added under the root, so that dark pixels have finite
+derivatives.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Amplitudes of all planes as one vector, as shares of the length of the recorded one.
+    """Amplitudes of all planes as one vector, divided by the length of the measured one.
 
     Attributes
     ----------
     residual : ndarray, shape (pixels,)
-        Recorded less modelled.
+        Measured less modelled amplitudes.
     changes : ndarray, shape (parameters, pixels)
-        Of the modelled, for a unit of each parameter; the object stays as it is.
+        Change of the modelled amplitudes per unit of each parameter, for a fixed object.
     """
 
     residual: RealArray
@@ -48,12 +50,12 @@ class Response:
 
     @property
     def gradient(self) -> NDArray[np.float64]:
-        """Of half the squared misfit."""
+        """Gradient of half the squared misfit."""
         return -np.asarray(self.changes @ self.residual, float)
 
     @property
-    def curvature(self) -> NDArray[np.float64]:
-        """Second derivatives of half the squared misfit, as far as the model is linear (Gauss-Newton)."""
+    def hessian(self) -> NDArray[np.float64]:
+        """Gauss-Newton approximation of the Hessian of half the squared misfit."""
         return np.asarray(self.changes @ self.changes.T, float)
 
 
@@ -66,105 +68,110 @@ def mounting_response(
     blur_pixels: float = 0.0,
     fits_scale: bool = False,
 ) -> Response:
-    """Compare recorded amplitudes with those of an object behind a mounted lens.
+    """Compare measured amplitudes with those of an object behind a mounted lens.
 
     Parameters
     ----------
     model
-        Of the mounted lens.
+        Forward model of the mounted lens.
     transmission
-        Of the object, on the model's object grid.
+        Transmission of the object, on the model's object grid.
     mounting
-        Of the model's lens.
+        Mounting of the model's lens.
     parameters
-        For which derivatives are wanted.
+        Names of the parameters for which derivatives are computed.
     blur_pixels
-        Standard deviation of a Gaussian that smooths all intensities.
+        Standard deviation, in pixels, of a Gaussian that smooths all intensities.
     fits_scale
-        Whether recorded amplitudes are known but for a factor.
+        Whether measured amplitudes are known only up to a factor.
+
+    Returns
+    -------
+    Response
+        Residual and derivatives.
     """
     lit = model.illumination.with_values(transmission * model.illumination.values)
-    behind = model.engine.forward(lit)
-    spectrum = scipy.fft.fftn(behind.values, workers=-1)
+    exit_field = model.engine.forward(lit)
+    spectrum = scipy.fft.fftn(exit_field.values, workers=-1)
     lens_changes = {
-        name: scipy.fft.fftn(_change_behind(model, lit, behind, mounting, name), workers=-1)
+        name: scipy.fft.fftn(_exit_field_change(model, lit, exit_field, mounting, name), workers=-1)
         for name in parameters
         if plane_of(name) is None
     }
-    cycles = fft_frequencies(behind.grid.shape, behind.grid.pitch_mm)
-    kz, _ = axial_wavenumbers(cycles, behind.wavelength_um, behind.index)
+    cycles = fft_frequencies(exit_field.grid.shape, exit_field.grid.pitch_mm)
+    kz, _ = axial_wavenumbers(cycles, exit_field.wavelength_um, exit_field.index)
     along_z = 1j * kz.astype(model.illumination.values.real.dtype)
-    recorded, seen, slopes = [], [], []
-    for number, (plane, weight) in enumerate(zip(model.recorded, model.weights, strict=True)):
-        root = 1.0 if weight is None else np.sqrt(weight)
-        measure = _Plane(model, number, spectrum, plane.known, blur_pixels)
-        recorded.append(np.ravel(root * measure.root(plane.amplitude**2)))
-        seen.append(np.ravel(root * measure.amplitude))
-        parts = []
+    measured, modelled, changes = [], [], []
+    for plane_index, (plane, weight) in enumerate(zip(model.recorded, model.weights, strict=True)):
+        root_weight = 1.0 if weight is None else np.sqrt(weight)
+        own = _PlaneAmplitudes(model, plane_index, spectrum, plane.known, blur_pixels)
+        measured.append(np.ravel(root_weight * own.amplitude_of(plane.amplitude**2)))
+        modelled.append(np.ravel(root_weight * own.amplitude))
+        rows = []
         for name in parameters:
-            moved = plane_of(name)
-            if moved is None:
-                parts.append(np.ravel(root * measure.slope(lens_changes[name])))
-            elif moved == number:
-                parts.append(np.ravel(root * measure.slope(along_z * spectrum)))
+            moved_plane = plane_of(name)
+            if moved_plane is None:
+                rows.append(np.ravel(root_weight * own.amplitude_change(lens_changes[name])))
+            elif moved_plane == plane_index:
+                rows.append(np.ravel(root_weight * own.amplitude_change(along_z * spectrum)))
             else:
-                parts.append(np.zeros(measure.amplitude.size, measure.amplitude.dtype))
-        slopes.append(np.stack(parts) if parts else np.zeros((0, measure.amplitude.size), np.float32))
+                rows.append(np.zeros(own.amplitude.size, own.amplitude.dtype))
+        changes.append(np.stack(rows) if rows else np.zeros((0, own.amplitude.size), np.float32))
     return _response(
-        np.concatenate(recorded),
-        np.concatenate(seen),
-        np.concatenate(slopes, axis=1),
+        np.concatenate(measured),
+        np.concatenate(modelled),
+        np.concatenate(changes, axis=1),
         None if fits_scale else model.scale,
     )
 
 
-def _response(recorded: RealArray, seen: RealArray, changes: RealArray, scale: float | None) -> Response:
-    """Relative to the recorded; where the scale is to be fitted, what it can do is taken out."""
+def _response(recorded: RealArray, modelled: RealArray, changes: RealArray, scale: float | None) -> Response:
+    """Return the response relative to the measured amplitudes; the effect of a fitted scale is removed."""
     size = float(np.linalg.norm(recorded))
     if scale is None:
-        along = seen / np.linalg.norm(seen)
-        scale = float(np.dot(seen, recorded)) / float(np.dot(seen, seen))
-        changes = changes - np.outer(changes @ along, along)
-    return Response((recorded - scale * seen) / size, (scale / size) * changes)
+        direction = modelled / np.linalg.norm(modelled)
+        scale = float(np.dot(modelled, recorded)) / float(np.dot(modelled, modelled))
+        changes = changes - np.outer(changes @ direction, direction)
+    return Response((recorded - scale * modelled) / size, (scale / size) * changes)
 
 
-def _change_behind(
-    model: ForwardModel, lit: Field, behind: Field, mounting: Placement, name: str
+def _exit_field_change(
+    model: ForwardModel, lit: Field, exit_field: Field, mounting: Placement, name: str
 ) -> ComplexArray:
-    """Change of the field on the exit grid for a unit of a parameter of lens or object."""
+    """Return the change of the field on the exit grid per unit of a parameter of lens or object."""
     if name == WORKING_DISTANCE:
-        farther = gradient(lit)[2]
-        return np.asarray(model.engine.forward(lit.with_values(farther)).values)
-    with_sources = motion(lit, mounting, name)
-    change = motion(behind, mounting, name)
-    change -= model.engine.forward(lit.with_values(with_sources)).values
+        along_z = gradient(lit)[2]
+        return np.asarray(model.engine.forward(lit.with_values(along_z)).values)
+    source_motion = motion(lit, mounting, name)
+    change = motion(exit_field, mounting, name)
+    change -= model.engine.forward(lit.with_values(source_motion)).values
     return change
 
 
-class _Plane:
-    """Amplitudes on a recorded plane, and their changes."""
+class _PlaneAmplitudes:
+    """Amplitudes on a measured plane, and their changes."""
 
     def __init__(
         self,
         model: ForwardModel,
-        number: int,
+        plane_index: int,
         spectrum: ComplexArray,
         known: NDArray[np.bool_] | None,
         blur_pixels: float,
     ) -> None:
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
-        self.way, self.known, self.blur_pixels = model.ways[number], known, blur_pixels
-        self.rows = self.pixels.carried(spectrum, self.way)
-        self.amplitude = self.root(self.pixels.intensity(self.rows))
+        self.propagator, self.known, self.blur_pixels = model.propagators[plane_index], known, blur_pixels
+        self.rows = self.pixels.propagate(spectrum, self.propagator)
+        self.amplitude = self.amplitude_of(self.pixels.intensity(self.rows))
 
-    def root(self, intensity: RealArray) -> RealArray:
-        """Amplitude of blurred known intensities."""
+    def amplitude_of(self, intensity: RealArray) -> RealArray:
+        """Return the amplitude of blurred intensities in valid pixels."""
         smooth = self._blurred(intensity)
         return np.asarray(np.sqrt(np.maximum(smooth, 0.0) + DARK * smooth.mean()))
 
-    def slope(self, change_spectrum: ComplexArray) -> RealArray:
-        """Change of the amplitude with that of the field at the exit."""
-        change = self.pixels.carried(change_spectrum, self.way)
+    def amplitude_change(self, change_spectrum: ComplexArray) -> RealArray:
+        """Return the change of the amplitude for a change of the exit field."""
+        change = self.pixels.propagate(change_spectrum, self.propagator)
         return np.asarray(self._blurred(self.pixels.products(self.rows, change)) / self.amplitude)
 
     def _blurred(self, intensity: RealArray) -> RealArray:

@@ -1,4 +1,4 @@
-"""What is known of a bench beside the frames of an object: frames without one, and tolerances of the lens."""
+"""Further data about a bench: frames without an object, and tolerances of the lens."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
     from wavesim.sensor.frames import Frame
 
 FRAMES = "frame_*.tif"
-"""In a folder of `wavesim image`."""
+"""Name of the summary in a folder of `wavesim image`."""
 
 PRIORS = "wavesim.priors"
-"""Entry points that read what a lens's tolerances are: a package above this one gives them."""
+"""Entry points that read tolerances of a lens; a package above this one provides them."""
 
 
 class PriorsWarning(UserWarning):
-    """A tolerance study perturbs what no calibration seeks."""
+    """A tolerance study perturbs parameters that a calibration cannot estimate."""
 
 
 def read_empty(
     paths: Sequence[Path] | None, of_frames: FrameSetSettings, lens: Lens
 ) -> tuple[Frame, ...] | None:
-    """Frames without an object: those named, and those of folders that `wavesim image` wrote."""
+    """Read frames without an object, from files and from folders of `wavesim image`."""
     from wavesim.sensor.frame_sets import read_frames
 
     if not paths:
@@ -42,7 +42,7 @@ def read_empty(
 
 
 def read_priors(path: Path | None, lens: Lens) -> dict[str, float] | None:
-    """Standard deviations of what a calibration seeks, as a tolerance study has them."""
+    """Read prior standard deviations of a calibration's parameters from a tolerance study."""
     from importlib.metadata import entry_points
 
     if path is None:

@@ -1,4 +1,4 @@
-"""The command `wavesim calibrate`: what a bench is like, from frames."""
+"""The command `wavesim calibrate`: calibrate a bench from frames."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ def calibrate(
     settings: CalibrationSettings,
     of_frames: FrameSetSettings,
     known: Annotated[
-        Path | None, typer.Option(help="The object, where it is known: a file (.npz), or its folder.")
+        Path | None, typer.Option(help="The object, if it is known: a file (.npz), or its folder.")
     ] = None,
     empty: Empty = None,
     priors: Priors = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find what the bench is like: light, lens, mounting and camera.
+    """Calibrate the bench from frames: light, lens, mounting and camera.
 
-    The bench is the one with which frames and reconstruction agree best; parameters that the frames do not
-    need stay at their nominal values. The file that is written serves `wavesim reconstruct --calibration`.
+    The result is the bench with which frames and reconstruction agree best. Parameters that the frames do not
+    need keep their nominal values. `wavesim reconstruct --calibration` reads the written file.
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
-    within their noise, and 1 if they are not. An interrupted run goes on with the same command.
+    within their noise, and 1 if they are not. The same command continues an interrupted run.
     """
-    from wavesim.calibration.from_frames import calibrate_frames
+    from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.plots.result_files import remove_unfinished
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
@@ -65,14 +65,14 @@ def calibrate(
             progress=tell,
         )
     for name in (CHECKPOINT, EMPTY_CHECKPOINT):
-        with suppress(OSError):  # a checkpoint that stays is of no harm
+        with suppress(OSError):  # A left-over checkpoint does no harm.
             (output / name).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
-    told: dict[str, Any] = {"object": "known" if known else settings.kind, "warnings": messages}
+    extra: dict[str, Any] = {"object": "known" if known else settings.kind, "warnings": messages}
     if empty:
-        told["empty"] = [str(path) for path in empty]
-    summary = write_calibration(found, frames, pictures, told, output)
+        extra["empty"] = [str(path) for path in empty]
+    summary = write_calibration(found, frames, pictures, extra, output)
     if as_json:
         print_json(summary)
     else:
@@ -81,9 +81,9 @@ def calibrate(
 
 
 def write_calibration(
-    found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], told: dict[str, Any], output: Path
+    found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], extra: dict[str, Any], output: Path
 ) -> dict[str, Any]:
-    """Write table and picture of a calibration together; gives the table."""
+    """Write the table and the figure of a calibration, and return the table."""
     from wavesim.plots.calibrations import calibration_figure
     from wavesim.plots.frames import save
     from wavesim.plots.result_files import new_results, write_json
@@ -93,7 +93,7 @@ def write_calibration(
         "frames": [str(path) for path in paths],
         "planes_mm": [plane.distance_mm for plane in planes_of_frames(frames)],
         **found.table(),
-        **told,
+        **extra,
         "versions": versions(),
     }
     with new_results(output) as folder:
@@ -110,7 +110,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
         notes = ["at the border of the search"] * (name in found.at_reach)
-        notes += ["undetermined"] * (name in found.not_told)
+        notes += ["undetermined"] * (name in found.poorly_determined)
         notes += ["not needed, nominal"] * (name in found.nominal)
         notes += [f"goes with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
@@ -123,8 +123,8 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         )
     noise = summary["misfit_of_noise"]
     if found.field_stop_mm is not None:
-        words = stop_words(found.field_stop_mm, found.field_stop_at_mm)
-        print(f"{words}, {STOP_ORIGINS[found.field_stop_from]}")
+        stop_text = stop_words(found.field_stop_mm, found.field_stop_at_mm)
+        print(f"{stop_text}, {STOP_ORIGINS[found.field_stop_from]}")
     print(
         f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as calibrated"
         + ("" if noise is None else f"; {noise:.4f} would be noise alone")

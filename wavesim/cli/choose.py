@@ -1,4 +1,4 @@
-"""The command `wavesim choose`: what every engine would do with a scene, and which is taken."""
+"""The command `wavesim choose`: compare all engines on a scene, and name the one that is selected."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from wavesim.scene.scene import Scene
 
 EVEN = "even"
-"""In place of an object: light that fills the patch evenly and goes in all directions."""
+"""Name of the object that is light of all directions on an evenly filled patch."""
 
 
 def choose(
@@ -40,7 +40,7 @@ def choose(
     hours: Annotated[float, typer.Option(help="Time that all runs may take.")] = 1.0,
     as_json: AsJson = False,
 ) -> None:
-    """Predict error, time and memory of every engine, and name the cheapest that holds.
+    """Predict error, time and memory of every engine, and name the cheapest that meets the error limit.
 
     Errors are those of the object's own light: a chart sends a twentieth of what light of all directions does
     to the rim of the aperture, where rays err most.
@@ -74,7 +74,7 @@ def choose(
 
 
 def _lit_scene(lens: Lens, scene: Scene, name: str, settings: ChoiceSettings) -> tuple[Scene, Light]:
-    """The scene with the object's own samples, and the light behind it; of a line, of its middle column."""
+    """Return the scene with the object's samples and the field behind it; for a line, its middle column."""
     from wavesim.fields.field import Field
     from wavesim.scene.light import Light
     from wavesim.targets.patch import lit_patch, make_target

@@ -101,7 +101,7 @@ def pupil(
 
 
 def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
-    """Everything measured on one registered pupil, ready for JSON."""
+    """Return all measures of one registered pupil for JSON."""
     import numpy as np
 
     from wavesim.pupil.line_pairs import line_pair_contrast, smallest_resolved_line_width_um
@@ -149,7 +149,7 @@ def _title(summary: dict[str, Any], um: str) -> str:
 
 
 def _moved(name: str, value: float) -> str:
-    """How far the lens is off its place in one way, such as "decenter y 0.03 mm"."""
+    """Describe one displacement of the lens, such as "decenter y 0.03 mm"."""
     what, unit = name.rsplit("_", 1)
     return f"{what.replace('_', ' ')} {value:g} {unit}"
 
@@ -182,7 +182,7 @@ def _print_tables(summary: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Run the command line."""
     run_app(app)
 
 

@@ -19,11 +19,11 @@ from wavesim.scene.lengths import validate_lengths
 PICTURE_DPI = 110
 
 MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
-"""Failure maps are of a twin of the design of this size, on which a run takes a fraction of a second."""
+"""Size of the scaled design for failure maps, on which a run takes a fraction of a second."""
 
 PLANE_SEMI_DIAMETER_MM, PLANE_PATCH_MM, PLANE_DISTANCE = 0.13, 0.016, 0.25
-"""Whole planes are those of a twin of this size, on which a run takes seconds; behind it, so many of its
-semi-diameters, there is its exit plane."""
+"""Size of the scaled design for whole planes, on which a run takes seconds, and the distance of its exit
+plane in semi-diameters."""
 
 SPHERE_RADIUS_MM = 0.15
 
@@ -33,20 +33,20 @@ def compare(
     output: Annotated[
         Path, typer.Option("--output", "-o", callback=output_folder, help="Folder to write to.")
     ],
-    radius_mm: Annotated[float, typer.Option(help="Of the exact cylinder.")] = 0.2,
-    planes: Annotated[bool, typer.Option(help="Whether to compare on whole planes, too.")] = True,
+    radius_mm: Annotated[float, typer.Option(help="Radius of the exact cylinder.")] = 0.2,
+    planes: Annotated[bool, typer.Option(help="Compare on whole planes, too.")] = True,
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
-    field_mm: Annotated[float, typer.Option(help="Height of its middle, along y.")] = 0.0,
-    scale: Annotated[float, typer.Option(help="Size of the lens compared, of the design's.")] = 1.0,
-    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 10.0,
-    maps: Annotated[bool, typer.Option(help="Whether to draw failure maps, too.")] = True,
+    field_mm: Annotated[float, typer.Option(help="Height of its centre, along y.")] = 0.0,
+    scale: Annotated[float, typer.Option(help="Scale factor of the lens.")] = 1.0,
+    most_seconds: Annotated[float, typer.Option(help="Skip longer runs.")] = 10.0,
+    maps: Annotated[bool, typer.Option(help="Draw failure maps, too.")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Chart error against seconds and memory of every engine, and map where each fails.
 
-    On lines: an exact cylinder, and a meridional patch of the lens, where the wave propagation method with
-    fine steps and much room stands for the truth. On whole planes: an exact sphere, and a patch about the
-    axis of a small twin of the lens, where the sum over all plane waves does.
+    On lines, the cases are an exact cylinder and a meridional patch of the lens, with the wave propagation
+    method at fine steps as reference. On whole planes, they are an exact sphere and a patch about the axis of
+    a scaled lens, with the sum over all plane waves as reference.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -140,7 +140,7 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
         write_csv(map_rows(one), path)
         written.append(path)
     picture = output / "failure_maps.png"
-    save(failure_figure(found, "Where methods fail, and where their guards speak"), picture, PICTURE_DPI)
+    save(failure_figure(found, "Where methods fail, and where they warn"), picture, PICTURE_DPI)
     return [picture, *written]
 
 

@@ -1,4 +1,4 @@
-"""`wavesim reconstruct --free-space`: the field behind frames that no lens stands before."""
+"""`wavesim reconstruct --free-space`: reconstruct a field from frames without a lens."""
 
 from __future__ import annotations
 
@@ -27,8 +27,12 @@ def in_free_space(
     of_lenses: Mapping[str, object],
     as_json: bool,
 ) -> None:
-    """Find the field on z = 0 and write it, with the planes that are asked for."""
-    from wavesim.calibration.free_space.field import ITERATIONS, PLAIN, reconstruct_free_space
+    """Reconstruct the field on z = 0 and write it, with the requested parameters of the planes."""
+    from wavesim.calibration.free_space.field import (
+        DEFAULT_FRAME_SETTINGS,
+        ITERATIONS,
+        reconstruct_free_space,
+    )
     from wavesim.sensor.frame_sets import read_frames
     from wavesim.sensor.frames import AssumedWarning
 
@@ -37,7 +41,7 @@ def in_free_space(
         warnings.simplefilter("always")
         warnings.simplefilter("ignore", AssumedWarning)
         found = reconstruct_free_space(
-            read_frames(frames, of_frames, assumed=PLAIN),
+            read_frames(frames, of_frames, assumed=DEFAULT_FRAME_SETTINGS),
             calibrates=free.calibrate,
             iterations=settings.iterations or ITERATIONS,
             aperture=free.numerical_aperture,
@@ -61,7 +65,7 @@ def in_free_space(
 
 
 def _refuse_of_lenses(settings: ReconstructionSettings, of_lenses: Mapping[str, object]) -> None:
-    """Refuse options that mean something where there is a lens alone."""
+    """Check that no option is given that needs a lens."""
     named = [name for name, given in of_lenses.items() if given]
     for name, field in type(settings).model_fields.items():
         if name != "iterations" and getattr(settings, name) != field.get_default():

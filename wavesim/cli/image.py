@@ -1,4 +1,4 @@
-"""The command `wavesim image`: frames of an object, as the design's sensor records them."""
+"""The command `wavesim image`: compute frames of an object as the design's sensor records them."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def image(
     Frames are 16-bit TIFF that hold their settings. The sensor's window is its middle, as much of it as the
     light falls on. Of several exposures, the long ones show faint light and are clipped where it is bright.
 
-    Of a whole field (engine two-level) finished parts are kept: the same command goes on with a run that was
-    interrupted.
+    Of a whole field (engine hierarchical) finished parts are kept: the same command goes on with a run that
+    was interrupted.
     """
     from wavesim.plots.result_files import remove_unfinished
 
@@ -58,7 +58,7 @@ def image(
 def _runs(
     lens: Lens, settings: ImageSettings, output: Path, all_wavelengths: bool
 ) -> list[tuple[Path, ImageSettings]]:
-    """Folders and settings of what is recorded."""
+    """Output folder and settings of a recording."""
     if not all_wavelengths:
         return [(output, settings)]
     if settings.wavelength_um is not None:
@@ -72,7 +72,7 @@ def _runs(
 def _recorded(
     lens: Lens, name: str, object_: str, settings: ImageSettings, output: Path, as_json: bool
 ) -> dict[str, Any]:
-    """Record and write; what was done."""
+    """Record frames, write the files, and return the summary."""
     from wavesim.sensor.imaging import image as record
     from wavesim.sensor.recording import drop_parts
 
@@ -93,7 +93,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
     return {
         "object": {
             "name": imaged.target.name,
-            "ground": imaged.target.ground,
+            "ground": imaged.target.polarity,
             "elements": len(imaged.target.elements),
             "patch_mm": patch.grid.shape[0] * patch.grid.pitch_mm,
             "field_stop_mm": patch.field_stop_mm,
@@ -135,7 +135,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
 
 
 def _finest(imaged: Imaged) -> dict[str, Any]:
-    """The finest element of a chart, and what keeps finer ones out of it."""
+    """Describe the finest element of a chart, and the reason why it has no finer ones."""
     from wavesim.metrics.charts import chart_end
 
     elements = imaged.target.elements
@@ -150,7 +150,7 @@ def _finest(imaged: Imaged) -> dict[str, Any]:
 
 
 def _names(recording: Recording) -> list[tuple[str, float]]:
-    """Files of the frames, and their exposures as multiples of the one for the brightest pixel."""
+    """Describe the frames with their exposures, relative to the one for the brightest pixel."""
     planes = range(1, len(recording.plane_distances_mm) + 1)
     if len(recording.exposures) == 1:
         return [(f"frame_{number}.tif", recording.exposures[0]) for number in planes]
@@ -162,7 +162,7 @@ def _names(recording: Recording) -> list[tuple[str, float]]:
 
 
 def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
-    """Names of the files written."""
+    """Return the names of the written files."""
     from wavesim.fields.files import write_field
     from wavesim.plots.frames import frames_figure, save
     from wavesim.plots.objects import object_figure

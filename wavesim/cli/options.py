@@ -1,4 +1,4 @@
-"""Options of commands: those that several share, and those that settings models make."""
+"""Options of commands: common options, and options that are made from settings models."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Command = Callable[..., None]
 
 
 def with_settings(command: Command) -> Command:
-    """A command whose parameters that are settings models become options, one for each of their fields.
+    """Return a command in which each field of a settings model becomes an option.
 
     An option has its field's name (or alias), default and description; numbers that stand together are
     separated by commas. What a model refuses, and settings that are refused later, are told by their options.
@@ -75,7 +75,7 @@ def with_settings(command: Command) -> Command:
 
 
 def _parameters(model: type[Section]) -> list[inspect.Parameter]:
-    """One for each field, annotated as Typer reads it."""
+    """Return one parameter for each field, annotated for Typer."""
     made = []
     for name, field in model.model_fields.items():
         flags = [] if field.annotation is bool else _flags(name, field)
@@ -96,7 +96,7 @@ def _flags(name: str, field: FieldInfo) -> list[str]:
 
 
 def _typed(field: FieldInfo) -> Any:
-    """What Typer reads from the command line for a field."""
+    """Return the type that Typer reads from the command line for a field."""
     kinds = _kinds(field.annotation)
     optional = type(None) in kinds
     kinds = [kind for kind in kinds if kind is not type(None)]
@@ -107,7 +107,7 @@ def _typed(field: FieldInfo) -> Any:
 
 
 def _kinds(annotation: Any) -> list[Any]:
-    """The members of a union, without what annotates them."""
+    """Return the members of a union without their annotations."""
     if get_origin(annotation) is Annotated:
         return _kinds(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -116,19 +116,19 @@ def _kinds(annotation: Any) -> list[Any]:
 
 
 def _is_list(kind: Any) -> bool:
-    """Whether an option may be given several times: each time some numbers."""
+    """Return whether an option may be repeated, with a group of numbers each time."""
     return get_origin(kind) is tuple and get_origin(_kinds(get_args(kind)[0])[0]) is tuple
 
 
 def _text(default: Any) -> Any:
-    """A default as the command line has it."""
+    """Return a default as it is written on the command line."""
     if not isinstance(default, tuple):
         return default
     return ",".join(f"{number:g}" for number in default) or None
 
 
 def _settings(model: type[Section], texts: dict[str, Any]) -> Section:
-    """The model, of what was given on the command line."""
+    """Return the settings model with the values of the command line."""
     values = {}
     for name, text in texts.items():
         field = model.model_fields[name]
@@ -141,7 +141,7 @@ def _settings(model: type[Section], texts: dict[str, Any]) -> Section:
 
 
 def _value(kinds: list[Any], text: Any, option: str) -> Any:
-    """What a field takes, from the text of its option."""
+    """Convert the text of an option to the value of its field."""
     pairs = [kind for kind in kinds if get_origin(kind) is tuple]
     if pairs and _is_list(pairs[0]):
         return tuple(_value(_kinds(get_args(pairs[0])[0]), one, option) for one in text)
@@ -157,7 +157,7 @@ def _value(kinds: list[Any], text: Any, option: str) -> Any:
 
 
 def _fault(model: type[Section], texts: dict[str, Any], fault: Any) -> str:
-    """What is wrong with one option."""
+    """Return the message about one invalid option."""
     refused = fault.get("ctx", {}).get("error")
     if isinstance(refused, SettingError):
         return refused.naming(_option)
@@ -177,7 +177,7 @@ def _option(name: str) -> str:
 
 
 def numbers(text: str, option: str, count: int | None = None) -> list[float]:
-    """Numbers of an option, separated by commas.
+    """Return the numbers of an option, which are separated by commas.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def numbers(text: str, option: str, count: int | None = None) -> list[float]:
 
 
 def validate_picture_request(path: Path | None) -> None:
-    """Refuse a file to write a picture to whose name does not say that it is one.
+    """Check that the name of a picture file has a suffix of a picture format.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def validate_picture_request(path: Path | None) -> None:
 
 
 def settings_text(settings: dict[str, Any]) -> str:
-    """Settings of an engine in one line."""
+    """Format the settings of an engine in one line."""
     return ", ".join(
         f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"
         for name, value in settings.items()
@@ -215,6 +215,6 @@ def settings_text(settings: dict[str, Any]) -> str:
 
 
 def print_warnings(messages: Iterable[str]) -> None:
-    """Tell on standard error what engines warned of."""
+    """Print the warnings of engines to standard error."""
     for message in messages:
         message_console().print(f"warning: {message}", soft_wrap=True, markup=False, highlight=False)

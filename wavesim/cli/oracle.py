@@ -1,4 +1,4 @@
-"""The command `wavesim oracle`: an engine held against an exact solution."""
+"""The command `wavesim oracle`: compare an engine with an exact solution."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ def oracle(
     incidence_deg: Annotated[float | None, typer.Option(help="On a plate or a plane.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Hold an engine against an exact solution.
+    """Compare an engine with an exact solution.
 
-    The error is the L2 norm of the difference of both exit fields over that of the exact one; neither phase
-    nor amplitude is fitted. What is left out stays at the oracle's and the engine's own choice.
+    The error is the L2 norm of the difference of both exit fields, divided by that of the exact field.
+    Neither phase nor amplitude is fitted. Options that are not given keep the defaults of the solution and
+    the engine.
     """
     from wavesim.metrics.accuracy import run_analytic_case
 

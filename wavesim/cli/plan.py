@@ -1,4 +1,4 @@
-"""The command `wavesim plan`: which frames to take."""
+"""The command `wavesim plan`: recommend frames to record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `wavesim reconstruct`: the object behind recorded frames."""
+"""The command `wavesim reconstruct`: reconstruct the object from recorded frames."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from wavesim.scene.settings import (
 )
 
 CALIBRATED = "calibration"
-"""Folder within the results' of what --calibrate finds."""
+"""Subfolder of the results for the calibration by --calibrate."""
 
 SHOWN_DISPLACEMENT = 0.2
-"""Displacement in samples from which on it is printed; JSON has smaller ones, too."""
+"""Smallest displacement that is printed (samples); JSON holds smaller ones, too."""
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibrated import Calibrated
     from wavesim.fields.field import Field
-    from wavesim.reconstruction.found import FoundObject
+    from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
     from wavesim.scene.bench import Bench
     from wavesim.sensor.frames import Frame
@@ -59,11 +59,9 @@ def reconstruct(
         Path | None, typer.Option(metavar="DESIGN", help="Design file (TOML); none with --free-space.")
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Of `wavesim calibrate`: the bench as it is.")
+        Path | None, typer.Option(help="Result of `wavesim calibrate`: the calibrated bench.")
     ] = None,
-    truth: Annotated[
-        Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
-    ] = None,
+    truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
     empty: Empty = None,
     priors: Priors = None,
     as_json: AsJson = False,
@@ -76,7 +74,7 @@ def reconstruct(
     """
     from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, with_finding
     from wavesim.plots.result_files import remove_unfinished
-    from wavesim.reconstruction.from_frames import reconstruct_frames
+    from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
 
@@ -87,14 +85,14 @@ def reconstruct(
         in_free_space(frames, output, settings, of_frames, free, of_lenses, as_json)
         return
     if design is None:
-        raise InputError("--design: must be given; frames that no lens stands before take --free-space")
+        raise InputError("--design: must be given; for frames without a lens use --free-space")
     if free.calibrate and calibration is not None:
-        raise InputError("--calibrate, --calibration: give one of them")
+        raise InputError("--calibrate, --calibration: give only one of them")
     if priors is not None and not free.calibrate:
-        raise InputError("--priors: means nothing without --calibrate")
+        raise InputError("--priors: requires --calibrate")
     tell_memory = memory_teller(output)
 
-    def before(memory: Memory) -> None:
+    def on_estimate(memory: Memory) -> None:
         print_warnings(_messages(caught))
         if not as_json:
             tell_memory(memory)
@@ -114,9 +112,9 @@ def reconstruct(
             )
             if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
                 settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
-                stop_from, stop_doubt = "frames", calibrated.stop_doubt
+                stop_from, stop_doubt = "frames", calibrated.stop_warning
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
-            bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
+            bench = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
         with progress() as tell:
@@ -129,7 +127,7 @@ def reconstruct(
                 calibration=bench,
                 folder=output,
                 progress=tell,
-                before=before,
+                on_estimate=on_estimate,
             )
         if stop_doubt:
             found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
@@ -154,23 +152,23 @@ def reconstruct(
 
 
 def _calibrated_before(path: Path, lens: Lens) -> Bench:
-    """The bench as an earlier command has found it: only here are the searches' many modules needed."""
+    """Return the bench of an earlier calibration. Its many modules are imported only if needed."""
     from wavesim.calibration.calibrated import read_calibration
 
     return read_calibration(path, lens)
 
 
 def _stop_doubt(calibration: Path | None) -> str:
-    """Why the field stop of an earlier calibration is not determined; empty where it is."""
-    from wavesim.calibration.calibrated import stop_doubt_of
+    """Return why the field stop of an earlier calibration is undetermined; empty if it is determined."""
+    from wavesim.calibration.calibrated import stop_warning_of
 
-    return "" if calibration is None else stop_doubt_of(calibration)
+    return "" if calibration is None else stop_warning_of(calibration)
 
 
 def _stop_of(
     calibration: Path | None, settings: ReconstructionSettings
 ) -> tuple[StopOrigin | None, ReconstructionSettings]:
-    """The field stop of an earlier calibration where settings say nothing of it."""
+    """Return the field stop of an earlier calibration, unless the settings state it."""
     if calibration is None or settings.field_stop_from != "patch":
         return None, settings
     from wavesim.calibration.calibrated import field_stop_of
@@ -189,11 +187,11 @@ def _calibrated(
     calibrates: bool,
     bench: Bench | None,
 ) -> Calibrated:
-    """The bench as frames tell it, or the light alone as empty ones do; goes on where it was cut off.
+    """Calibrate the bench from frames, or the light alone from empty frames; an interrupted run continues.
 
     With a bench that is calibrated already, the light alone is sought anew.
     """
-    from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, validate_same_frames
+    from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
     from wavesim.scene.bench import Bench
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
@@ -217,7 +215,7 @@ def _calibrated(
         )
 
 
-def _told(
+def _write_and_print(
     found: Calibrated,
     paths: Sequence[Path],
     frames: Sequence[Frame],
@@ -225,7 +223,7 @@ def _told(
     output: Path,
     as_json: bool,
 ) -> Bench:
-    """What was found, written beside the results."""
+    """Write and print a calibration, and return its bench."""
     from wavesim.cli.calibrate import print_calibration, write_calibration
 
     summary = write_calibration(found, paths, frames, {"object": kind, "warnings": []}, output)
@@ -241,13 +239,13 @@ def _messages(caught: list[warnings.WarningMessage]) -> list[str]:
 
 @contextmanager
 def _no_empty_folder(folder: Path) -> Iterator[None]:
-    """Remove a folder that was made for files of large arrays, if nothing else came into it."""
+    """Remove a folder that was created for files of large arrays, if it is empty in the end."""
     made = not folder.exists()
     try:
         yield
     finally:
         if made:
-            with suppress(OSError):  # it is not there, holds results, or cannot be changed any more
+            with suppress(OSError):  # It does not exist, holds results, or cannot be changed.
                 folder.rmdir()
 
 
@@ -296,7 +294,7 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
 
 
 def _pack(transmission: Field, folder: Path) -> None:
-    """Write the object itself."""
+    """Write the reconstructed object."""
     from wavesim.fields.files import write_field
     from wavesim.plots.pyramid import write_pyramid
 
@@ -308,7 +306,7 @@ def _pack(transmission: Field, folder: Path) -> None:
 
 
 def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
-    """The finest element of the chart that is resolved, or else the widest that is there."""
+    """Return the finest resolved element of the chart, or else its widest element."""
     from wavesim.targets.region import holds
 
     if not found.charts:
@@ -320,7 +318,7 @@ def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from wavesim.reconstruction.from_object import STOPPED
+    from wavesim.reconstruction.object_solver import STOPPED
 
     engine = summary["engine"]
     why = STOPPED[summary["stopped_because"]] if "stopped_because" in summary else ""
@@ -377,7 +375,7 @@ def _figures(summary: dict[str, Any]) -> list[str]:
 
 
 def _displacement(truth: dict[str, float | None], pitch_um: float) -> list[str]:
-    """Displacement of the result from the true object, if it is worth a line."""
+    """Describe the displacement of the result from the true object, if it is noticeable."""
     x, y = truth["displacement_x_um"], truth["displacement_y_um"]
     if x is None or y is None or max(abs(x), abs(y)) < SHOWN_DISPLACEMENT * pitch_um:
         return []
@@ -388,7 +386,7 @@ def _displacement(truth: dict[str, float | None], pitch_um: float) -> list[str]:
 
 
 def _resolved(chart: dict[str, Any]) -> list[str]:
-    """The finest element that is resolved, both directions, what limits it, and where the chart lies."""
+    """Describe the finest resolved element in both directions, its limit, and the chart's position."""
     if not chart["elements"] and "region" in chart["limited_by"]:
         return ["no element of the chart lies within the region"]
     finest = chart["smallest_resolved"]
@@ -409,7 +407,7 @@ def _resolved(chart: dict[str, Any]) -> list[str]:
 
 
 def _place_of(chart: dict[str, Any]) -> list[str]:
-    """Where the chart lies in the result, if not where it should, or if that is not known."""
+    """Describe the position of the chart in the result, if it is displaced or unknown."""
     found = chart["displacement"]
     if found is None:
         return ["  the place of the chart is not determined: contrast is measured where it should be"]

@@ -54,7 +54,7 @@ def resolve(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what engines leave of lines that a better one has carried through the lens.
+    """Show the contrast of lines with each engine, compared with a more accurate engine.
 
     Bars on a dark ground, on a meridional line at each field point, are carried to the exit plane by the
     reference engine and brought back by each one named, then refocused and registered: what is left of their
@@ -112,7 +112,7 @@ def _tests(
     engines: list[tuple[str, dict[str, Any]]],
     common: dict[str, Any],
 ) -> list[list[Any]]:
-    """For each engine, its results at all field heights; with a bar."""
+    """Return the results of each engine at all field heights, and show a progress bar."""
     from wavesim.metrics.resolving import resolve as resolving_test
 
     tests: list[list[Any]] = []
@@ -128,7 +128,7 @@ def _tests(
 
 
 def _engines(named: list[str], settings: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Names and settings of the engines; settings stand in options of their own, or behind the name."""
+    """Return names and settings of the engines. Settings come from options, or follow the name."""
     if len(named) > 1 and settings:
         raise InputError(
             f"settings of one engine ({', '.join(settings)}) beside several --engine: write them behind its "
@@ -222,7 +222,7 @@ def _print_resolved(results: list[Any]) -> None:
 
 
 def _down_to(result: Any, contrast: float) -> str:
-    """The finest lines of a contrast: where it falls slowly, a limit hangs on the threshold."""
+    """Return the finest lines at several contrasts: a slowly falling contrast has no sharp limit."""
     smallest = result.smallest_resolved_um(contrast)
     if smallest is None:
         return f"no line has a contrast of {contrast:g}"
@@ -230,7 +230,7 @@ def _down_to(result: Any, contrast: float) -> str:
 
 
 def _limit(result: Any) -> str:
-    """What ends the resolution at the usual contrast, in words."""
+    """Describe what limits the resolution at the usual contrast."""
     says = {
         "engine": f"the engine {result.engine} does not bring finer lines back",
         "reference": f"{result.reference}, which carried the lines, does not bring finer ones back either",
@@ -247,7 +247,7 @@ def _limit(result: Any) -> str:
 
 
 def _at_end(result: Any) -> str:
-    """Widths of lines whose refocusing ended where the search does: they may lie farther, or not be found."""
+    """Return the line widths whose best focus lies at the end of the search range."""
     from wavesim.metrics.resolving import REFOCUS_RANGE_MM, REFOCUS_STEP_MM
 
     most_um = 1e3 * (REFOCUS_RANGE_MM - 2.0 * REFOCUS_STEP_MM)

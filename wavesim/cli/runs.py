@@ -1,4 +1,4 @@
-"""What commands tell of a run: before it, while it goes on, and in its summary."""
+"""Output of commands: progress, tables, memory estimates and summaries."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """A bar, as library functions tell their progress."""
+    """Show a progress bar, and yield the callback that library functions call."""
     with progress_bar() as bar:
         tasks: list[Any] = []
 
-        def tell(what: str, done: int, count: int) -> None:
+        def report(stage: str, completed: int, total: int) -> None:
             if not tasks:
-                tasks.append(bar.add_task(what, total=None))
-            bar.update(tasks[0], completed=done, total=count or None, description=what)
+                tasks.append(bar.add_task(stage, total=None))
+            bar.update(tasks[0], completed=completed, total=total or None, description=stage)
 
-        yield tell
+        yield report
 
 
 def print_table(
@@ -38,23 +38,23 @@ def print_table(
     title: str = "",
     notes: str | None = None,
 ) -> None:
-    """Print a table of columns of words, flush left, behind them of numbers, flush right, and of notes.
+    """Print a table with left-aligned text columns, right-aligned number columns, and notes.
 
     Parameters
     ----------
     words, numbers
-        Headings of the columns.
+        Headings of the text and of the number columns.
     rows
-        Cells.
+        Cells of the rows.
     title
-        Above the table.
+        Title above the table.
     notes
-        Heading of a last column of words; None where there is none.
+        Heading of a last text column; None for no such column.
     """
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
-    # A name that were cut could look like another one, and a number be another: names go on below.
+    # A truncated name could look like another name, so names wrap and numbers never do.
     for name in words:
         table.add_column(name, overflow="fold")
     for name in numbers:
@@ -67,12 +67,12 @@ def print_table(
 
 
 def memory_teller(folder: Path) -> Callable[[Memory], None]:
-    """Tells on standard error what a run will take."""
+    """Return a callback that prints the memory estimate of a run to standard error."""
     return lambda memory: print(memory.line(folder), file=sys.stderr)
 
 
 def engine_summary(engine: Engine, predicted_error: float) -> dict[str, Any]:
-    """What an engine is, and what it says of its error, ready for JSON."""
+    """Return name, settings and predicted error of an engine for JSON."""
     return {
         "name": engine.name,
         "settings": engine.settings(),
@@ -81,7 +81,7 @@ def engine_summary(engine: Engine, predicted_error: float) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what results depend on."""
+    """Return the versions of Python and of the packages that results depend on."""
     import platform
     from importlib.metadata import version
 

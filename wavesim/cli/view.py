@@ -1,4 +1,4 @@
-"""The command `wavesim view`: a whole field or frame as one page for a browser that zooms."""
+"""The command `wavesim view`: show a whole field or frame as a zoomable page."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.errors import InputError
 
 RESULTS = {"reconstruction.npz": "", "object.npz": "true"}
-"""Fields that a folder may hold, and what their layers are called."""
+"""Fields in a folder, and the names of their layers."""
 
 SUMMARIES = ("reconstruction.json", "image.json")
-"""Of which the title is taken."""
+"""Files that give the title of the page."""
 
 CAMERA: dict[str, Any] = {
     "plane_distance_mm": 0.0,
@@ -37,13 +37,11 @@ def view(
         ),
     ],
     region_mm: Annotated[
-        str | None, typer.Option(help="x,y,width,height: its centre and sides; left out, all.")
+        str | None, typer.Option(help="x,y,width,height of the region: its centre and sides; default: all.")
     ] = None,
-    truth: Annotated[
-        Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
-    ] = None,
+    truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
     pixel_pitch_um: Annotated[
-        float | None, typer.Option(help="Of a camera's own frame, whose counts are shown.")
+        float | None, typer.Option(help="Pixel pitch of a frame of your own, whose counts are shown.")
     ] = None,
     output: Annotated[
         Path | None,
@@ -52,16 +50,16 @@ def view(
             "-o",
             callback=output_file,
             metavar="FILE",
-            help="Page to write, .html; left out, beside RESULT.",
+            help="Page to write, .html; default: beside RESULT.",
         ),
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Look at a whole field or frame in a browser: one page that zooms, and loads nothing.
+    """Show a whole field or frame in a browser, as one self-contained page that zooms.
 
-    A folder's layers are amplitude and phase of the reconstruction, the true object, and the frames. A region
-    is one of the object (the frames of a folder are left out then), or of the frame that RESULT names.
+    The layers of a folder are amplitude and phase of the reconstruction, the true object, and the frames. A
+    region is one of the object (frames of a folder are omitted then), or of the frame that RESULT names.
     """
     from wavesim.cli.options import numbers
     from wavesim.plots.page import write_zoom_page
@@ -74,13 +72,13 @@ def view(
     if output is None:
         check_output_file(path)
     layers = _layers(result, truth, region, pixel_pitch_um)
-    title, figures = _said(result)
+    title, figures = _title_and_facts(result)
     made = write_zoom_page(layers, path, title, figures)
     if as_json:
         print_json({"file": str(path)} | made.as_dict())
     else:
         typer.echo(f"wrote {path}: {', '.join(made.layers)}, {made.tiles} tiles, {1e-6 * made.bytes:.2g} MB")
-    _tell_left_out(made, layers, region)
+    _print_reduced_layers(made, layers, region)
     if open_:
         import webbrowser
 
@@ -91,7 +89,7 @@ def view(
 def _layers(
     result: Path, truth: Path | None, region: list[float] | None, pixel_pitch_um: float | None
 ) -> list[Any]:
-    """Layers of what a path names; those of a field before the frames."""
+    """Return the layers of a file or folder, with those of fields before those of frames."""
     if not result.is_dir() and result.suffix.lower() in (".tif", ".tiff"):
         if truth is not None:
             raise InputError(f"--truth: means nothing with the frame {result}")
@@ -103,7 +101,7 @@ def _layers(
         if result.suffix.lower() != ".npz":
             raise InputError(f"{result}: must be a folder, a field (.npz) or a frame (.tif)")
     else:
-        found = {result / name: said for name, said in RESULTS.items() if (result / name).exists()}
+        found = {result / name: label for name, label in RESULTS.items() if (result / name).exists()}
         frames = sorted(result.glob("frame_*.tif"), key=lambda path: (len(path.name), path.name))
         if not found and not frames:
             raise InputError(f"{result}: holds none of {', '.join(RESULTS)}, frame_1.tif")
@@ -111,8 +109,8 @@ def _layers(
             found = dict.fromkeys(found, "")
     layers = [layer for path, name in found.items() for layer in _field(path, name, region)]
     if truth is not None:
-        place = truth / "object.npz" if truth.is_dir() else truth
-        layers += [] if place in found else _field(place, "true", region)
+        file = truth / "object.npz" if truth.is_dir() else truth
+        layers += [] if file in found else _field(file, "true", region)
     if region is None or not layers:
         layers += [_frame(path, region, None) for path in frames]
     return layers
@@ -157,13 +155,13 @@ def _frame(path: Path, region: list[float] | None, pixel_pitch_um: float | None)
     return frame_layer(frame, f"{path.name}, {settings.plane_distance_mm:g} mm", centre_um)
 
 
-def _said(result: Path) -> tuple[str, list[tuple[str, str]]]:
-    """Title and figures of the page."""
+def _title_and_facts(result: Path) -> tuple[str, list[tuple[str, str]]]:
+    """Return title and facts of the page."""
     summary = _summary(result) if result.is_dir() else {}
     design, name = summary.get("design"), result.resolve().name
     title = f"{name}: {design}" if isinstance(design, str) else name
-    told = {name: summary.get(name) for name in ("method", "kind", "iterations")}
-    return title, [(name, str(what)) for name, what in told.items() if isinstance(what, str | int)]
+    facts = {name: summary.get(name) for name in ("method", "kind", "iterations")}
+    return title, [(name, str(value)) for name, value in facts.items() if isinstance(value, str | int)]
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -184,8 +182,8 @@ def _summary(folder: Path) -> dict[str, Any]:
     return {}
 
 
-def _tell_left_out(made: Any, layers: list[Any], region: list[float] | None) -> None:
-    """Say which layers do not show every sample, and what to do about it."""
+def _print_reduced_layers(made: Any, layers: list[Any], region: list[float] | None) -> None:
+    """Print which layers do not show every sample, and how to see all samples."""
     coarse = [
         f"{name} (means of {2**halvings} x {2**halvings} samples)"
         for name, halvings in zip(made.layers, made.halvings, strict=True)

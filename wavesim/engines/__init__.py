@@ -1,4 +1,4 @@
-"""Engines that carry fields from the object through the lens and back, and the choice between them."""
+"""Engines that propagate fields from the object through the lens, and the choice between them."""
 
 import lazy_loader
 

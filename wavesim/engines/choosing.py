@@ -1,8 +1,8 @@
-"""The engine that a scene needs, and no more: the cheapest whose predicted error is allowed.
+"""Choice of an engine: the cheapest one whose predicted error is allowed.
 
-Engines say beforehand what they neglect and what they cost. Errors predicted are those of the exit field for
-the light of one object, or for one that fills its grid evenly and sends light in all directions; they are
-meant as upper bounds.
+Every engine predicts its error and its cost before it runs. Predicted errors are upper bounds of the exit
+field's relative L2 error, for the light of one object, or for light that fills the object grid evenly in all
+directions.
 """
 
 from __future__ import annotations
@@ -26,24 +26,25 @@ from wavesim.scene.settings import DEFAULT_ERROR
 
 @dataclass(frozen=True)
 class Prediction:
-    """What an engine would do with a scene.
+    """Predicted error and cost of an engine for a scene.
 
     Attributes
     ----------
     engine : str
-        Name.
+        Name of the engine.
     settings : dict
-        To be given to :func:`engine_for`.
+        Its settings, as arguments of :func:`engine_for`.
     relative_error : float
-        Upper bound of the exit field's relative L2 error; infinite where the engine cannot tell.
+        Upper bound of the exit field's relative L2 error; infinite where the engine cannot predict it.
     seconds, setup_seconds : float
-        For one forward or adjoint, and once.
+        Time of one forward or adjoint, and of the set-up.
     peak_bytes : int
-        Most memory at one time.
+        Peak memory.
     neglected : str
-        The worst of what is left out.
+        The neglected effect with the largest error.
     refused : str
-        Why the engine does not take the scene; empty if it does, and then the figures mean something.
+        Reason why the engine cannot propagate the scene. If it is not empty, the other values have no
+        meaning.
     """
 
     engine: str
@@ -56,7 +57,7 @@ class Prediction:
     refused: str = ""
 
     def total_seconds(self, runs: int) -> float:
-        """Set-up and a number of runs."""
+        """Return the time of the set-up and a number of runs."""
         return self.setup_seconds + runs * self.seconds
 
     @property
@@ -71,16 +72,16 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Choice:
-    """The engine taken, and all that was weighed.
+    """The chosen engine, and all predictions.
 
     Attributes
     ----------
     chosen : Prediction
-        Of the engine taken.
+        Prediction of the chosen engine.
     predictions : tuple of Prediction
-        Of all, in the order in which they were tried.
+        Predictions of all engines, in the order in which they were tried.
     reason : str
-        Why, in a sentence or two.
+        Reason for the choice, in a few sentences.
     """
 
     chosen: Prediction
@@ -98,28 +99,41 @@ def engine_for(
     light: Light | None = None,
     **settings: Any,
 ) -> Engine:
-    """An engine for a scene: the one named, or the cheapest that holds.
+    """Return an engine for a scene: the named one, or the cheapest one that meets the error limit.
 
     Parameters
     ----------
     scene
-        What is to be carried where.
+        Lens, grids and wavelength.
     name
-        One of :data:`wavesim.engines.registry.ENGINES`, or "auto": the one that :func:`choose` takes.
+        One of :data:`wavesim.engines.registry.ENGINES`, or "auto" for the one that :func:`choose` selects.
     error
-        Relative L2 error of the exit field that is allowed; of an engine named, its setting of this name.
-        Left out, 0.05 for the choice, and what the engine named has.
+        Allowed relative L2 error of the exit field; for a named engine, its setting of this name. Default:
+        0.05 for the choice, the engine's own value for a named engine.
     memory_gb, runs, light
-        As of :func:`choose`; they say nothing to an engine named.
+        As in :func:`choose`; without effect for a named engine.
     **settings
-        Of the engine named; what is left out stays at the engine's own choice.
+        Settings of the named engine. Default: the engine's own choice.
+
+    Returns
+    -------
+    Engine
+        The engine, set up for the scene when it is first used.
 
     Raises
     ------
     InputError
-        If there is no such engine, or it does not know a setting or refuses its value.
+        If there is no such engine, or it has no such setting, or does not allow its value.
     SamplingError
-        If no engine holds; the message has the figures of each.
+        If no engine meets the limits; the message contains the predictions of all engines.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design
+    >>> from wavesim import engine_for, patch_scene
+    >>> scene = patch_scene(load_design("designs/paper_singlet.toml"), 0.01, meridional=True)
+    >>> engine_for(scene, "wpm").name
+    'wpm'
     """
     if error is not None:
         settings["error"] = error
@@ -140,21 +154,21 @@ def engine_for(
 
 
 def predict(scene: Scene, engine: str, light: Light | None = None, **settings: Any) -> Prediction:
-    """What an engine says of a scene before it runs.
+    """Predict error and cost of an engine for a scene, without a run.
 
     Parameters
     ----------
     scene
-        What is to be carried where.
+        Lens, grids and wavelength.
     engine, settings
-        As for :func:`engine_for`.
+        Name and settings, as in :func:`engine_for`.
     light
-        As of :func:`choose`.
+        Light behind the object. Default: light that fills the object grid evenly, in all directions.
 
     Raises
     ------
     InputError
-        If there is no such engine or setting, or the light is not that of the scene.
+        If there is no such engine or setting, or the light has another grid or wavelength than the scene.
     """
     return _predicted(engine_for(scene, engine, **settings), settings, light)
 
@@ -165,39 +179,44 @@ def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
-            cost, parts = built.cost(), built.neglected_of(light)
+            cost, terms = built.cost(), built.error_terms_of(light)
         except (InputError, SamplingError) as problem:
             return Prediction(built.name, settings, refused=str(problem))
     return Prediction(
         built.name,
         settings,
-        upper_bound(parts),
+        upper_bound(terms),
         cost.seconds,
         cost.setup_seconds,
         cost.peak_bytes,
-        parts[0].what if parts else "nothing",
+        terms[0].description if terms else "nothing",
     )
 
 
 def predictions(
     scene: Scene, error: float, light: Light | None = None, built: dict[int, Engine] | None = None
 ) -> Iterator[Prediction]:
-    """Predictions of all engines, each with its candidates up to the first that holds or brings no gain.
+    """Yield the predictions of all engines, for each its candidates up to the first that meets the limit.
 
-    `built` takes the engines that hold, by the identity of their predictions: what they have found out about
-    the scene need not be found out again.
+    Candidates of an engine also end where a further one no longer reduces the error enough. `built` receives
+    the engines that meet the limit, by the identity of their predictions, so that their ray traces are
+    reused.
     """
     for name in ENGINES:
-        engine, before = engine_class(name), math.inf
+        engine, previous = engine_class(name), math.inf
         for settings in engine.candidates(scene, error):
-            one = engine(scene, **settings)
-            found = _predicted(one, settings, light)
+            candidate = engine(scene, **settings)
+            found = _predicted(candidate, settings, light)
             yield found
             if built is not None and found.relative_error <= error:
-                built[id(found)] = one
-            if found.refused or found.relative_error <= error or found.relative_error > engine.gain * before:
+                built[id(found)] = candidate
+            if (
+                found.refused
+                or found.relative_error <= error
+                or found.relative_error > engine.gain * previous
+            ):
                 break
-            before = found.relative_error
+            previous = found.relative_error
 
 
 def choose(
@@ -208,27 +227,41 @@ def choose(
     runs: int = 2,
     light: Light | None = None,
 ) -> Choice:
-    """Take the cheapest engine that holds.
+    """Select the cheapest engine that meets the limits of error, memory and time.
 
     Parameters
     ----------
     scene
-        What is to be carried where.
+        Lens, grids and wavelength.
     error
-        Relative L2 error of the exit field that is allowed; its square is the share of wrong energy.
+        Allowed relative L2 error of the exit field; its square is the fraction of wrong energy.
     memory_gb, seconds
-        Memory that may be used, and time that all runs may take.
+        Limits of memory, and of the time of all runs.
     runs
-        How often fields will be carried forward or back, over which the set-up is shared.
+        Number of propagations, forward or adjoint, that share the set-up.
     light
-        Behind the object; left out, it fills its grid evenly and goes in all directions.
+        Light behind the object. Default: light that fills the object grid evenly, in all directions.
+
+    Returns
+    -------
+    Choice
+        The selected engine, the predictions of all engines, and the reason.
 
     Raises
     ------
     InputError
-        If a value is not usable, or the light is not that of the scene.
+        If a value is not usable, or the light has another grid or wavelength than the scene.
     SamplingError
-        If no engine holds; the message has the figures of each.
+        If no engine meets the limits; the message contains the predictions of all engines.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design
+    >>> from wavesim import patch_scene
+    >>> from wavesim.engines import choose
+    >>> scene = patch_scene(load_design("designs/paper_singlet.toml"), 0.01, meridional=True)
+    >>> choose(scene, error=0.1).chosen.engine
+    'eikonal'
     """
     return _chosen(scene, error, memory_gb, seconds, runs, light, None)
 
@@ -248,19 +281,19 @@ def _chosen(
         if not value > 0.0:
             raise InputError(f"{name} = {value!r}: must be above 0")
     validate_whole_number("runs", runs, 1)
-    allowed = Allowed(error, 1e9 * memory_gb, seconds, runs)
-    weighed = tuple(predictions(scene, error, light, built))
-    holding = [p for p in weighed if allowed.fault(p) is None]
-    if not holding:
-        listed = "; ".join(f"{p.label}: {allowed.fault(p)}" for p in weighed)
+    limits = _Limits(error, 1e9 * memory_gb, seconds, runs)
+    considered = tuple(predictions(scene, error, light, built))
+    acceptable = [p for p in considered if limits.fault(p) is None]
+    if not acceptable:
+        listed = "; ".join(f"{p.label}: {limits.fault(p)}" for p in considered)
         raise SamplingError(f"no engine carries this scene to a relative error of {error:g}. {listed}")
-    best = min(holding, key=lambda p: p.total_seconds(runs))
-    return Choice(best, weighed, _reason(best, weighed, allowed))
+    best = min(acceptable, key=lambda p: p.total_seconds(runs))
+    return Choice(best, considered, _reason(best, considered, limits))
 
 
 @dataclass(frozen=True)
-class Allowed:
-    """What a choice must keep to."""
+class _Limits:
+    """Limits of error, memory and time of a choice."""
 
     error: float
     memory_bytes: float
@@ -268,32 +301,30 @@ class Allowed:
     runs: int
 
     def fault(self, prediction: Prediction) -> str | None:
-        """Why an engine does not do, in a few words."""
+        """Return why a prediction violates the limits, in a few words; None if it meets them."""
         if prediction.refused:
             return f"refused ({prediction.refused})"
         if prediction.relative_error > self.error:
             size = prediction.relative_error
-            told = f"errs by {size:.2g}" if math.isfinite(size) else "cannot tell its error"
-            return f"{told} ({prediction.neglected})"
+            text = f"predicted relative error {size:.2g}" if math.isfinite(size) else "unknown relative error"
+            return f"{text} ({prediction.neglected})"
         if prediction.peak_bytes > self.memory_bytes:
-            return f"needs {prediction.peak_bytes / 1e9:.3g} GB of {self.memory_bytes / 1e9:.3g} GB allowed"
+            return f"needs {prediction.peak_bytes / 1e9:.3g} GB (allowed: {self.memory_bytes / 1e9:.3g} GB)"
         seconds = prediction.total_seconds(self.runs)
         if seconds > self.seconds:
-            return f"takes {seconds:.3g} s of {self.seconds:.3g} s allowed"
+            return f"takes {seconds:.3g} s (allowed: {self.seconds:.3g} s)"
         return None
 
 
-def _reason(best: Prediction, weighed: tuple[Prediction, ...], allowed: Allowed) -> str:
-    seconds = best.total_seconds(allowed.runs)
+def _reason(best: Prediction, considered: tuple[Prediction, ...], limits: _Limits) -> str:
+    seconds = best.total_seconds(limits.runs)
     lines = [
-        f"{best.label} errs by at most {best.relative_error:.2g} of {allowed.error:.2g} allowed, and takes "
-        f"{seconds:.2g} s and {best.peak_bytes / 1e6:.3g} MB for {allowed.runs} run(s)."
+        f"{best.label}: predicted relative error {best.relative_error:.2g} (allowed: {limits.error:.2g}), "
+        f"{seconds:.2g} s and {best.peak_bytes / 1e6:.3g} MB for {limits.runs} run(s)."
     ]
-    for p in sorted(weighed, key=lambda p: p.total_seconds(allowed.runs)):
+    for p in sorted(considered, key=lambda p: p.total_seconds(limits.runs)):
         if p is best:
             continue
-        fault = allowed.fault(p)
-        lines.append(
-            f"{p.label} {fault or f'does as well, but takes {p.total_seconds(allowed.runs):.2g} s'}."
-        )
+        slower = f"meets the limits as well, but takes {p.total_seconds(limits.runs):.2g} s"
+        lines.append(f"{p.label}: {limits.fault(p) or slower}.")
     return " ".join(lines)

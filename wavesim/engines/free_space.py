@@ -1,7 +1,8 @@
-"""Free space alone: object and first plane are one, and only recording planes lie at distances.
+"""The operator of lensless recording: the object plane is the first plane, and recording planes lie behind
+it.
 
-What an in-line hologram or a lensless camera (the paper's Fig. 5e) records. No lens, thus no scene of one:
-it is none of the registry's engines, and does what a reconstruction asks of one.
+It describes in-line holograms and lensless cameras (the paper's Fig. 5e). Without a lens there is no scene,
+so it is not in the registry; it has the interface that a reconstruction needs from an engine.
 """
 
 from __future__ import annotations
@@ -14,38 +15,38 @@ from wavesim.fields.field import Field, Grid
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """The identity, on the samples of the object's plane.
+    """Identity operator on the samples of the object plane.
 
     Attributes
     ----------
     object_grid : Grid
-        Where the object is.
+        Grid of the object.
     """
 
     object_grid: Grid
 
     @property
     def exit_grid(self) -> Grid:
-        """The object's own."""
+        """The grid of the object."""
         return self.object_grid
 
     @property
     def scene(self) -> FreeSpace:
-        """Its grids."""
+        """The object itself, which holds both grids."""
         return self
 
     def forward(self, field: Field) -> Field:
-        """The field itself.
+        """Return the field unchanged.
 
         Raises
         ------
         InputError
-            If it does not lie on the grid.
+            If the field does not lie on the grid.
         """
         if field.grid != self.object_grid:
             raise InputError(f"the field's grid {field.grid} is not that of free space, {self.object_grid}")
         return field
 
     def adjoint(self, field: Field) -> Field:
-        """As :meth:`forward`."""
+        """Return the field unchanged, as :meth:`forward`."""
         return self.forward(field)

@@ -1,6 +1,6 @@
-"""No lens: free space from the object to the exit grid, as if the lens were taken out.
+"""No lens: free space from the object to the exit grid.
 
-What a sensor in the same place would have recorded of the object alone; the paper's Fig. 5e.
+It gives what a sensor in the same position would record of the object without the lens (the paper's Fig. 5e).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from wavesim.scene.scene import Scene
 
 
 class NoLens(Engine):
-    """Free space of the index in front of the lens, over the geometric distance between both grids.
+    """Free space over the geometric distance between both grids, with the index in front of the lens.
 
     Parameters
     ----------
     scene
-        What is carried where; of the lens only that index counts.
+        Grids and wavelength. The lens contributes only the index in front of it.
     force
-        Run even what takes more than some hours or gigabytes.
+        Whether to run even above the limits of memory and time.
     """
 
     name = "no-lens"
@@ -53,7 +53,7 @@ class NoLens(Engine):
     def cost(self) -> Cost:
         return Cost(self._transfer.seconds, 0.0, self._transfer.peak_bytes)
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         return (ErrorTerm("the lens", math.nan),)
 
     def settings(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Engines by name.
+"""Registry of the engines by name.
 
-A new engine is a new module and one line in `ENGINES`; what others ask of it, its class tells.
+A new engine is a new module and one line in `ENGINES`. Everything else about it belongs to its class.
 """
 
 from __future__ import annotations
@@ -18,26 +18,35 @@ if TYPE_CHECKING:
 
 ENGINES: dict[str, str] = {
     "eikonal": "wavesim.engines.tiles.engine:EikonalTiles",
-    "two-level": "wavesim.engines.whole_field.engine:WholeFieldEngine",
+    "hierarchical": "wavesim.engines.whole_field.engine:WholeFieldEngine",
     "slices": "wavesim.engines.slices.engine:AnnularSlices",
     "wpm": "wavesim.engines.wpm.engine:WavePropagation",
     "thin-lens": "wavesim.engines.thin_lens:ThinLens",
     "no-lens": "wavesim.engines.no_lens:NoLens",
 }
-"""Name to `module:class`, imported where first asked for."""
+"""Location of each engine as `module:class`. A module is imported when its engine is first requested."""
+
+ALIASES = {"two-level": "hierarchical"}
+"""Former names of engines, which settings and files may still use."""
 
 AUTO = "auto"
-"""Name under which the choice is left to predictions."""
+"""Engine name that selects the cheapest engine within the error limit."""
 
 
 def engine_class(name: str) -> type[Engine]:
-    """The class of an engine.
+    """Return the class of an engine.
+
+    Parameters
+    ----------
+    name
+        Name of an engine, or one of its former names (`ALIASES`).
 
     Raises
     ------
     InputError
         If there is no engine of this name.
     """
+    name = ALIASES.get(name, name)
     if name not in ENGINES:
         raise InputError(
             f"engine = {name!r}: there is no such engine; allowed: {', '.join((*ENGINES, AUTO))}"
@@ -49,12 +58,12 @@ def engine_class(name: str) -> type[Engine]:
 
 
 def engine_on(engine: Engine, scene: Scene) -> Engine:
-    """An engine of another scene with the same settings, so that it errs alike."""
+    """Return an engine with the same settings, and so the same approximations, for another scene."""
     return engine_class(engine.name)(scene, **engine.settings())
 
 
 def settings_of(name: str) -> tuple[str, ...]:
-    """Names of an engine's settings.
+    """Return the names of an engine's settings.
 
     Raises
     ------

@@ -1,9 +1,10 @@
-"""The lens as a thin one: a quadratic phase of its focal length between two stretches of free space.
+"""The lens as a thin lens: a quadratic phase of its focal length between two sections of free space.
 
-The paper's Fig. 5f. Free space goes from the object to the front principal plane, and from the rear principal
-plane to the exit grid, so that first-order imaging is that of the thick lens. The stop is the disc in which
-the cone of rays through the real stop, from the object point on the axis, meets the principal plane. On the
-axis the optical path is that of the thick lens, and so is the transmission of its coatings.
+This is the model of the paper's Fig. 5f. Free space extends from the object to the front principal plane, and
+from the rear principal plane to the exit grid, so that first-order imaging is that of the thick lens. The
+stop is the disc in which the cone of rays through the real stop, from the axial object point, intersects the
+principal plane. On the axis the optical path and the transmission of the coatings are those of the thick
+lens.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
 FINENESS, WINDOW_MARGIN = 0.9, 1.02
-"""Pitch chosen, as a share of the coarsest that holds the field; window, as a multiple of the stop."""
+"""Pitch, as a fraction of the coarsest that samples the field; window, as a multiple of the stop."""
 
 FAN_RAYS = 401
 
@@ -48,11 +49,11 @@ class _ThinLens:
     Attributes
     ----------
     power_per_mm
-        Vacuum wave number times this times r^2 / 2 is the phase.
+        The phase of the lens is the vacuum wavenumber times this times r^2 / 2.
     front_mm, rear_mm
         Principal points (x, y, z).
     semi_diameter_mm
-        Of the stop in the principal plane.
+        Semi-diameter of the stop in the principal plane.
     extra_path_mm
         Optical path on the axis between the principal planes.
     """
@@ -69,10 +70,10 @@ def _thin_lens(scene: Scene) -> _ThinLens:
     vertex, index = system.vertex[0], system.index[0]
     thickness = np.linalg.norm(np.diff(vertex, axis=0), axis=-1)
     if not all(shape.ROTATIONAL for shape in system.shapes):
-        raise InputError("a thin lens is one of revolution: no such lens stands for surfaces that are not")
+        raise InputError("engine thin-lens: the lens has surfaces that are not rotationally symmetric")
     points = cardinal_points([shape.curvature for shape in system.shapes], thickness, index)
     if not math.isfinite(points.efl_mm):
-        raise InputError("the lens is afocal: it has no principal planes, and no thin lens stands for it")
+        raise InputError("engine thin-lens: the lens is afocal and has no principal planes")
     axis = system.rotation[0, 0, :, 2]
     front = vertex[0] + points.front_principal_z_mm * axis
     rear = vertex[0] + points.rear_principal_z_mm * axis
@@ -85,7 +86,7 @@ def _thin_lens(scene: Scene) -> _ThinLens:
 
 
 def _cone_tangent(scene: Scene) -> float:
-    """Tangent of the marginal ray's angle, of the nominal lens."""
+    """Return the tangent of the marginal ray's angle in the nominal lens."""
     lens = scene.lens
     nominal = compile_system(lens, scene.wavelength_um)
     _, heading = launch_compiled(
@@ -105,12 +106,12 @@ class ThinLens(Engine):
     Parameters
     ----------
     scene
-        What is carried where. A displaced or tilted lens takes its principal points along; of surfaces that
-        are perturbed alone, only radius, thickness and index count; figures do not.
+        Lens, grids and wavelength. The principal points move with a displaced or tilted lens. Of perturbed
+        surfaces only radius, thickness and index count; their poses and figures have no effect.
     pitch_mm
-        In the principal planes; chosen if left out.
+        Pitch in the principal planes. Default: by the steepest light.
     force
-        Run even what takes more than some hours or gigabytes.
+        Whether to run even above the limits of memory and time.
 
     Raises
     ------
@@ -128,7 +129,7 @@ class ThinLens(Engine):
 
     @cached_property
     def thin(self) -> _ThinLens:
-        """First-order properties."""
+        """First-order properties of the lens."""
         return _thin_lens(self.scene)
 
     @cached_property
@@ -138,14 +139,14 @@ class ThinLens(Engine):
         Raises
         ------
         SamplingError
-            If the pitch asked for cannot hold the light there.
+            If the given pitch cannot sample the light.
         """
         thin, coarsest = self.thin, math.pi / self._steepest_per_mm()
         pitch = FINENESS * coarsest if self._pitch_mm is None else self._pitch_mm
         if pitch > coarsest:
             raise SamplingError(
-                f"pitch_mm = {pitch:.4g} in the principal planes: too coarse for the steepest light there; "
-                f"at most {coarsest:.4g} mm holds it"
+                f"pitch_mm = {pitch:.4g} in the principal planes: too coarse for the steepest light; "
+                f"must be at most {coarsest:.4g} mm"
             )
         count = scipy.fft.next_fast_len(math.ceil(2.0 * WINDOW_MARGIN * thin.semi_diameter_mm / pitch))
         shape = (count,) * len(self.scene.object_grid.shape)
@@ -157,7 +158,7 @@ class ThinLens(Engine):
         return front, rear
 
     def _steepest_per_mm(self) -> float:
-        """Largest transverse wave number on either side, from all of the object to all of the stop."""
+        """Return the largest transverse wavenumber on either side, over all object and stop points."""
         thin, grid = self.thin, self.scene.object_grid
         k, (before, behind) = self.scene.wavenumber_per_mm, self.scene.system.index[0, [0, -1]]
         offset = np.hypot(*(np.array(grid.centre_mm) - thin.front_mm[:2]))
@@ -169,7 +170,7 @@ class ThinLens(Engine):
         return float(k * max(np.max(np.abs(into)), np.max(np.abs(out))))
 
     def _phase(self) -> NDArray[np.complex128]:
-        """What the lens does to the field, stop and optical path included."""
+        """Return the complex transmission of the lens, with stop and optical path."""
         grid, thin = self.lens_grids[0], self.thin
         (x, y), k = grid.centre_mm, self.scene.wavenumber_per_mm
         r2 = (grid.y_mm - y) ** 2
@@ -180,7 +181,7 @@ class ThinLens(Engine):
         return np.asarray(np.where(r2 <= thin.semi_diameter_mm**2, passed * np.exp(1j * path), 0.0))
 
     def _axial_transmission(self) -> float:
-        """Factor of the field along the axis, of all surfaces together."""
+        """Return the transmission of the field along the axis, of all surfaces together."""
         scene, along = self.scene, np.ones(1)
         factors = [
             transmission(scene.coating, float(n1), float(n2), along, along, scene.object_grid.is_line)
@@ -190,7 +191,7 @@ class ThinLens(Engine):
 
     @cached_property
     def _transfers(self) -> tuple[FreeSpacePropagator, FreeSpacePropagator]:
-        """From the object to the front principal plane, and from the rear one to the exit."""
+        """Free space from the object to the front principal plane, and from the rear one to the exit."""
         scene, (front, rear) = self.scene, self.lens_grids
         before, behind = (float(n) for n in scene.system.index[0, [0, -1]])
         return (
@@ -216,14 +217,16 @@ class ThinLens(Engine):
     def settings(self) -> dict[str, Any]:
         return {"pitch_mm": self.lens_grids[0].pitch_mm}
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         waves, error = self._misfit()
-        what = f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
-        found = [ErrorTerm(what, error), *self._figures()]
-        return tuple(sorted(found, key=lambda part: -part.relative_error))
+        description = (
+            f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
+        )
+        found = [ErrorTerm(description, error), *self._figures()]
+        return tuple(sorted(found, key=lambda term: -term.relative_error))
 
     def _figures(self) -> list[ErrorTerm]:
-        """The figure of each surface, as the phase that it adds to light along the axis."""
+        """Return an error term for the figure of each surface, as the phase that it adds along the axis."""
         scene, found = self.scene, []
         for i, figures in enumerate(scene.system.figures):
             semi = scene.lens.surfaces[i].semi_diameter_mm or min(
@@ -238,7 +241,8 @@ class ThinLens(Engine):
         return found
 
     def _misfit(self) -> tuple[float, float]:
-        """Difference of optical path, rms waves with its mean removed, and relative error of the field.
+        """Return the rms difference of optical path in waves, without its mean, and the field's relative
+        error.
 
         Both come from the rays of one object point in a meridional plane of the nominal lens.
         """
@@ -261,14 +265,14 @@ class ThinLens(Engine):
         reached = rays.position[rays.ok, 1]
         apart = rays.opl[rays.ok] - np.interp(reached, landing, path, left=np.nan, right=np.nan)
         both = np.isfinite(apart)
-        # Where only one of the two fields has light, nothing of it is right.
+        # Where only one of the two fields has light, all of its energy is wrong.
         phase = scene.wavenumber_per_mm * apart[both]
         energy = np.sum(2.0 - 2.0 * np.cos(phase)) + 2.0 * np.count_nonzero(~both)
         rms = float(np.std(phase)) / (2.0 * math.pi) if np.any(both) else math.nan
         return rms, math.sqrt(float(energy) / len(apart))
 
     def _thin_rays(self, height_mm: float) -> tuple[Array, Array]:
-        """Where rays through the thin lens land on the exit grid's plane, increasing, and their paths."""
+        """Return where rays through the thin lens meet the exit plane, ascending, and their paths."""
         scene = self.scene
         thin = _thin_lens(Scene(scene.lens, scene.object_grid, scene.exit_grid, scene.wavelength_um))
         before, behind = scene.system.index[0, [0, -1]]

@@ -1,4 +1,4 @@
-"""An engine's field with the lens's ghost, which is coherent with it."""
+"""The field of an engine together with the lens's ghost, which is coherent with it."""
 
 from __future__ import annotations
 
@@ -14,63 +14,65 @@ from wavesim.scene.light import Light
 from wavesim.scene.settings import SettingError
 
 GHOST_ERROR = 0.05
-"""That tiles may leave of the ghost's own field, which is a small part of the whole."""
+"""Allowed relative error of the ghost's own field, which is a small part of the whole field."""
 
 
 class WithGhost(Engine):
-    """Another engine's field, and on it that of light which both outer surfaces have reflected.
+    """Sum of another engine's field and the field of the light that both outer surfaces reflect.
 
-    The phase is that of rays: coatings may turn it, and a thickness that is off by 0.1 um turns it by more
-    than half a wave.
+    The phase of the ghost is that of its rays. It is uncertain in practice: coatings change it, and a
+    thickness error of 0.1 um changes it by more than half a wave.
 
     Parameters
     ----------
     straight : Engine
-        Carries the light that goes straight through.
-    share : float
-        Of the light, that both reflections leave: the product of both reflectances.
+        Engine of the light that no surface reflects.
+    reflectance : float
+        Product of the reflectances of both outer surfaces.
 
     Raises
     ------
     InputError
-        If the share is not from 0 to 1, or the engine works in parts.
+        If the reflectance is not from 0 to 1, or the engine works in tiles of a whole field.
     """
 
     name = "with-ghost"
 
-    def __init__(self, straight: Engine, share: float) -> None:
+    def __init__(self, straight: Engine, reflectance: float) -> None:
         super().__init__(straight.scene)
-        if not 0.0 <= share <= 1.0:
-            raise InputError(f"ghost = {share!r}: must be a share of the light, from 0 to 1")
+        if not 0.0 <= reflectance <= 1.0:
+            raise InputError(f"ghost = {reflectance!r}: must be a fraction of the light, from 0 to 1")
         if isinstance(straight, Tiled):
-            raise SettingError(f"{{ghost}}: engine {straight.name} carries none; take eikonal, or no ghost")
-        self.straight, self.share = straight, share
+            raise SettingError(
+                f"{{ghost}}: engine {straight.name} carries none; use engine eikonal, or no ghost"
+            )
+        self.straight, self.reflectance = straight, reflectance
 
     @cached_property
     def ghost(self) -> EikonalTiles:
-        """Carries the ghost, as if both surfaces reflected all of the light."""
+        """Engine of the ghost, with both reflectances set to 1."""
         return EikonalTiles(ghost_of(self.scene), error=GHOST_ERROR)
 
     def _forward(self, values: Any) -> Any:
-        return self.straight._forward(values) + math.sqrt(self.share) * self.ghost._forward(values)
+        return self.straight._forward(values) + math.sqrt(self.reflectance) * self.ghost._forward(values)
 
     def _adjoint(self, values: Any) -> Any:
-        return self.straight._adjoint(values) + math.sqrt(self.share) * self.ghost._adjoint(values)
+        return self.straight._adjoint(values) + math.sqrt(self.reflectance) * self.ghost._adjoint(values)
 
     def cost(self) -> Cost:
-        parts = self.straight.cost(), self.ghost.cost()
+        costs = self.straight.cost(), self.ghost.cost()
         return Cost(
-            sum(part.seconds for part in parts),
-            sum(part.setup_seconds for part in parts),
-            sum(part.peak_bytes for part in parts),
-            sum(part.peak_bytes_in_single for part in parts),
+            sum(cost.seconds for cost in costs),
+            sum(cost.setup_seconds for cost in costs),
+            sum(cost.peak_bytes for cost in costs),
+            sum(cost.peak_bytes_in_single for cost in costs),
         )
 
     def edge_illumination(self, light: Light) -> float:
         return self.straight.edge_illumination(light)
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
-        return self.straight.neglected()
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        return self.straight.error_terms()
 
     def settings(self) -> dict[str, Any]:
-        return {"engine": self.straight.name, **self.straight.settings(), "ghost": self.share}
+        return {"engine": self.straight.name, **self.straight.settings(), "ghost": self.reflectance}

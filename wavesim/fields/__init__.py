@@ -1,4 +1,4 @@
-"""Fields on grids, and their way through free space."""
+"""Fields on grids, their propagation through free space, and their files."""
 
 import lazy_loader
 

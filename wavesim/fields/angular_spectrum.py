@@ -1,7 +1,8 @@
 """Free space between the same samples of parallel planes: the angular spectrum of plane waves.
 
-Band-limited (Matsushima and Shimobaba 2009), also onto a window beside the input's (Matsushima 2010). Waves
-that decay along z are left out, so that carrying a field back is the exact adjoint of carrying it forward.
+The spectrum is band-limited (Matsushima and Shimobaba 2009), also for a laterally shifted window (Matsushima
+2010). Evanescent waves are omitted, so that propagation backwards is the exact adjoint of propagation
+forwards.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from wavesim.runtime.arrays import array_module, fftn, ifftn
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 FACTOR_BYTES = 64
-"""For each sample of the spectrum, while its factor is made."""
+"""Bytes for each sample of the spectrum during the computation of its factor."""
 
 
 class AngularSpectrum:
-    """A passage by Fourier transforms, between grids of equal shape and pitch.
+    """Propagation by Fourier transforms, between grids of equal shape and pitch.
 
     Attributes
     ----------
@@ -42,7 +43,7 @@ class AngularSpectrum:
         self, source: Grid, target: Grid, wavelength_um: float, index: float, pad: Pad, band_limit: bool
     ) -> None:
         if (source.shape, source.pitch_mm) != (target.shape, target.pitch_mm):
-            raise InputError("padding and band limit are chosen for grids of the same shape and pitch alone")
+            raise InputError("pad and band_limit: can be set only for grids of the same shape and pitch")
         self.source, self.target = source, target
         self.wavelength_um, self.index = wavelength_um, index
         self.distance_mm = target.z_mm - source.z_mm
@@ -57,7 +58,7 @@ class AngularSpectrum:
         self.samples = math.prod(self.counts)
 
     def check(self, values: Any, coarse_output: bool) -> None:
-        """Warn, or refuse, where samples cannot hold the field."""
+        """Warn, or raise SamplingError, where the samples cannot represent the field."""
         far = f"{abs(self.distance_mm):.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} um"
         check_sample_count(self.counts, far)
         field = Field(self.source, values, self.wavelength_um, self.index)
@@ -70,13 +71,13 @@ class AngularSpectrum:
         )
 
     def forward(self, values: Any) -> Any:
-        return self._carried(values, back=False)
+        return self._propagated(values, adjoint=False)
 
     def adjoint(self, values: Any) -> Any:
-        return self._carried(values, back=True)
+        return self._propagated(values, adjoint=True)
 
     def factor(self, dtype: Any = None, xp: Any = np) -> Any:
-        """Of each plane wave, in FFT order."""
+        """Return the factor of each plane wave, in FFT order."""
         pairs = windows(self.source, self.target)
         bands = [pair.pass_band(n) for pair, n in zip(pairs, self.counts, strict=True)]
         if not self.band_limit:
@@ -84,22 +85,22 @@ class AngularSpectrum:
         cycles = fft_frequencies(self.counts, self.source.pitch_mm, xp)
         return transfer(cycles, self.wavelength_um, self.index, self.distance_mm, bands, dtype=dtype, xp=xp)
 
-    def _carried(self, values: Any, back: bool) -> Any:
+    def _propagated(self, values: Any, adjoint: bool) -> Any:
         xp = array_module(values)
         kind = xp.result_type(values.dtype, xp.complex64)
         factor = self.factor(kind, xp)
         spectrum = fftn(values, self.counts)
-        spectrum *= xp.conj(factor) if back else factor
-        carried = ifftn(spectrum, overwrite=True)
-        return carried[tuple(slice(0, n) for n in self.source.shape)]
+        spectrum *= xp.conj(factor) if adjoint else factor
+        result = ifftn(spectrum, overwrite=True)
+        return result[tuple(slice(0, n) for n in self.source.shape)]
 
     @property
     def seconds(self) -> float:
-        """What one use takes on this machine."""
+        """Predicted time of one use on this machine."""
         transforms = 2.0 * fft_seconds(self.samples, self.source.is_line)
         return transforms + 4.0 * exponential_seconds(self.samples) + pass_seconds(self.samples)
 
     @property
     def peak_bytes(self) -> int:
-        """Most memory of one use, its result not counted."""
+        """Peak memory of one use, without its result."""
         return FACTOR_BYTES * self.samples

@@ -1,4 +1,4 @@
-"""How much of each cell of a plane grid a shape covers: rectangles, discs, half-planes, in closed form."""
+"""Fraction of each cell of a plane grid that a rectangle, a disc or a half-plane covers, in closed form."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from lensdesign.errors import InputError, SamplingError, validate_positive
 from wavesim.fields.field import Grid, Orientation, axis_of
 
 SAMPLES_PER_FEATURE = 2.0
-"""Fewest samples across the narrowest feature of an object; fewer would not show it."""
+"""Fewest samples across the narrowest feature of an object. Fewer samples would not resolve it."""
 
 ROUNDING = 1.0 - 1e-9
-"""Sizes that are meant to be equal may differ by this factor."""
+"""Relative tolerance of comparisons between sizes that are meant to be equal."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Rectangle:
 
 
 def rectangle(centre_mm: tuple[float, float], width_mm: float, height_mm: float) -> Rectangle:
-    """The rectangle with a middle (x, y), a width along x and a height along y."""
+    """Return the rectangle with a centre (x, y), a width along x and a height along y."""
     x, y = centre_mm
     return Rectangle(x - 0.5 * width_mm, x + 0.5 * width_mm, y - 0.5 * height_mm, y + 0.5 * height_mm)
 
@@ -47,7 +47,7 @@ def bar_rectangles(
     centre_mm: tuple[float, float],
     length_mm: float,
 ) -> tuple[Rectangle, ...]:
-    """Bars that follow each other along an axis, with gaps of their own width, about a middle (x, y)."""
+    """Return parallel bars with gaps of their own width about a centre (x, y), as in a resolution target."""
     axis = axis_of(orientation)
     made = []
     for bar in range(bars):
@@ -59,12 +59,12 @@ def bar_rectangles(
 
 
 def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:
-    """Part of each cell that rectangles which do not overlap take up, exactly.
+    """Return the fraction of each cell that rectangles cover; they must not overlap.
 
     Raises
     ------
     InputError
-        If the grid is a line, or a rectangle reaches beyond it.
+        If the grid is a line, or a rectangle extends beyond it.
     """
     validate_two_dimensional(grid)
     covered = np.zeros(grid.shape)
@@ -77,10 +77,10 @@ def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:
 
 
 def disc_coverage(grid: Grid, radius_mm: float, at_mm: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Part of each cell inside a disc about a point (x, y), given from the grid's centre, exactly.
+    """Return the fraction of each cell inside a disc about a point (x, y) relative to the grid's centre.
 
-    The area of a cell on the circle is the second difference of the area of the disc left of and below its
-    corners.
+    The area of a cell on the circle is the second difference of the area of the disc to the left of and below
+    the cell's corners.
     """
     validate_two_dimensional(grid)
     validate_positive("radius_mm", radius_mm)
@@ -103,7 +103,7 @@ def disc_coverage(grid: Grid, radius_mm: float, at_mm: tuple[float, float] = (0.
 
 
 def _disc_beside(radius: float, y: Array, x: Array) -> Array:
-    """Area of a disc between both axes through its middle and lines at y and x; negative on one side."""
+    """Return the signed area of a disc between its axes of symmetry and the lines at y and x."""
     down, across = np.minimum(abs(y), radius), np.minimum(abs(x), radius)
 
     def under_arc(u: Array) -> Array:
@@ -115,9 +115,9 @@ def _disc_beside(radius: float, y: Array, x: Array) -> Array:
 
 
 def half_plane_coverage(distance: Array, cosine: Array, sine: Array) -> Array:
-    """Part of a unit square on the positive side of a line at a signed distance from its middle."""
-    # The square's shadow on the normal is a trapezoid, the convolution of two boxes; a box of no width would
-    # divide by zero.
+    """Return the area of a unit square on the positive side of a line at a distance from its centre."""
+    # The square's projection on the normal is a trapezoid, the convolution of two boxes. The lower limit of
+    # their widths avoids a division by zero.
     one, two = np.maximum(abs(cosine), 1e-6), np.maximum(abs(sine), 1e-6)
 
     def ramp(shift: Array) -> Array:
@@ -125,7 +125,7 @@ def half_plane_coverage(distance: Array, cosine: Array, sine: Array) -> Array:
 
     outer, inner = 0.5 * (one + two), 0.5 * (one - two)
     area = (ramp(outer) - ramp(inner) - ramp(-inner) + ramp(-outer)) / (one * two)
-    # Far away the squares above cancel badly.
+    # Far away the squares above cancel and lose their accuracy.
     return np.asarray(np.where(abs(distance) >= outer, distance > 0.0, np.clip(area, 0.0, 1.0)))
 
 
@@ -146,21 +146,21 @@ def validate_sampling(grid: Grid, width_um: float, what: str) -> None:
 
 
 def validate_inside(grid: Grid, shape: Rectangle) -> None:
-    """Raise InputError if a rectangle reaches beyond a grid."""
+    """Raise InputError if a rectangle extends beyond a grid."""
     half_y, half_x = grid.half_widths_mm
     x, y = grid.centre_mm
     reach_x = max(shape.right_mm - x, x - shape.left_mm)
     reach_y = max(shape.high_mm - y, y - shape.low_mm)
     if not (reach_x * ROUNDING <= half_x and reach_y * ROUNDING <= half_y):
         raise InputError(
-            f"the object reaches {reach_x:.4g} mm along x and {reach_y:.4g} mm along y from the grid's "
-            f"centre: the grid reaches {half_x:.4g} mm and {half_y:.4g} mm; give a larger grid or a "
+            f"the object extends {reach_x:.4g} mm along x and {reach_y:.4g} mm along y from the grid's "
+            f"centre: the grid extends {half_x:.4g} mm and {half_y:.4g} mm; give a larger grid or a "
             "smaller object"
         )
 
 
 def _interval(samples_mm: Array, pitch_mm: float, low_mm: float, high_mm: float) -> tuple[slice, Array]:
-    """Cells that an interval touches, and the part of each that it covers."""
+    """Return the cells that an interval touches, and the fraction of each that it covers."""
     start = float(samples_mm[0]) - 0.5 * pitch_mm
     first = max(0, math.floor((low_mm - start) / pitch_mm))
     last = min(len(samples_mm), math.ceil((high_mm - start) / pitch_mm))

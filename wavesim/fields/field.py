@@ -1,9 +1,11 @@
 """Grids and fields: where a wave is sampled, and its samples.
 
-A grid lies in a plane perpendicular to the axis: either a whole plane, or one meridional line along y in
-a world without x (lines of light in place of points), for long sweeps and exact solutions. Fields vary as
-exp(-i w t), so that a wave along +z is exp(+i k z). A field is scaled so that |u|^2 times refractive index
-and cosine is the flux through the plane.
+A grid lies in a plane perpendicular to the axis. It is a whole plane, or one meridional line along y. On a
+line the problem is two-dimensional: nothing varies along x, and point sources are line sources. Lines serve
+long parameter sweeps and exact solutions.
+
+Fields vary in time as exp(-i w t), so that a wave along +z is exp(+i k z). A field u is scaled so that |u|^2
+times refractive index and cosine of the angle to the axis is the flux through the plane.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from wavesim.runtime.arrays import array_module
 Orientation = Literal["x", "y"]
 
 ON_SAMPLE = 1e-6
-"""Of a pitch: nearer to a sample than this is on it."""
+"""Largest distance from a sample, in pitches, at which a point counts as lying on it."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +36,23 @@ class Grid:
     shape : (ny,) or (ny, nx)
         Number of samples: one number for a meridional line along y, two for a plane.
     pitch_mm : float
-        Between neighbouring samples.
+        Distance between neighbouring samples.
     z_mm : float
-        Of the plane, in the fixed frame.
+        Position of the plane in the fixed frame.
     centre_mm : (x, y)
-        Middle of the samples; x is 0 for a line.
+        Centre of the samples; x is 0 for a line.
 
     Raises
     ------
     InputError
-        If a value is not usable.
+        If a number is not finite, the shape is empty, or the pitch is not above 0.
+
+    Examples
+    --------
+    >>> from wavesim.fields import Grid
+    >>> grid = Grid((4, 4), 0.5, 10.0)
+    >>> grid.x_mm.tolist()
+    [-0.75, -0.25, 0.25, 0.75]
     """
 
     shape: tuple[int, ...]
@@ -73,12 +82,12 @@ class Grid:
 
     @property
     def cell(self) -> float:
-        """Length (mm) or area (mm^2) that one sample stands for."""
+        """Length (mm) or area (mm^2) of one sample."""
         return float(self.pitch_mm ** len(self.shape))
 
     @property
     def half_widths_mm(self) -> tuple[float, ...]:
-        """Half of the grid's sides, in the order of `shape`, to the outer borders of its cells."""
+        """Half of the grid's sides, in the order of `shape`, to the outer edges of its cells."""
         return tuple(0.5 * n * self.pitch_mm for n in self.shape)
 
     @cached_property
@@ -94,21 +103,21 @@ class Grid:
         return _samples(self.shape[1], self.pitch_mm, self.centre_mm[0])
 
     def radius_squared_mm2(self) -> Array:
-        """Squared distance of each sample from the axis, of the grid's shape."""
+        """Return the squared distance of each sample from the axis, with the grid's shape."""
         if self.is_line:
             return self.y_mm**2
         return self.y_mm[:, None] ** 2 + self.x_mm**2
 
     def at(self, z_mm: float) -> Grid:
-        """The same samples in another plane."""
+        """Return the same samples in another plane."""
         return replace(self, z_mm=z_mm)
 
     def towards(self, to: Grid | float) -> Grid:
-        """Another grid, or the same samples so many mm along the axis."""
+        """Return a target grid: the given one, or the same samples at a distance (mm) along the axis."""
         return to if isinstance(to, Grid) else self.at(self.z_mm + to)
 
     def samples_among(self, wider: Grid) -> tuple[slice, slice] | None:
-        """Where the samples of this plane lie among those of a wider one; None if not all are among them."""
+        """Return the rows and columns of a wider grid that hold these samples; None if not all do."""
         if (wider.z_mm, wider.pitch_mm) != (self.z_mm, self.pitch_mm):
             return None
         found = []
@@ -132,9 +141,9 @@ class Field:
     Attributes
     ----------
     grid : Grid
-        Where the samples are.
+        Positions of the samples.
     values : complex array of the grid's shape
-        From NumPy, or any library that follows the array API.
+        Complex amplitudes, from NumPy or from a library that follows the array API.
     wavelength_um : float
         Vacuum wavelength.
     index : float
@@ -143,7 +152,14 @@ class Field:
     Raises
     ------
     InputError
-        If the shapes differ, or the wavelength is not usable.
+        If the shapes differ, or the wavelength is not finite and above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim.fields import Field, Grid
+    >>> Field(Grid((2, 2), 0.5, 0.0), np.ones((2, 2)), wavelength_um=0.532).energy
+    1.0
     """
 
     grid: Grid
@@ -170,23 +186,23 @@ class Field:
         return float(xp.sum(abs(self.values) ** 2)) * self.grid.cell
 
     def with_values(self, values: Any) -> Field:
-        """Other values at the same place."""
+        """Return a field with other values on the same grid."""
         return replace(self, values=values)
 
 
 def relative_error(field: Any, truth: Any) -> float:
-    """L2 norm of the difference over that of the truth; nothing is fitted."""
+    """Return the L2 norm of the difference over that of the truth; no scale or phase is fitted."""
     return float(np.linalg.norm(np.ravel(field - truth)) / np.linalg.norm(np.ravel(truth)))
 
 
 def correlation(field: Any, truth: Any) -> float:
-    """Modulus of the normalized inner product of two fields: 1 where they differ by a constant factor."""
+    """Return the modulus of the normalized inner product of two fields; 1 if they are proportional."""
     a, b = np.ravel(field), np.ravel(truth)
     return float(abs(np.vdot(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))
 
 
 def axis_of(orientation: str) -> int:
-    """0 for x and 1 for y; InputError for anything else."""
+    """Return 0 for "x" and 1 for "y"; raise InputError for anything else."""
     if orientation not in ("x", "y"):
         raise InputError(f"orientation = {orientation!r}: must be 'x' or 'y', the axis along which it varies")
     return int(orientation == "y")

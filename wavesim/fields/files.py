@@ -1,4 +1,4 @@
-"""Files of fields: complex values, their pitch, and where they lie (.npz)."""
+"""Files of fields: complex values, their pitch and their position (.npz)."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 
 FIELD_ARRAYS = ("values", "pitch_um")
-"""Arrays that every field has."""
+"""Arrays that every file of a field contains."""
 
 
 def write_field(field: Field, path: Path, **numbers: float) -> None:
-    """Write complex values with their pitch and wavelength, as `measured_field` reads them (.npz).
+    """Write complex values with their pitch and wavelength to a file that `measured_field` reads (.npz).
 
     Parameters
     ----------
     field
-        On a plane.
+        Field on a plane.
     path
         File to write.
     **numbers
-        What else is to stand beside the values.
+        Further numbers to store with the values.
     """
     write_arrays(
         path,
@@ -39,7 +39,7 @@ def write_field(field: Field, path: Path, **numbers: float) -> None:
 
 
 def write_arrays(path: Path, **arrays: Any) -> None:
-    """Write arrays by name (.npz), packed in a quarter of NumPy's time, and a little larger."""
+    """Write arrays by name (.npz) with fast compression: a quarter of NumPy's time, slightly larger files."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for name, values in arrays.items():
             with file.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -47,7 +47,7 @@ def write_arrays(path: Path, **arrays: Any) -> None:
 
 
 def read_field(path: Path) -> tuple[Any, float]:
-    """Values and pitch (um) of a field, as `write_field` writes them.
+    """Read values and pitch of a field from a file that `write_field` has written.
 
     Parameters
     ----------
@@ -62,17 +62,17 @@ def read_field(path: Path) -> tuple[Any, float]:
     Raises
     ------
     InputError
-        If the file cannot be read, is damaged, or holds no such field.
+        If the file cannot be read, is damaged, or contains no field.
     """
-    held = read_arrays(path, named="the field", only=FIELD_ARRAYS)
-    if "values" not in held or "pitch_um" not in held:
+    arrays = read_arrays(path, named="the field", only=FIELD_ARRAYS)
+    if "values" not in arrays or "pitch_um" not in arrays:
         if not zipfile.is_zipfile(path):
             raise InputError(f"cannot read the field {path}: no .npz file, or damaged")
-        lacking = [name for name in FIELD_ARRAYS if name not in held]
+        lacking = [name for name in FIELD_ARRAYS if name not in arrays]
         raise InputError(
             f"field {path}: has no {' and no '.join(lacking)}; it holds {sorted(array_names(path))}"
         )
-    values, pitch = held["values"], held["pitch_um"]
+    values, pitch = arrays["values"], arrays["pitch_um"]
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fc":
         raise InputError(
             f"field {path}: has {values.dtype} values of shape {values.shape}: must be complex or real, "
@@ -87,18 +87,18 @@ def read_field(path: Path) -> tuple[Any, float]:
 
 
 def read_centre_um(path: Path) -> tuple[float, float]:
-    """Middle (x, y) of a field that `read_field` reads; the axis, unless its file says otherwise.
+    """Return the centre (x, y) of a stored field in um; the axis, unless its file states another one.
 
     Raises
     ------
     InputError
-        If it cannot be read, or says no finite numbers.
+        If the file cannot be read, or states no finite numbers.
     """
     names = ("centre_x_mm", "centre_y_mm")
-    held = read_arrays(path, 1000, named="the field", only=names)
-    if not all(held[name].size == 1 and held[name].dtype.kind in "fiu" for name in held):
+    arrays = read_arrays(path, 1000, named="the field", only=names)
+    if not all(arrays[name].size == 1 and arrays[name].dtype.kind in "fiu" for name in arrays):
         raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be one number each")
-    x, y = (float(held[name].item()) if name in held else 0.0 for name in names)
+    x, y = (float(arrays[name].item()) if name in arrays else 0.0 for name in names)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be finite")
     return 1e3 * x, 1e3 * y

@@ -1,8 +1,9 @@
-"""Warnings of the wave engines, and the guard of free space: can these samples hold the field on its way?
+"""Checks of the sampling of free-space propagation, and the warnings of the wave engines.
 
-What is measured are parts of the field's energy, from its spectrum and from where its light goes by
-geometry: under `WARNED` nothing is said, up to `REFUSED` the part is stated in a :class:`SamplingWarning`,
-and beyond it a :class:`~lensdesign.errors.SamplingError` says what to change.
+The checks estimate the fraction of the field's energy that the samples cannot represent, from the spectrum of
+the field and the geometric paths of its plane waves. A fraction below `WARNED` is accepted. A fraction up to
+`REFUSED` raises a :class:`SamplingWarning`. A larger one raises a :class:`~lensdesign.errors.SamplingError`,
+whose message says what to change.
 """
 
 from __future__ import annotations
@@ -29,39 +30,40 @@ from wavesim.runtime.arrays import array_module, fftn
 Pad = Literal["auto"] | tuple[int, ...]
 
 WARNED = 1e-5
-"""Part of the energy from which on a loss is told: an error of about 0.4 % of the field."""
+"""Fraction of the energy above which a loss causes a warning: an error of about 0.4 % of the field."""
 REFUSED = 1e-2
-"""Part of the energy from which on a field is refused: an error of about 15 %."""
+"""Fraction of the energy above which a propagation is refused: an error of about 15 %."""
 EDGE = 0.8
-"""Start of what counts as the edge of the Nyquist band: what is folded back may cancel close to its end."""
+"""Start of the edge of the Nyquist band. Aliased light may cancel near the end of the band, hence the
+margin."""
 DARK = 1e-8
-"""Intensity, relative to the brightest row, under which a row of the field counts as dark."""
+"""Intensity, relative to the brightest row, below which a row of the field counts as dark."""
 MOST_SAMPLES = 2**27
-"""Of a spectrum, beyond which a propagation is refused: 2 GiB."""
+"""Most samples of a spectrum (2 GiB); a propagation that needs more is refused."""
 
 
 class SamplingWarning(UserWarning):
-    """A grid loses a small stated part of a field's energy."""
+    """A grid loses a small, stated fraction of a field's energy."""
 
 
 @dataclass(frozen=True)
 class PropagationCheck:
-    """Parts of a field's energy that a propagation would get wrong.
+    """Fractions of a field's energy that a propagation would not represent correctly.
 
     Attributes
     ----------
     edge : float
-        At the edge of the Nyquist band (its outer fifth): about as much lies beyond it and was folded back.
+        Energy at the edge of the Nyquist band (its outer fifth). About as much lies beyond it and is aliased.
     decaying : float
-        In waves that decay along z and would still be alive after the distance; they are left out.
+        Energy in evanescent waves that are still noticeable at the target. The propagation omits them.
     wrapped : float
-        Falls, or should fall, into the output window, but the padding takes it elsewhere; relative to all
-        that falls there.
+        Energy that falls, or should fall, into the output window but wraps around because of the padding,
+        relative to the energy in the window.
     coarse : float
-        Falls into the output window with more cycles per mm than its pitch can show. The samples are right,
-        but not enough to tell the field between them.
+        Energy in the output window at frequencies above the Nyquist limit of its pitch. The samples are
+        correct, but too coarse to interpolate the field.
     landing : float
-        Falls into the output window, by geometry.
+        Energy that geometrically falls into the output window.
     """
 
     edge: float
@@ -72,17 +74,23 @@ class PropagationCheck:
 
     @property
     def relative_error(self) -> float:
-        """Estimate of the output samples' relative L2 error."""
+        """Estimated relative L2 error of the output samples."""
         return math.sqrt(2.0 * self.edge + self.decaying + 2.0 * self.wrapped)
 
 
 def critical_distance_mm(
     grid: Grid, wavelength_um: float, index: float = 1.0, pad: tuple[int, ...] | None = None
 ) -> float:
-    """Farthest that a transfer function on this grid is sampled finely enough over its whole band.
+    """Return the largest distance at which a grid samples the transfer function over its whole band.
 
-    For small angles count pitch^2 / wavelength (Matsushima and Shimobaba 2009); 0 where the pitch holds waves
-    at 90 degrees.
+    At small angles it is count pitch^2 / wavelength (Matsushima and Shimobaba 2009). It is 0 where the pitch
+    samples waves at 90 degrees.
+
+    Examples
+    --------
+    >>> from wavesim.fields import Grid, critical_distance_mm
+    >>> round(critical_distance_mm(Grid((1024, 1024), 3.2e-3, 0.0), 0.532), 1)
+    19.6
     """
     walk = largest_lateral_shift_mm(grid, wavelength_um, index, 1.0)
     return 0.5 * min(pad or grid.shape) * grid.pitch_mm / walk
@@ -91,14 +99,21 @@ def critical_distance_mm(
 def measure_propagation(
     field: Field, to: Grid | float, *, pad: Pad = "auto", band_limit: bool = True
 ) -> PropagationCheck:
-    """What a propagation would get wrong, without doing it.
+    """Estimate the energy that a propagation would not represent correctly, without propagating the field.
 
     Parameters
     ----------
     field
-        What is to be carried.
-    to, pad, band_limit
-        As of :func:`wavesim.propagate`.
+        Field to be propagated.
+    to
+        Target grid, or the distance along the axis in mm, as in :func:`wavesim.propagate`.
+    pad, band_limit
+        Padding and band limit, as in :func:`wavesim.propagate`.
+
+    Raises
+    ------
+    InputError
+        If the field has values that are not finite.
     """
     target = field.grid.towards(to)
     distance_mm = target.z_mm - field.grid.z_mm
@@ -116,7 +131,7 @@ def measure_propagation(
     none = propagating & ~propagating
     edge, fine, lands = none, none, propagating
     astray = xp.zeros_like(power)
-    # Light spreads about where geometry takes it.
+    # Diffraction blurs the geometric arrival point by about this width.
     blur = math.sqrt(1e-3 * field.wavelength_um / field.index * abs(distance_mm))
     counts = pad
     if counts == "auto":
@@ -124,10 +139,10 @@ def measure_propagation(
     for axis, (across, walk, pair) in enumerate(zip(cycles, walks, windows(field.grid, target), strict=True)):
         edge = edge | (abs(across) > EDGE * 0.5 / field.grid.pitch_mm)
         fine = fine | (abs(across) > 0.5 / target.pitch_mm * (1.0 + 1e-9))
-        middle, half = _extent_mm(field, axis)
-        place = abs(walk + middle - pair.shift_mm)
-        inside = place < pair.half_out_mm + half
-        strays = place > counts[axis] * pair.pitch_mm - pair.half_out_mm - half - 0.5 * blur
+        centre, half = _extent_mm(field, axis)
+        arrival = abs(walk + centre - pair.shift_mm)
+        inside = arrival < pair.half_out_mm + half
+        strays = arrival > counts[axis] * pair.pitch_mm - pair.half_out_mm - half - 0.5 * blur
         passed = pair.pass_band(counts[axis]).weight(walk, xp) if band_limit else xp.ones_like(walk)
         wrong = xp.where(strays, passed**2, 0.0 * walk) + xp.where(inside, (1.0 - passed) ** 2, 0.0 * walk)
         lands, astray = lands & inside, astray + wrong
@@ -136,21 +151,21 @@ def measure_propagation(
         -2.0 * abs(distance_mm) * xp.sqrt(xp.clip(squared - field.wavenumber_per_mm**2, 0.0, None))
     )
 
-    def part(mask: Any, weights: Any = power) -> float:
+    def fraction(mask: Any, weights: Any = power) -> float:
         return float(xp.sum(xp.where(mask, weights, xp.zeros_like(weights)))) / total
 
-    landing = part(lands)
+    landing = fraction(lands)
     return PropagationCheck(
-        edge=part(edge),
-        decaying=part(~propagating, power * decay),
-        wrapped=min(part(propagating, power * astray) / max(landing, 1e-300), 1.0),
-        coarse=part(fine & lands),
+        edge=fraction(edge),
+        decaying=fraction(~propagating, power * decay),
+        wrapped=min(fraction(propagating, power * astray) / max(landing, 1e-300), 1.0),
+        coarse=fraction(fine & lands),
         landing=landing,
     )
 
 
 def _extent_mm(field: Field, axis: int) -> tuple[float, float]:
-    """Middle and half-width of the field's bright part along an axis, from the grid's centre."""
+    """Return centre and half-width of the field's bright part along an axis, from the grid's centre."""
     xp = array_module(field.values)
     power = abs(field.values) ** 2
     rows = xp.sum(power, axis=1 - axis) if power.ndim == 2 else power
@@ -169,60 +184,61 @@ def check_propagation(
     band_limit: bool = True,
     coarse_output: bool = False,
 ) -> PropagationCheck:
-    """Warn of what a propagation would get wrong, or refuse it.
+    """Check the sampling of a propagation; warn of a small error and refuse a large one.
 
     Parameters
     ----------
     field, to, pad, band_limit
-        As of :func:`measure_propagation`.
+        As in :func:`measure_propagation`.
     coarse_output
-        Whether an output pitch too coarse for the field that falls there is asked for.
+        Whether to accept an output pitch that is too coarse to interpolate the field.
 
     Returns
     -------
     PropagationCheck
-        What was measured.
+        The measured fractions.
 
     Raises
     ------
+    InputError
+        If the field has values that are not finite.
     SamplingError
         If more than `REFUSED` of the energy would be wrong.
 
     Warns
     -----
     SamplingWarning
-        If more than `WARNED` of it would be.
+        If more than `WARNED` of the energy would be wrong.
     """
     found = measure_propagation(field, to, pad=pad, band_limit=band_limit)
     source, target = field.grid, field.grid.towards(to)
     distance_mm = target.z_mm - source.z_mm
     nyquist = 0.5 / source.pitch_mm
-    tell(
+    report_loss(
         found.edge,
-        f"lies between {EDGE * nyquist:.4g} and {nyquist:.4g} cycles/mm, the edge of what a pitch of "
-        f"{1e3 * source.pitch_mm:.4g} um holds, so that as much may have been folded back",
+        f"lies between {EDGE * nyquist:.4g} and {nyquist:.4g} cycles/mm, the edge of the Nyquist band of a "
+        f"pitch of {1e3 * source.pitch_mm:.4g} um, so that as much may be aliased",
         "sample the field more finely, or smooth its edges",
     )
-    tell(
+    report_loss(
         found.decaying,
-        f"is in waves that decay along z and have not died out over {abs(distance_mm):.4g} mm; they are left "
-        "out",
-        "smooth the field to features above half a wavelength, or carry it farther",
+        f"is in evanescent waves that have not decayed over {abs(distance_mm):.4g} mm; they are left out",
+        "smooth the field to features above half a wavelength, or propagate it farther",
     )
     counts = period_counts(source, target, field.wavelength_um, field.index, distance_mm)
     critical = critical_distance_mm(source, field.wavelength_um, field.index, None if pad == "auto" else pad)
-    tell(
+    report_loss(
         found.wrapped,
         f"wraps around or is cut over {abs(distance_mm):.4g} mm with {_sides(pad)} samples (the transfer "
         f"function is sampled finely enough up to {critical:.4g} mm)",
         f"pad to {_sides(counts)} samples or more (pad='auto'), and leave the band limit on",
     )
     if not coarse_output:
-        tell(
+        report_loss(
             found.coarse,
-            f"reaches the output with more than {0.5 / target.pitch_mm:.4g} cycles/mm, the most that its "
-            f"pitch of {1e3 * target.pitch_mm:.4g} um shows",
-            "give a finer output pitch, or ask for coarse samples (coarse_output=True)",
+            f"reaches the output above {0.5 / target.pitch_mm:.4g} cycles/mm, the Nyquist limit of its "
+            f"pitch of {1e3 * target.pitch_mm:.4g} um",
+            "give a finer output pitch, or accept coarse samples (coarse_output=True)",
         )
     if 0.0 < found.landing < WARNED or (found.landing == 0.0 and field.energy > 0.0):
         _warn(
@@ -233,10 +249,10 @@ def check_propagation(
 
 
 def check_sample_count(counts: Sequence[int], what: str) -> None:
-    """Refuse more than `MOST_SAMPLES` of a spectrum."""
+    """Raise SamplingError if a spectrum has more than `MOST_SAMPLES` samples."""
     if math.prod(counts) > MOST_SAMPLES:
         raise SamplingError(
-            f"{what} takes {_sides(tuple(counts))} samples of the spectrum, more than {MOST_SAMPLES:.3g}: "
+            f"{what} needs {_sides(tuple(counts))} samples of the spectrum, more than {MOST_SAMPLES:.3g}: "
             "give smaller windows or a coarser pitch"
         )
 
@@ -249,28 +265,34 @@ def predicted_relative_error(
     *,
     pad: Pad = "auto",
 ) -> float:
-    """Relative L2 error with which a grid carries a Gaussian beam from its waist in the grid's middle.
+    """Predict the relative L2 error with which a grid propagates a Gaussian beam from its waist.
 
-    Told from the sizes alone: what lies beyond the Nyquist band, outside the grid at the waist, in decaying
-    waves, and what wraps around.
+    The waist lies in the centre of the grid. The prediction uses the sizes only: it adds the energy beyond
+    the Nyquist band, outside the grid at the waist, in evanescent waves, and in light that wraps around.
 
     Parameters
     ----------
     grid, wavelength_um, distance_mm, pad
-        As of :class:`wavesim.fields.propagator.FreeSpacePropagator`.
+        As in :class:`wavesim.fields.propagator.FreeSpacePropagator`.
     numerical_aperture
         Sine of the angle at which the intensity is 1/e^2 of that on the axis.
 
     Returns
     -------
     float
-        1 at most.
+        Relative error, 1 at most.
+
+    Examples
+    --------
+    >>> from wavesim.fields import Grid, predicted_relative_error
+    >>> predicted_relative_error(Grid((1024, 1024), 1e-3, 0.0), 0.532, 0.1, 1.0) < 1e-3
+    True
     """
     spread = 1e3 * numerical_aperture / wavelength_um
     waist = 1.0 / (math.pi * spread)
 
     def beam(half: float) -> float:
-        # The spectrum is Gaussian in the sine, so that the beam is wider the farther out it is asked for.
+        # The spectrum is Gaussian in the sine, so that the beam radius grows faster than its distance.
         return math.hypot(waist, numerical_aperture * math.hypot(half, distance_mm))
 
     counts = pad
@@ -288,7 +310,7 @@ def predicted_relative_error(
 
 
 def _outside(half: float, radius: float) -> float:
-    """Part of a Gaussian's energy outside +-half, along one axis; `radius` where the intensity is 1/e^2."""
+    """Return the fraction of a Gaussian's energy outside +-half on one axis; `radius` is the 1/e^2 radius."""
     return math.erfc(math.sqrt(2.0) * half / radius)
 
 
@@ -296,12 +318,12 @@ def _sides(counts: Pad) -> str:
     return counts if isinstance(counts, str) else " x ".join(str(n) for n in counts)
 
 
-def tell(part: float, what: str, cure: str) -> None:
-    """Say nothing, warn, or refuse, by how large a part of the energy is lost."""
-    if part > REFUSED:
-        raise SamplingError(f"{100.0 * part:.2g} % of the field's energy {what}: {cure}")
-    if part > WARNED:
-        _warn(f"{100.0 * part:.2g} % of the field's energy {what}: {cure}")
+def report_loss(fraction: float, what: str, remedy: str) -> None:
+    """Accept, warn of, or refuse a loss by the fraction of the energy that is lost."""
+    if fraction > REFUSED:
+        raise SamplingError(f"{100.0 * fraction:.2g} % of the field's energy {what}: {remedy}")
+    if fraction > WARNED:
+        _warn(f"{100.0 * fraction:.2g} % of the field's energy {what}: {remedy}")
 
 
 def _warn(message: str) -> None:

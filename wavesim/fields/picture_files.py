@@ -1,8 +1,8 @@
-"""The one reader of pictures in files: frames, objects, darks, flats and maps of pixels.
+"""Reader of picture files: frames, objects, dark frames, flat fields and maps of pixels.
 
-All kinds of picture pass the same checks. Pixels are turned upright by the orientation that a TIFF tag or
-EXIF states, as viewers show them. Whether white is zero, how many pictures a file holds, and how its samples
-are stored is stated to the caller, who accepts or refuses it.
+All kinds of picture pass the same checks. Pixels are oriented upright by the TIFF tag or EXIF data, as in
+viewers. The reader reports whether white is zero, the number of pictures, and the storage of samples; the
+caller decides what it accepts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.errors import InputError
 
 FRAME_FORMATS = ("TIFF", "PNG")
-"""Formats of cameras: without loss."""
+"""Lossless formats of cameras."""
 
 MOST_BYTES = 4 * TABLE_BYTES
 """Most bytes of a file of pictures."""
@@ -38,16 +38,16 @@ TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a TIFF and of a BigTIFF file."""
 
 ORIENTATION, PHOTOMETRIC = 274, 262
-"""TIFF tags; EXIF has the first one too."""
+"""TIFF tags; EXIF also has the first one."""
 
 PHOTOMETRICS = {0: "grey", 1: "grey", 2: "RGB", 3: "palette", 6: "YCbCr"}
-"""Photometric interpretations that are read."""
+"""Supported photometric interpretations."""
 
 GREY_MODES = ("1", "L", "I;16", "I;16L", "I;16B", "I", "F")
 """Pillow's names for one channel."""
 
 COUNT_MODES = ("L", "I;16", "I;16L", "I;16B")
-"""Pillow's names for whole numbers without sign, of 16 bits at most."""
+"""Pillow's names for unsigned integers of at most 16 bits."""
 
 _FORMAT_OF_TAG = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _UNSIGNED, _SIGNED, _FLOAT = 1, 2, 3
@@ -56,27 +56,27 @@ _PNG_DEPTH_AT = 24
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture as a file holds it, turned upright.
+    """A stored picture, oriented upright.
 
     Attributes
     ----------
     path : Path
         The file.
     format : str
-        "TIFF", "PNG" and so on.
+        Format, such as "TIFF" or "PNG".
     mode : str
         Kind of pixels, by Pillow's name.
     bits : int
         Bits of a stored sample.
     values : ndarray, shape (rows, columns)
-        Stored values of one channel; of colours, palettes and pictures with alpha the luma of ITU-R BT.601,
-        of 8 bits.
+        Stored values of one channel; for colours, palettes and pictures with alpha the 8-bit luma of ITU-R
+        BT.601.
     white_is_zero : bool
-        Whether the value 0 shows white.
+        Whether the value 0 means white.
     is_opaque : bool
-        Whether no pixel is transparent, not even in part.
+        Whether no pixel is even partly transparent.
     states_alpha : bool
-        Whether the file says of its pixels how transparent they are.
+        Whether the file has an alpha channel or a transparent colour.
     """
 
     path: Path
@@ -102,9 +102,9 @@ class PictureFile:
     path
         The file.
     named
-        What messages call it, before its path: "the map"; nothing for a frame.
+        Name in messages before the path, such as "the map"; empty for a frame.
     formats
-        Formats that are read, by Pillow's names; all that Pillow reads where left out.
+        Allowed formats, by Pillow's names. Default: all that Pillow reads.
 
     Attributes
     ----------
@@ -116,8 +116,7 @@ class PictureFile:
     Raises
     ------
     InputError
-        If the file cannot be read, is damaged, is none of these formats, or does not hold as many pictures as
-        it states.
+        If the file cannot be read, is damaged, has another format, or contains fewer pictures than it states.
     """
 
     def __init__(self, path: Path, named: str = "", formats: tuple[str, ...] | None = None) -> None:
@@ -135,12 +134,12 @@ class PictureFile:
                 self._pages = [_Page(n, orientation, False, 8, _UNSIGNED) for n in range(self.count)]
 
     def only(self) -> Picture:
-        """The picture of a file that holds one.
+        """Return the picture of a file with a single picture.
 
         Raises
         ------
         InputError
-            If it holds several, or the picture is damaged.
+            If the file contains several pictures, or the picture is damaged.
         """
         if self.count != 1:
             raise InputError(
@@ -150,12 +149,12 @@ class PictureFile:
         return self.picture(0)
 
     def picture(self, index: int) -> Picture:
-        """One of the pictures, counted from 0.
+        """Return one of the pictures by its index from 0.
 
         Raises
         ------
         InputError
-            If it is damaged, or of a kind that is not read.
+            If the picture is damaged, or of an unsupported kind.
         """
         with self._reported(), self._opened() as image:
             page = self._pages[0 if self._contiguous is not None else index]
@@ -201,7 +200,7 @@ class PictureFile:
 
     @contextmanager
     def _reported(self) -> Iterator[None]:
-        """Turn whatever the readers raise into one error that names the file."""
+        """Convert all exceptions of the readers to an InputError that names the file."""
         from PIL import Image, UnidentifiedImageError
 
         start = f"cannot read {self._named} {self.path}: " if self._named else f"{self.path}: "
@@ -218,13 +217,13 @@ class PictureFile:
                 ) from None
             except Image.DecompressionBombError as error:
                 raise InputError(f"{start}{error}") from None
-            except Exception as error:  # of damaged files the readers raise errors of many kinds
-                said = str(error) or type(error).__name__
+            except Exception as error:  # the readers raise many kinds of errors for damaged files
+                message = str(error) or type(error).__name__
                 kinds = " or ".join(self._formats) if self._formats else "picture"
-                raise InputError(f"{start}damaged {kinds}: {said}") from None
+                raise InputError(f"{start}damaged {kinds}: {message}") from None
 
     def _read_structure(self) -> None:
-        """What the directories of a TIFF state; its bytes then say nothing of orientation and white."""
+        """Read the directories of a TIFF, and neutralize its tags for orientation and white."""
         from tifffile import TiffFile
 
         if self._formats is not None and "TIFF" not in self._formats:
@@ -257,7 +256,7 @@ class PictureFile:
 
 @dataclass(frozen=True)
 class _Page:
-    """What a directory states of its picture."""
+    """Properties of a picture from its directory."""
 
     index: int
     orientation: int
@@ -267,14 +266,14 @@ class _Page:
 
 
 def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Pixels as viewers show them, of a picture that is stored in an orientation of TIFF or EXIF.
+    """Return pixels upright, from a picture that is stored in an orientation of TIFF or EXIF.
 
     Parameters
     ----------
     values
         Stored pixels, shape (rows, columns).
     orientation
-        1 to 8; other numbers count as 1.
+        Orientation from 1 to 8; other numbers count as 1.
     """
     turned = {
         2: lambda v: v[:, ::-1],
@@ -289,7 +288,7 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def _page(index: int, page: Any, order: str, who: str) -> tuple[_Page, list[tuple[int, bytes]]]:
-    """A directory, and what to write into the file so that Pillow gives its pixels as they are stored."""
+    """Return a directory's properties, and edits of the file so that Pillow returns the stored pixels."""
     if PHOTOMETRIC not in page.tags:
         raise InputError(f"{who}: a TIFF that does not state whether black or white is zero (photometric)")
     photometric = int(page.tags[PHOTOMETRIC].value)
@@ -319,12 +318,12 @@ def _page(index: int, page: Any, order: str, who: str) -> tuple[_Page, list[tupl
 
 
 def _stated_pictures(file: Any, page: Any) -> int:
-    """Number of pictures that the metadata of a file state, whatever program wrote them."""
+    """Return the number of pictures that the metadata of a file state, for files of any program."""
     try:
         one = page.imagelength * page.imagewidth * page.samplesperpixel
         whole = [own for own in file.series if not own.keyframe.is_reduced]
         found = sum(math.prod(own.shape) for own in whole if own.keyframe.shape == page.shape)
-    except Exception:  # metadata of many programs, damaged or of another version
+    except Exception:  # metadata may be damaged or of an unknown version
         return 1
     stated = max(1, found // one)
     depth = int(getattr(page, "imagedepth", 1) or 1)
@@ -340,7 +339,7 @@ def _stated_pictures(file: Any, page: Any) -> int:
 
 
 def _imagej_pictures(description: str) -> int:
-    """Number of pictures that ImageJ's text states: images, or channels times slices times frames."""
+    """Return the number of pictures in ImageJ's text: images, or channels times slices times frames."""
     if not description.startswith("ImageJ"):
         return 1
     held = dict(re.findall(r"^(images|channels|slices|frames)=([0-9]{1,9})\s*$", description, re.MULTILINE))
@@ -349,7 +348,7 @@ def _imagej_pictures(description: str) -> int:
 
 
 def _contiguous(file: Any, page: Any, count: int) -> NDArray[Any]:
-    """Pictures that lie one behind the other, of which only the first has a directory."""
+    """Return contiguous pictures of which only the first has a directory."""
     rows, columns = page.imagelength, page.imagewidth
     dtype = page.dtype
     start, each = int(page.dataoffsets[0]), rows * columns * (0 if dtype is None else dtype.itemsize)
@@ -363,7 +362,7 @@ def _contiguous(file: Any, page: Any, count: int) -> NDArray[Any]:
     file.filehandle.seek(0, 2)
     held = (int(file.filehandle.tell()) - start) // each if is_plain and each else 1
     if held < count:
-        # Only a caller who takes several pictures needs them; the others refuse the number.
+        # Only callers that accept several pictures need them; the others reject their number.
         return np.empty((0, rows, columns), np.uint8)
     file.filehandle.seek(start)
     data = np.frombuffer(
@@ -381,7 +380,7 @@ def _is_opaque(image: Any) -> bool:
 
 @contextmanager
 def _without_log() -> Iterator[None]:
-    """Keep tifffile from writing of damaged files what the error says anyway."""
+    """Suppress log messages of tifffile, whose content is in the error."""
     log = logging.getLogger("tifffile")
     was = log.disabled
     log.disabled = True

@@ -1,10 +1,10 @@
-"""Plane waves: which of them a grid holds, where they go, and their factors over a distance.
+"""Plane waves of a grid: frequencies, lateral shifts over a distance, and transfer functions.
 
-Over a distance z a plane wave moves the light it carries by z tan(theta). Its factor exp(i kz z) can be
-sampled as long as that walk, seen from the output window, stays below half the period that the sampled
-spectrum gives the field (Matsushima and Shimobaba 2009; for windows off the axis, Matsushima 2010). What
-walks farther reaches no output sample and is faded out over a few Fresnel zones, so that its cut leaves no
-ripples.
+Over a distance z a plane wave at an angle theta carries its light sideways by z tan(theta). Its transfer
+factor exp(i kz z) is sampled finely enough while this lateral shift, relative to the output window, stays
+below half the period that the sampled spectrum gives the field (Matsushima and Shimobaba 2009; for windows
+off the axis, Matsushima 2010). Waves with larger shifts reach no output sample. They are attenuated smoothly
+over a few Fresnel zones, since a sharp cut would cause ripples.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 TURN = 2.0 * math.pi
 FADE_ZONES = 6.0
-"""Width of the fade in Fresnel lengths sqrt(wavelength * distance)."""
+"""Width of the smooth attenuation in Fresnel lengths sqrt(wavelength * distance)."""
 STEEPEST_COSINE = 0.3
-"""Beyond this slope waves carry too little light over a distance to widen the fade for."""
+"""Lower limit of the cosine in the Fresnel length: steeper waves carry too little light to widen the
+period."""
 FACTOR_ROWS = 16
-"""Of a factor that is kept, made at a time."""
+"""Rows of a stored transfer function that are computed at a time."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class Samples:
     Attributes
     ----------
     centre, step : float
-        Middle of the points, and the distance between neighbours.
+        Centre of the points, and the distance between neighbours.
     count : int
-        How many.
+        Number of points.
     """
 
     centre: float
@@ -48,21 +49,21 @@ class Samples:
     count: int
 
     def offsets(self, xp: Any = np) -> Any:
-        """Points less their centre: float64."""
+        """Return the points relative to their centre, in float64."""
         return self.step * (xp.arange(self.count, dtype=xp.float64) - 0.5 * (self.count - 1))
 
     def points(self, xp: Any = np) -> Any:
-        """The points: float64."""
+        """Return the points, in float64."""
         return self.offsets(xp) + self.centre
 
 
 def along(values: Any, axis: int, dimensions: int, xp: Any = np) -> Any:
-    """A 1-D array laid along one axis of several."""
+    """Reshape a 1-D array so that it lies along one axis of several."""
     return xp.reshape(values, (1,) * axis + (-1,) + (1,) * (dimensions - axis - 1))
 
 
 def fft_frequencies(shape: tuple[int, ...], pitch_mm: float, xp: Any = np) -> list[Any]:
-    """Cycles per mm along each axis, in FFT order, shaped so that they broadcast to `shape`."""
+    """Return cycles per mm along each axis, in FFT order, shaped so that they broadcast to `shape`."""
     result = []
     for axis, n in enumerate(shape):
         order = xp.arange(n, dtype=xp.float64)
@@ -74,7 +75,7 @@ def fft_frequencies(shape: tuple[int, ...], pitch_mm: float, xp: Any = np) -> li
 def axial_wavenumbers(
     cycles_per_mm: Sequence[Any], wavelength_um: float, index: float, xp: Any = np
 ) -> tuple[Any, Any]:
-    """kz (1/mm, 0 where the wave decays) of plane waves, and where they do not decay."""
+    """Return kz (1/mm, 0 for evanescent plane waves) and a mask of the propagating ones."""
     squared = xp.asarray((2e3 * math.pi * index / wavelength_um) ** 2)
     for cycles in cycles_per_mm:
         squared = squared - (2.0 * math.pi * cycles) ** 2
@@ -83,22 +84,22 @@ def axial_wavenumbers(
 
 
 def lateral_shift_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float, xp: Any = np) -> list[Any]:
-    """How far plane waves carry light along each axis over a distance; meaningless where kz is 0."""
+    """Return the lateral shift of plane waves along each axis over a distance; meaningless where kz is 0."""
     safe = xp.where(kz > 0.0, kz, xp.ones_like(kz))
     return [2.0 * math.pi * distance_mm * cycles / safe for cycles in cycles_per_mm]
 
 
 @dataclass(frozen=True)
 class BandLimit:
-    """Along one axis, which walks a transfer function lets pass.
+    """Lateral shifts along one axis that a transfer function transmits.
 
     Attributes
     ----------
     shift_mm : float
-        Of the output window's centre from the input window's.
+        Offset of the output window's centre from the input window's.
     passed_mm, stopped_mm : float
-        Walks that differ from the shift by less pass whole, and by more not at all. Where the two are equal
-        the cut is sharp.
+        Waves whose lateral shift differs from `shift_mm` by less than `passed_mm` are transmitted, and those
+        beyond `stopped_mm` are blocked. The cut is sharp where both are equal.
     """
 
     shift_mm: float
@@ -106,24 +107,24 @@ class BandLimit:
     stopped_mm: float
 
     def weight(self, walk_mm: Any, xp: Any = np) -> Any:
-        """Between 0 and 1 for each walk."""
+        """Return the transmission (0 to 1) for each lateral shift."""
         away = abs(walk_mm - self.shift_mm)
         if self.stopped_mm <= self.passed_mm:
             return xp.asarray(away <= self.passed_mm, dtype=xp.float64)
-        part = (self.stopped_mm - away) / (self.stopped_mm - self.passed_mm)
-        part = xp.clip(part, 0.0, 1.0)
-        return xp.sin(0.5 * math.pi * xp.sin(0.5 * math.pi * part) ** 2) ** 2
+        inner = (self.stopped_mm - away) / (self.stopped_mm - self.passed_mm)
+        inner = xp.clip(inner, 0.0, 1.0)
+        return xp.sin(0.5 * math.pi * xp.sin(0.5 * math.pi * inner) ** 2) ** 2
 
 
 def phasor_of(phase: Any, dtype: Any = None, xp: Any = np) -> Any:
-    """exp(i phase) of phases in float64, which are reduced before they are rounded to a single `dtype`.
+    """Return exp(i phase) of phases in float64, as complex64 if that is the `dtype`, else complex128.
 
-    complex64 if that is the `dtype`, else complex128.
+    The phase is reduced to one turn before it is rounded to single precision.
     """
     kind = xp.complex64 if dtype == xp.complex64 else xp.complex128
     if kind == xp.complex64:
         phase = xp.asarray(phase - TURN * xp.round(phase / TURN), dtype=xp.float32)
-    if not hasattr(phase, "real"):  # of the array API alone: no parts to write to
+    if not hasattr(phase, "real"):  # arrays of the plain array API have no writable real and imaginary parts
         return xp.cos(phase) + 1j * xp.sin(phase)
     result = xp.empty(phase.shape, dtype=kind)
     xp.cos(phase, out=result.real)
@@ -141,9 +142,10 @@ def transfer(
     dtype: Any = None,
     xp: Any = np,
 ) -> Any:
-    """Factor of each plane wave over a distance, decaying ones left out: complex128, or as `dtype` says.
+    """Return the transfer factor of each plane wave over a distance, 0 for evanescent waves.
 
-    With `bands` it is taken to the shifted output window, and what does not pass is left out.
+    With `bands` the factor refers to the shifted output window, and waves outside the bands are blocked. The
+    result is complex128, or complex64 if that is the `dtype`.
     """
     kz, propagating = axial_wavenumbers(cycles_per_mm, wavelength_um, index, xp)
     phase = kz * distance_mm
@@ -158,37 +160,37 @@ def transfer(
 
 
 class TransferFunction:
-    """Free space between parallel planes, as a factor of a field's spectrum: `spectrum * way`.
+    """Transfer function of free space between parallel planes: `spectrum * transfer_function`.
 
-    The factor is the same for a frequency and its negative along each axis: a quarter of it is kept, beside
-    the factors of a sideways shift, one along each axis.
+    The factor is equal for a frequency and its negative along each axis. Only a quarter of it is stored, with
+    the factors of a lateral shift along each axis.
 
     Parameters
     ----------
     grid
-        Of the field, on either plane.
+        Grid of the field on either plane.
     wavelength_um
         Vacuum wavelength.
     distance_mm
-        From the first plane to the second.
+        Distance from the first plane to the second.
     dtype
-        Of the factor.
+        Data type of the factor.
     shift_mm : (x, y)
-        Of the second plane's samples from the first's.
+        Offset of the second plane's samples from the first's.
 
     Attributes
     ----------
     factor : ndarray
-        For frequencies that are not negative; one sample, 1, where the way changes nothing.
+        Factors for non-negative frequencies; a single 1 for the identity.
     rows, columns : ndarray of int
-        Which row and column of the factor belong to each row and column of a spectrum; a line is one row.
+        Row and column of the factor for each row and column of a spectrum; a line is one row.
     down, across : ndarray
-        Factors of the shift for each row and column; 1 without one.
-    is_none : bool
-        Whether the way changes nothing.
+        Factors of the shift for each row and column; 1 without a shift.
+    is_identity : bool
+        Whether the transfer function changes nothing.
     """
 
-    __array_ufunc__ = None  # a product with an array is ours to make
+    __array_ufunc__ = None  # so that `array * transfer_function` calls __rmul__
 
     def __init__(
         self,
@@ -204,12 +206,12 @@ class TransferFunction:
             for n, shift in zip(shape, reversed(shift_mm), strict=True)
         )
         down, across = (np.arange(n // 2 + 1) / (n * grid.pitch_mm) for n in shape)
-        held = math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
-        self.is_none = distance_mm == 0.0 and not any(shift_mm) and held
+        all_propagate = math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
+        self.is_identity = distance_mm == 0.0 and not any(shift_mm) and all_propagate
         orders = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
-        self.rows, self.columns = (np.zeros_like(order) if self.is_none else order for order in orders)
-        self.factor: ComplexArray = np.ones((1, 1) if self.is_none else (len(down), len(across)), dtype)
-        for first in range(0, 0 if self.is_none else len(down), FACTOR_ROWS):
+        self.rows, self.columns = (np.zeros_like(order) if self.is_identity else order for order in orders)
+        self.factor: ComplexArray = np.ones((1, 1) if self.is_identity else (len(down), len(across)), dtype)
+        for first in range(0, 0 if self.is_identity else len(down), FACTOR_ROWS):
             rows = slice(first, first + FACTOR_ROWS)
             cycles = [down[rows, None], across]
             self.factor[rows] = transfer(cycles, wavelength_um, 1.0, distance_mm, dtype=np.dtype(dtype))
@@ -217,28 +219,28 @@ class TransferFunction:
     def __rmul__(self, spectrum: ComplexArray) -> ComplexArray:
         return self.times(spectrum.copy())
 
-    def times(self, spectrum: ComplexArray, *, back: bool = False) -> ComplexArray:
-        """A spectrum on the second plane, in place; `back`: from it to the first."""
-        if self.is_none:
+    def times(self, spectrum: ComplexArray, *, adjoint: bool = False) -> ComplexArray:
+        """Propagate a spectrum to the second plane, in place; with `adjoint`, back to the first."""
+        if self.is_identity:
             return spectrum
         factor, down, across = self.factor, self.down, self.across
-        if back:
+        if adjoint:
             factor, down, across = factor.conj(), down.conj(), across.conj()
         for row, along, values in zip(self.rows, down, np.atleast_2d(spectrum), strict=True):
             values *= along * across * factor[row, self.columns]
         return spectrum
 
-    def there(self, spectrum: ComplexArray) -> ComplexArray:
-        """The field on the second plane, from its spectrum on the first."""
+    def forward(self, spectrum: ComplexArray) -> ComplexArray:
+        """Return the field on the second plane from its spectrum on the first."""
         return np.asarray(scipy.fft.ifftn(self.times(spectrum.copy()), workers=-1, overwrite_x=True))
 
-    def back(self, values: ComplexArray) -> ComplexArray:
-        """The spectrum on the first plane, from the field on the second: the adjoint; uses the field up."""
-        return self.times(np.asarray(scipy.fft.fftn(values, workers=-1, overwrite_x=True)), back=True)
+    def adjoint(self, values: ComplexArray) -> ComplexArray:
+        """Return the spectrum on the first plane from the field on the second, whose array is overwritten."""
+        return self.times(np.asarray(scipy.fft.fftn(values, workers=-1, overwrite_x=True)), adjoint=True)
 
 
 def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, distance_mm: float) -> float:
-    """Walk along an axis of the steepest wave that a grid holds; infinite at 90 degrees."""
+    """Return the lateral shift of the steepest wave that a grid samples; infinite at 90 degrees."""
     sine = wavelength_um / (2e3 * index * grid.pitch_mm)
     cosine_squared = 1.0 - len(grid.shape) * sine * sine
     if distance_mm == 0.0:
@@ -247,7 +249,7 @@ def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, dis
 
 
 def fresnel_length_mm(wavelength_um: float, index: float, distance_mm: float, walk_mm: float) -> float:
-    """Width over which a wave's walk is blurred: sqrt(wavelength distance / cos^3)."""
+    """Return the diffraction width of a wave's arrival point: sqrt(wavelength distance / cos^3)."""
     distance = abs(distance_mm)
     cosine = max(distance / math.hypot(distance, walk_mm), STEEPEST_COSINE) if distance else 1.0
     return math.sqrt(1e-3 * wavelength_um / index * distance / cosine**3)
@@ -255,16 +257,16 @@ def fresnel_length_mm(wavelength_um: float, index: float, distance_mm: float, wa
 
 @dataclass(frozen=True)
 class SamplingWindow:
-    """An input and an output window, along one axis.
+    """An input and an output window along one axis.
 
     Attributes
     ----------
     pitch_mm : float
-        Of the input samples.
+        Pitch of the input samples.
     shift_mm : float
-        From the input window's centre to the output window's.
+        Offset of the output window's centre from the input window's.
     half_in_mm, half_out_mm : float
-        Half of their widths.
+        Half-widths of the windows.
     """
 
     pitch_mm: float
@@ -274,11 +276,11 @@ class SamplingWindow:
 
     @property
     def reach_mm(self) -> float:
-        """Half the sum of the widths: how far from the shift a walk may be and still end inside."""
+        """Half the sum of the widths: the largest difference from the shift at which light ends inside."""
         return self.half_in_mm + self.half_out_mm
 
     def pass_band(self, count: int) -> BandLimit:
-        """What may pass when a period of the field has `count` samples."""
+        """Return the shifts to transmit if a period of the field has `count` samples."""
         period = count * self.pitch_mm
         if period >= 2.0 * self.reach_mm:
             return BandLimit(self.shift_mm, self.reach_mm, period - self.reach_mm)
@@ -286,24 +288,24 @@ class SamplingWindow:
 
 
 def windows(source: Grid, target: Grid) -> list[SamplingWindow]:
-    """For each axis."""
+    """Return the sampling windows of all axes."""
     return [
-        SamplingWindow(source.pitch_mm, there - here, half_in, half_out)
-        for here, there, half_in, half_out in zip(
+        SamplingWindow(source.pitch_mm, target_centre - source_centre, half_in, half_out)
+        for source_centre, target_centre, half_in, half_out in zip(
             centres_mm(source), centres_mm(target), source.half_widths_mm, target.half_widths_mm, strict=True
         )
     ]
 
 
 def centres_mm(grid: Grid) -> tuple[float, ...]:
-    """Of a grid, in the order of its shape."""
+    """Return the centre of a grid in the order of its shape."""
     return grid.centre_mm[::-1][: len(grid.shape)]
 
 
 def period_counts(
     source: Grid, target: Grid, wavelength_um: float, index: float, distance_mm: float
 ) -> tuple[int, ...]:
-    """Samples along each axis that a period must have so that no copy of the field reaches the output."""
+    """Return the samples of a period along each axis for which no copy of the field reaches the output."""
     counts = []
     steepest = largest_lateral_shift_mm(source, wavelength_um, index, distance_mm)
     for axis, pair in enumerate(windows(source, target)):
@@ -315,5 +317,5 @@ def period_counts(
 
 
 def fast_count(count: int) -> int:
-    """Next size at which Fourier transforms are fast."""
+    """Return the next larger size at which Fourier transforms are fast."""
     return int(scipy.fft.next_fast_len(count))

@@ -1,4 +1,4 @@
-"""Free space between two grids: one operator, with its adjoint and what it takes, and its guarded use."""
+"""Free space between two grids: one linear operator with its adjoint and cost, and its checked use."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Tilt = tuple[float, float]
 
 @dataclass(frozen=True)
 class FreeSpacePropagator:
-    """Free space between two grids, linear in the field.
+    """Free space between two grids, as an operator that is linear in the field.
 
-    Waves that decay along z are left out. Between grids of the same shape and pitch a field goes by Fourier
-    transforms, padded as needed, unless so few of its plane waves arrive that chirp-z transforms are smaller;
-    by these it goes to any other window and pitch, and by non-uniform ones to a tilted plane.
+    Evanescent waves are omitted. Between grids of the same shape and pitch the operator is the angular
+    spectrum with padding, unless so few plane waves arrive that chirp-z transforms are smaller. Chirp-z
+    transforms serve any other window and pitch, and non-uniform Fourier transforms a tilted plane.
 
     Attributes
     ----------
@@ -32,20 +32,30 @@ class FreeSpacePropagator:
     wavelength_um, index : float
         Vacuum wavelength, and refractive index between the grids.
     source_tilt_deg, target_tilt_deg : (about x, about y), optional
-        Of one of the planes, turned about the centre of the grid on the other; its own grid is in its own
-        frame, at z = 0 (:mod:`wavesim.fields.tilted_samples`).
+        Tilt of one of the planes about the centre of the other plane's grid. The tilted grid is defined in
+        its own frame, at z = 0 (:mod:`wavesim.fields.tilted_samples`).
     pad
-        Samples along each axis to pad to, at least the grid's, or "auto": as many as keep every copy of the
-        field away from the target. Only between grids of the same shape and pitch.
+        Padded number of samples along each axis, at least the grid's, or "auto": as many as keep every copy
+        of the field away from the target. Only for grids of the same shape and pitch.
     band_limit : bool
-        Whether waves are left out that walk too far for the padding; False as `pad`.
+        Whether to omit waves whose lateral shift is too large for the padding. False only for grids of the
+        same shape and pitch.
 
     Raises
     ------
     InputError
-        If grids, tilts or padding do not go together.
+        If grids, tilts or padding are not compatible.
     SamplingError
-        If a tilt takes too many samples.
+        If a tilt needs too many samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim.fields import FreeSpacePropagator, Grid
+    >>> grid = Grid((64, 64), 1e-3, 0.0)
+    >>> operator = FreeSpacePropagator(grid, grid.at(0.1), 0.532)
+    >>> operator.forward(np.ones((64, 64), np.complex64)).dtype
+    dtype('complex64')
     """
 
     source: Grid
@@ -58,44 +68,50 @@ class FreeSpacePropagator:
     band_limit: bool = True
 
     def forward(self, values: Any) -> Any:
-        """Values on the target of a field on the source; phases are formed in double, single stays single."""
-        return self._way.forward(values)
+        """Return the values on the target for a field on the source.
+
+        Phases are computed in double precision; a field in single precision stays in single precision.
+        """
+        return self._method.forward(values)
 
     def adjoint(self, values: Any) -> Any:
-        """Exact adjoint of :meth:`forward` for <f, g> = cell * sum(conj(f) g)."""
-        return self._way.adjoint(values)
+        """Return the exact adjoint of :meth:`forward` for <f, g> = cell * sum(conj(f) g)."""
+        return self._method.adjoint(values)
 
     def check(self, values: Any, *, coarse_output: bool = False) -> None:
-        """Warn of what :meth:`forward` would get wrong, or refuse it; as :func:`propagate`."""
-        self._way.check(values, coarse_output)
+        """Warn of a small sampling error of :meth:`forward`, or refuse a large one, as :func:`propagate`."""
+        self._method.check(values, coarse_output)
 
     @property
     def samples(self) -> int:
-        """Of the spectrum."""
-        return self._way.samples
+        """Number of samples of the spectrum."""
+        return self._method.samples
 
     @property
     def seconds(self) -> float:
-        """What one use takes on this machine."""
-        return self._way.seconds
+        """Predicted time of one use on this machine."""
+        return self._method.seconds
 
     @property
     def peak_bytes(self) -> int:
-        """Most memory of one use in double precision, its result not counted."""
-        return self._way.peak_bytes
+        """Peak memory of one use in double precision, without its result."""
+        return self._method.peak_bytes
 
     @cached_property
-    def _way(self) -> AngularSpectrum | ChirpZ | TiltedSamples:
+    def _method(self) -> AngularSpectrum | ChirpZ | TiltedSamples:
         if self.source.is_line != self.target.is_line:
             raise InputError("input grid and output grid: both must be lines, or both planes")
         ends = (self.source, self.target, self.wavelength_um, self.index)
-        chosen = self.pad != "auto" or not self.band_limit
+        is_padding_set = self.pad != "auto" or not self.band_limit
         tilt = self.source_tilt_deg or self.target_tilt_deg
         if tilt is not None:
-            if chosen or (self.source_tilt_deg and self.target_tilt_deg):
-                raise InputError("a tilted plane: the other must be straight, and padding is not chosen")
+            if is_padding_set or (self.source_tilt_deg and self.target_tilt_deg):
+                raise InputError(
+                    "source_tilt_deg, target_tilt_deg: only one plane can be tilted, and pad and band_limit "
+                    "must keep their defaults"
+                )
             return TiltedSamples(*ends, tilt, straight=self.source_tilt_deg is None)
-        if chosen:
+        if is_padding_set:
             return AngularSpectrum(*ends, self.pad, self.band_limit)
         chirped = ChirpZ(*ends)
         if (self.source.shape, self.source.pitch_mm) == (self.target.shape, self.target.pitch_mm):
@@ -116,55 +132,71 @@ def propagate(
     check: bool = True,
     coarse_output: bool = False,
 ) -> Field:
-    """Carry a field through free space: :class:`FreeSpacePropagator`, guarded.
+    """Propagate a field through free space with a :class:`FreeSpacePropagator`, after a check of the
+    sampling.
 
     Parameters
     ----------
     field
-        Single precision stays single; the phases are formed in double.
+        Field to propagate. Single precision stays single; phases are computed in double precision.
     to
-        Grid, or how far along the axis in mm, onto the field's own samples; in front of the field, or
-        negative, if it is to be carried back.
+        Target grid, or a distance along the axis in mm for the field's own samples. A target in front of the
+        field, or a negative distance, propagates backwards.
     source_tilt_deg, target_tilt_deg, pad, band_limit
-        As of :class:`FreeSpacePropagator`.
+        As in :class:`FreeSpacePropagator`.
     check
-        Whether to judge the sampling first (:func:`wavesim.fields.guards.check_propagation`).
+        Whether to check the sampling first (:func:`wavesim.fields.guards.check_propagation`).
     coarse_output
-        Whether to accept an output pitch too coarse for the field that falls there.
+        Whether to accept an output pitch that is too coarse to interpolate the field.
+
+    Returns
+    -------
+    Field
+        Field on the target grid.
 
     Raises
     ------
     SamplingError
-        If the samples cannot hold the field on its way, or the spectrum needs too many of them.
+        If the samples cannot represent the field, or the spectrum needs too many of them.
     InputError
-        If grids, tilts or padding do not go together.
+        If grids, tilts or padding are not compatible.
 
     Warns
     -----
     SamplingWarning
-        If a small part of the energy is lost, in the sampling or, where only a distance is given, because it
-        leaves the window.
+        If a small fraction of the energy is lost by the sampling or, where only a distance is given, because
+        light leaves the window.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim.fields import Field, Grid, propagate
+    >>> grid = Grid((256, 256), 2e-3, 0.0)
+    >>> beam = Field(grid, np.exp(-grid.radius_squared_mm2() / 0.05**2), wavelength_um=0.532)
+    >>> behind = propagate(beam, 1.0)
+    >>> round(behind.energy / beam.energy, 6)
+    1.0
     """
     grid = field.grid.towards(to)
-    passage = FreeSpacePropagator(
+    operator = FreeSpacePropagator(
         field.grid, grid, field.wavelength_um, field.index, source_tilt_deg, target_tilt_deg, pad, band_limit
     )
     if check:
-        passage.check(field.values, coarse_output=coarse_output)
-    result = Field(grid, passage.forward(field.values), field.wavelength_um, field.index)
+        operator.check(field.values, coarse_output=coarse_output)
+    result = Field(grid, operator.forward(field.values), field.wavelength_um, field.index)
     if check and to is not grid:
-        _tell_escape(field, result)
+        _warn_of_escape(field, result)
     return result
 
 
-def _tell_escape(field: Field, result: Field) -> None:
+def _warn_of_escape(field: Field, result: Field) -> None:
     before = field.energy
     lost = 1.0 - result.energy / before if before > 0.0 else 0.0
     if lost > WARNED:
         warnings.warn(
-            f"{100.0 * lost:.2g} % of the field's energy leaves the window on its way over "
-            f"{abs(result.grid.z_mm - field.grid.z_mm):.4g} mm: the samples inside it stand; give a larger "
-            "window if all of the light is wanted",
+            f"{100.0 * lost:.2g} % of the field's energy leaves the window over a distance of "
+            f"{abs(result.grid.z_mm - field.grid.z_mm):.4g} mm: the samples inside it are correct; give a "
+            "larger window to keep all of the light",
             SamplingWarning,
             stacklevel=3,
         )

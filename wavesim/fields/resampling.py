@@ -22,19 +22,19 @@ from wavesim.fields.resampling_kernel import block_width, collect, expand
 from wavesim.runtime.threads import THREADS, for_blocks
 
 OVERSAMPLING = 1.6
-"""Of the coarse samples, over the Nyquist rate of what they hold."""
+"""Density of the coarse samples, relative to the Nyquist rate of the interpolated function."""
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """Interpolation kernel for samples that are `OVERSAMPLING` times as dense as their band needs.
+    """Interpolation kernel for samples that are oversampled by `OVERSAMPLING`.
 
     Attributes
     ----------
     taps : int
-        Coarse samples that count for a fine one; even.
+        Number of coarse samples that contribute to a fine one; even.
     beta : float
-        Of the Kaiser window.
+        Shape parameter of the Kaiser window.
     """
 
     taps: int
@@ -42,7 +42,7 @@ class Kernel:
 
 
 def kernel_for(error: float) -> Kernel:
-    """The shortest kernel of an interpolation error, by Kaiser's formulas."""
+    """Return the shortest kernel for an interpolation error, by Kaiser's formulas."""
     attenuation_db = max(-20.0 * math.log10(error), 50.0)
     transition = 2.0 * math.pi * (1.0 - 1.0 / OVERSAMPLING)
     taps = 2 * math.ceil(0.5 * (attenuation_db - 8.0) / (2.285 * transition))
@@ -50,21 +50,21 @@ def kernel_for(error: float) -> Kernel:
 
 
 def coarse_axis(fine: Array, step: float, kernel: Kernel) -> Array:
-    """Even samples that hold all neighbours of a fine axis."""
+    """Return evenly spaced samples that include all neighbours of a fine axis."""
     count = math.ceil((fine[-1] - fine[0]) / step) + kernel.taps + 1
     return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Interpolation along one axis.
+    """Weights of an interpolation along one axis.
 
     Attributes
     ----------
     first : ndarray of int, shape (fine,)
-        First coarse sample that counts for each fine one.
+        First coarse sample that contributes to each fine one.
     weight : ndarray, shape (fine, taps)
-        Of that sample and of those that follow it.
+        Weights of that sample and of those that follow it.
     coarse : int
         Number of coarse samples.
     """
@@ -74,15 +74,15 @@ class Weights:
     coarse: int
 
     def matrix(self) -> csr_array:
-        """The same as a sparse matrix, shape (fine, coarse)."""
+        """Return the weights as a sparse matrix, shape (fine, coarse)."""
         fine, taps = self.weight.shape
         columns = self.first[:, None] + np.arange(taps)
         rows = np.arange(fine + 1) * taps
         return csr_array((self.weight.ravel(), columns.ravel(), rows), shape=(fine, self.coarse))
 
     @cached_property
-    def back(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
-        """For each coarse sample the first fine one that counts, one past the last, and all their weights."""
+    def adjoint(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
+        """Transposed weights: for each coarse sample the first fine one, one past the last, and weights."""
         taps, coarse = self.weight.shape[1], np.arange(self.coarse)
         first = np.searchsorted(self.first, coarse - taps + 1)
         last = np.searchsorted(self.first, coarse, side="right")
@@ -93,15 +93,15 @@ class Weights:
         return first, last, np.where(counts, self.weight[inside, tap], self.weight.dtype.type(0))
 
     def astype(self, dtype: type[np.floating[Any]]) -> Weights:
-        """With weights of another precision."""
+        """Return the weights in another precision."""
         return Weights(self.first, self.weight.astype(dtype), self.coarse)
 
 
 def interpolation(coarse: Array, fine: Array, kernel: Kernel) -> Weights:
-    """Weights from values on a coarse axis to those on a fine one, in float64."""
-    place = (fine - coarse[0]) / (coarse[1] - coarse[0])
-    first = np.floor(place).astype(np.int64) - kernel.taps // 2 + 1
-    distance = place[:, None] - (first[:, None] + np.arange(kernel.taps))
+    """Return the weights of an interpolation from a coarse axis to a fine one, in float64."""
+    position = (fine - coarse[0]) / (coarse[1] - coarse[0])
+    first = np.floor(position).astype(np.int64) - kernel.taps // 2 + 1
+    distance = position[:, None] - (first[:, None] + np.arange(kernel.taps))
     inside = np.maximum(1.0 - (2.0 * distance / kernel.taps) ** 2, 0.0)
     weight = np.sinc(distance) * i0(kernel.beta * np.sqrt(inside)) / i0(kernel.beta)
     return Weights(first, weight, len(coarse))
@@ -109,83 +109,84 @@ def interpolation(coarse: Array, fine: Array, kernel: Kernel) -> Weights:
 
 def add_interpolated(
     coarse: NDArray,
-    ways: tuple[Weights, Weights],
-    carried: NDArray,
+    weights: tuple[Weights, Weights],
+    carrier: NDArray,
     plane: NDArray,
-    place: tuple[int, int] = (0, 0),
+    origin: tuple[int, int] = (0, 0),
     threads: int = THREADS,
 ) -> None:
-    """Add a field on a coarse plane, interpolated and times a carrier, to a part of a fine plane.
+    """Interpolate a field from a coarse plane, multiply it by a carrier, and add it to part of a fine plane.
 
     Parameters
     ----------
     coarse
-        Values, C-contiguous.
-    ways
-        Along y and x.
-    carried
+        Field on the coarse plane, C-contiguous.
+    weights
+        Interpolation weights along y and x.
+    carrier
         Factor of each fine sample of the part.
     plane
-        Changed in place; C-contiguous.
-    place
-        Its row and column where the part begins.
+        Fine plane, C-contiguous; changed in place.
+    origin
+        Row and column of the plane at which the part begins.
     threads
-        That share the work, at most.
+        Most threads.
     """
-    (y, x), real = ways, plane.real.dtype
+    (y, x), real = weights, plane.real.dtype
     fixed = (
         coarse.view(real),
         (y.first, y.weight),
         (x.first, x.weight),
-        carried.view(real),
+        carrier.view(real),
         plane.view(real),
-        place,
+        origin,
     )
-    in_columns(partial(expand, *fixed), carried.shape[1], threads)
+    for_column_blocks(partial(expand, *fixed), carrier.shape[1], threads)
 
 
 def gathered(
     plane: NDArray,
-    ways: tuple[Weights, Weights],
-    carried: NDArray,
-    place: tuple[int, int] = (0, 0),
+    weights: tuple[Weights, Weights],
+    carrier: NDArray,
+    origin: tuple[int, int] = (0, 0),
     threads: int = THREADS,
 ) -> NDArray:
-    """Conjugate transpose of :func:`add_interpolated`: values on the coarse plane."""
-    (y, x), real = ways, carried.real.dtype
-    fixed = (plane.view(real), place, carried.view(real), y.back, x.back)
+    """Return the conjugate transpose of :func:`add_interpolated` applied to a plane: a coarse field."""
+    (y, x), real = weights, carrier.real.dtype
+    fixed = (plane.view(real), origin, carrier.view(real), y.adjoint, x.adjoint)
 
-    return onto_coarse(partial(collect, *fixed), ways, carried.dtype, threads)
+    return onto_coarse(partial(collect, *fixed), weights, carrier.dtype, threads)
 
 
-def in_columns(work: Callable[[int, int], Any], columns: int, threads: int) -> list[Any]:
-    """What a loop gives for every block of a fine plane's columns, from one to another."""
+def for_column_blocks(work: Callable[[int, int], Any], columns: int, threads: int) -> list[Any]:
+    """Return what a loop gives for every block of a fine plane's columns, called with its begin and end."""
     return for_blocks(work, columns, block_width(columns), threads)
 
 
 def onto_coarse(
-    work: Callable[[int, int, int, int], NDArray], ways: tuple[Weights, Weights], dtype: Any, threads: int
+    work: Callable[[int, int, int, int], NDArray], weights: tuple[Weights, Weights], dtype: Any, threads: int
 ) -> NDArray:
-    """A coarse plane from what every block of a fine one's columns adds to it.
+    """Sum the contributions of all blocks of a fine plane's columns to a coarse plane.
 
     Parameters
     ----------
     work
-        Gives, as floats, what the last two, columns, add to coarse columns from the first to the second.
-    ways
-        From the coarse plane to the fine one, along y and x.
+        Returns, as floats, the contribution of the fine columns from its third to its fourth argument to the
+        coarse columns from its first to its second argument.
+    weights
+        Interpolation weights from the coarse plane to the fine one, along y and x.
     dtype
-        Of the values.
+        Data type of the values.
     threads
-        That share the work, at most.
+        Most threads.
     """
-    y, x = ways
+    y, x = weights
 
-    def part(begin: int, end: int) -> tuple[int, NDArray]:
+    def contribution(begin: int, end: int) -> tuple[int, NDArray]:
         left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
         return left, work(left, right, begin, end).view(dtype)
 
     coarse = np.zeros((y.coarse, x.coarse), dtype)
-    for left, found in in_columns(part, len(x.first), threads):
+    for left, found in for_column_blocks(contribution, len(x.first), threads):
         coarse[:, left : left + found.shape[1]] += found
     return coarse

@@ -1,9 +1,10 @@
-"""Compiled loops of :mod:`wavesim.fields.resampling`; each does some columns of the fine plane for a thread.
+"""Compiled loops of :mod:`wavesim.fields.resampling`. Each call handles some columns of the fine plane in a
+thread.
 
-Along both axes samples are sums of lines that lie beside each other: of columns first, some rows of them at
-a time, then of the rows that these make; back, of rows first. Four sums at a time share the lines that they
-read, for it is reading that takes time. Rows and columns hold real parts before imaginary ones, in whole
-vectors each; what these hold beyond a row's end may be any numbers.
+Along both axes an output line is a weighted sum of neighbouring input lines. The forward loop sums columns
+first, some rows of them at a time, then the resulting rows; the adjoint loop sums rows first. Four sums at a
+time share the lines that they read, since memory traffic limits the speed. Rows and columns hold real parts
+before imaginary ones, padded to whole vectors; the padding may hold any numbers.
 """
 
 # mypy: disable-error-code="misc"
@@ -35,51 +36,51 @@ from wavesim.runtime.fourier.lanes import (
 _jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 BLOCK, BLOCKS = 1024, 2
-"""Columns of the fine plane at a time, at most, and what the number of blocks is a multiple of: threads
-share them evenly."""
+"""Most columns of a block of the fine plane, and a divisor of the number of blocks, so that threads share
+them evenly."""
 
 BAND = 2 * LANES
-"""Coarse rows at a time."""
+"""Coarse rows that are computed at a time."""
 
 FOUR = 4
-"""Sums at a time."""
+"""Sums that are computed at a time."""
 
 
 def block_width(columns: int) -> int:
-    """Columns at a time: how many threads there are does not change what is added up in which turn."""
+    """Return the columns of a block; the number of threads does not change the order of summation."""
     blocks = BLOCKS * math.ceil(columns / (BLOCKS * BLOCK))
     return math.ceil(columns / blocks) if blocks else 1
 
 
 @_jit
 def weights_for_four(
-    number: int,
+    index: int,
     first: NDArray,
     last: NDArray,
     weight: NDArray,
     low: int,
     high: int,
-    room: NDArray,
+    buffer: NDArray,
 ) -> tuple[int, int]:
-    """Weights of four sums, from one number on, of all lines that any of them takes; 0 where one takes none.
+    """Gather the weights of four sums, from one index on, for all lines that any of them uses; 0 elsewhere.
 
-    `first` and `last` say of which lines, between `low` and `high`, each is a sum. Returns the first line of
-    all, and their number.
+    `first` and `last` are the range of lines of each sum, limited to `low` and `high`. Returns the first line
+    and the number of lines.
     """
-    stop = min(number + FOUR, len(first))
-    start = max(first[number], low)
+    stop = min(index + FOUR, len(first))
+    start = max(first[index], low)
     count = max(min(last[stop - 1], high) - start, 0)
-    room[:, :count] = 0.0
-    for k in range(number, stop):
+    buffer[:, :count] = 0.0
+    for k in range(index, stop):
         own = max(first[k], low)
         for t in range(own, min(last[k], high)):
-            room[k - number, t - start] = weight[k, t - first[k]]
+            buffer[k - index, t - start] = weight[k, t - first[k]]
     return start, count
 
 
 @_jit
 def most_of_four(first: NDArray, last: NDArray) -> int:
-    """Lines that any four sums take together, at most."""
+    """Return the largest number of lines that four successive sums use together."""
     most = 0
     for k in range(len(first)):
         most = max(most, last[min(k + FOUR, len(first)) - 1] - first[k])
@@ -90,22 +91,22 @@ def most_of_four(first: NDArray, last: NDArray) -> int:
 def all_fours(
     first: NDArray, last: NDArray, weight: NDArray, low: int, high: int
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """What :func:`weights_for_four` gives for every four sums: first lines, numbers of lines, weights."""
+    """Return the results of :func:`weights_for_four` for all sums: first lines, numbers of lines, weights."""
     count = (len(first) + FOUR - 1) // FOUR
     starts, several = empty(count, int64), empty(count, int64)
-    rooms = empty((count, FOUR, most_of_four(first, last)), weight.dtype)
-    for number in range(count):
-        found = weights_for_four(number * FOUR, first, last, weight, low, high, rooms[number])
-        starts[number], several[number] = found
-    return starts, several, rooms
+    buffers = empty((count, FOUR, most_of_four(first, last)), weight.dtype)
+    for index in range(count):
+        found = weights_for_four(index * FOUR, first, last, weight, low, high, buffers[index])
+        starts[index], several[index] = found
+    return starts, several, buffers
 
 
 @_jit
 def sums_of_lines(
     lines: NDArray, first: int, count: int, weight: NDArray, numbers: int, sums: NDArray
 ) -> None:
-    """Four sums of so many lines from the first on; their numbers fill two vectors, or twice as many."""
-    flat, taking, step, across = lines.reshape(-1), sums.reshape(-1), lines.shape[1], sums.shape[1]
+    """Compute four weighted sums of `count` lines from `first` on, each of `numbers` values."""
+    flat, target, step, across = lines.reshape(-1), sums.reshape(-1), lines.shape[1], sums.shape[1]
     zero = alike(weight.dtype.type(0.0))
     for c in range(0, numbers, 2 * LANES):
         a, b, d, e = zero, zero, zero, zero
@@ -117,24 +118,24 @@ def sums_of_lines(
             three, four = alike(weight[2, t]), alike(weight[3, t])
             a, b, d, e = a + one * left, b + two * left, d + three * left, e + four * left
             p, q, r, s = p + one * right, q + two * right, r + three * right, s + four * right
-        store(taking, c, a)
-        store(taking, c + LANES, p)
-        store(taking, across + c, b)
-        store(taking, across + c + LANES, q)
-        store(taking, 2 * across + c, d)
-        store(taking, 2 * across + c + LANES, r)
-        store(taking, 3 * across + c, e)
-        store(taking, 3 * across + c + LANES, s)
+        store(target, c, a)
+        store(target, c + LANES, p)
+        store(target, across + c, b)
+        store(target, across + c + LANES, q)
+        store(target, 2 * across + c, d)
+        store(target, 2 * across + c + LANES, r)
+        store(target, 3 * across + c, e)
+        store(target, 3 * across + c + LANES, s)
 
 
 @_jit
-def add_turned(
+def add_modulated(
     lines: NDArray, waves: NDArray, plane: NDArray, at: int, step: int, width: int, first: int, stop: int
 ) -> None:
-    """Add lines times complex factors to rows of so many samples, from the first to one before `stop`.
+    """Add lines times complex factors to rows of `width` samples, for rows from `first` to one before `stop`.
 
     The first line goes to the row that begins at `at` of a flat plane, whose rows are `step` apart. Lines and
-    factors hold real parts, then imaginary ones, in whole vectors; rows hold both in turn.
+    factors hold real parts before imaginary ones, in whole vectors; the plane's rows interleave them.
     """
     half, across, some = whole(width), lines.shape[1], empty(2 * LANES, plane.dtype)
     line, wave = lines.reshape(-1), waves.reshape(-1)
@@ -158,7 +159,7 @@ def add_turned(
 
 
 @_jit
-def take_turned(
+def take_modulated(
     plane: NDArray,
     at: int,
     step: int,
@@ -169,12 +170,12 @@ def take_turned(
     to: int,
     count: int,
 ) -> None:
-    """The transpose of :func:`add_turned`, of so many rows, onto lines from `to` on."""
+    """Transpose of :func:`add_modulated`, for `count` rows, onto lines from `to` on."""
     half, across, some = whole(width), lines.shape[1], empty(2 * LANES, plane.dtype)
     line, wave = lines.reshape(-1), waves.reshape(-1)
     some[:] = 0.0
     for row in range(count):
-        here, there = (first + row) * waves.shape[1], (to + row) * across
+        here, target = (first + row) * waves.shape[1], (to + row) * across
         for j in range(0, width, LANES):
             start = at + row * step + 2 * j
             if j + LANES <= width:
@@ -187,18 +188,18 @@ def take_turned(
                 one, other = load(some, 0), load(some, LANES)
             real, imaginary = evens(one, other), odds(one, other)
             cosine, sine = load(wave, here + j), load(wave, here + half + j)
-            store(line, there + j, cosine * real + sine * imaginary)
-            store(line, there + half + j, cosine * imaginary - sine * real)
+            store(line, target + j, cosine * real + sine * imaginary)
+            store(line, target + half + j, cosine * imaginary - sine * real)
 
 
 @_jit
 def take_parts(rows: NDArray, begin: int, end: int, first: int, count: int, lines: NDArray) -> None:
-    """Real, then imaginary parts of some columns of so many rows, from the first on, in whole vectors."""
+    """Copy columns of `count` rows from `first` on to lines, real parts before imaginary ones."""
     half, across, some = whole(end - begin), lines.shape[1], empty(2 * LANES, rows.dtype)
     flat, line = rows.reshape(-1), lines.reshape(-1)
     some[:] = 0.0
     for row in range(count):
-        at, there = (first + row) * rows.shape[1] + 2 * begin, row * across
+        at, target = (first + row) * rows.shape[1] + 2 * begin, row * across
         for j in range(0, end - begin, LANES):
             if j + LANES <= end - begin:
                 one, other = load(flat, at + 2 * j), load(flat, at + 2 * j + LANES)
@@ -206,8 +207,8 @@ def take_parts(rows: NDArray, begin: int, end: int, first: int, count: int, line
                 for k in range(2 * (end - begin - j)):
                     some[k] = flat[at + 2 * j + k]
                 one, other = load(some, 0), load(some, LANES)
-            store(line, there + j, evens(one, other))
-            store(line, there + half + j, odds(one, other))
+            store(line, target + j, evens(one, other))
+            store(line, target + half + j, odds(one, other))
 
 
 @_jit
@@ -220,9 +221,9 @@ def make_rows(
     rows: NDArray,
     at: int,
 ) -> None:
-    """Coarse rows from `low` to `high` in so many columns of the fine plane, on lines from `at` on.
+    """Interpolate coarse rows from `low` to `high` along x, into `BAND` lines from `at` on.
 
-    Of these there are `BAND`; those beyond the rows that are made may be any.
+    Lines beyond the given rows may hold any numbers.
     """
     starts, several, weights = fours_x
     left, count = starts[0], high - low
@@ -235,21 +236,21 @@ def make_rows(
         for c in range(columns.shape[0]):
             columns[c, k] = coarse[low + k, 2 * (left + c)]
             columns[c, BAND + k] = coarse[low + k, 2 * (left + c) + 1]
-    given, taking, step = sums.reshape(-1), rows.reshape(-1), sums.shape[1]
+    source, target, step = sums.reshape(-1), rows.reshape(-1), sums.shape[1]
     for j in range(0, width, LANES):
         for four in range(j, min(j + LANES, width), FOUR):
             n = four // FOUR
-            taking_four = sums[four - j : four - j + FOUR]
-            sums_of_lines(columns, starts[n] - left, several[n], weights[n], 2 * BAND, taking_four)
+            four_sums = sums[four - j : four - j + FOUR]
+            sums_of_lines(columns, starts[n] - left, several[n], weights[n], 2 * BAND, four_sums)
         for part in range(2):
             to = at * rows.shape[1] + part * whole(width) + j
             for k in range(0, BAND, LANES):
-                transpose(given, part * BAND + k, step, taking, to + k * rows.shape[1], rows.shape[1])
+                transpose(source, part * BAND + k, step, target, to + k * rows.shape[1], rows.shape[1])
 
 
 @_jit
 def moved_up(lines: NDArray, first: int, made: int, top: int) -> None:
-    """Lines from `first` to `made`, the one at `top` the uppermost, to where the uppermost are."""
+    """Move lines from `first` to `made` to the start of the buffer, which now begins at line `top`."""
     for i in range(first, made):
         lines[i - first] = lines[i - top]
 
@@ -264,9 +265,9 @@ def rows_from(
     rows: NDArray,
     kept: tuple[int, int],
 ) -> tuple[int, int]:
-    """Make coarse rows in a block's columns, so that those from `first` to `last` are there.
+    """Interpolate coarse rows along x until those from `first` to `last` are in the buffer.
 
-    `kept` is the row on the uppermost line, and the next that is not made; so is what comes back.
+    `kept`, and the result, are the row on the first line of the buffer and the next row to compute.
     """
     top, made = kept
     if made < first:
@@ -291,16 +292,16 @@ def put_band(
     width: int,
     result: NDArray,
 ) -> None:
-    """Coarse rows, a band's at most, from so many columns of the fine plane onto coarse ones."""
+    """Interpolate the transpose along x: rows of a band from fine columns to coarse ones."""
     half, across = whole(width), result.shape[1] // 2
     starts, several, weights = fours_x
-    columns, given = lines_for(half, 2 * BAND, lines), lines.reshape(-1)
-    taking, step = columns.reshape(-1), columns.shape[1]
+    columns, source = lines_for(half, 2 * BAND, lines), lines.reshape(-1)
+    target, step = columns.reshape(-1), columns.shape[1]
     for part in range(2):
         for k in range(0, BAND, LANES):
             at, to = k * lines.shape[1] + part * half, part * BAND + k
             for j in range(0, half, LANES):
-                transpose(given, at + j, lines.shape[1], taking, to + j * step, step)
+                transpose(source, at + j, lines.shape[1], target, to + j * step, step)
     sums = lines_for(FOUR, 2 * BAND, lines)
     for four in range(0, across, FOUR):
         n = four // FOUR
@@ -316,74 +317,77 @@ def expand(
     coarse: NDArray,
     along_y: tuple[NDArray, NDArray],
     along_x: tuple[NDArray, NDArray],
-    carried: NDArray,
+    carrier: NDArray,
     plane: NDArray,
-    place: tuple[int, int],
+    origin: tuple[int, int],
     begin: int,
     end: int,
 ) -> None:
-    """Add columns of a coarse field, interpolated and times a carrier, to those of a fine one.
+    """Add columns of a coarse field, interpolated and times a carrier, to those of a fine plane.
 
     `along_y` and `along_x` are the first coarse sample and its weights for each fine one. Fields and carrier
-    come as their float views; `place` is row and column of the plane where the fine field begins.
+    are given as their float views; `origin` is the row and column of the plane at which the fine field
+    begins.
     """
     first_y, weight_y = along_y
     width, half, last_y = end - begin, whole(end - begin), first_y + weight_y.shape[1]
     most = most_of_four(first_y, last_y)
     rows, lines = lines_for(2 * (most + BAND), 2 * half, plane), lines_for(FOUR, 2 * half, plane)
-    room, waves = empty((FOUR, most), plane.dtype), lines_for(FOUR, 2 * half, plane)
+    buffer, waves = empty((FOUR, most), plane.dtype), lines_for(FOUR, 2 * half, plane)
     onto, step = plane.reshape(-1), plane.shape[1]
     first_x, weight_x = along_x[0][begin:end], along_x[1][begin:end]
     fours_x = all_fours(first_x, first_x + weight_x.shape[1], weight_x, 0, coarse.shape[1] // 2)
     top = made = 0
     for four in range(0, len(first_y), FOUR):
-        first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], room)
+        first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], buffer)
         top, made = rows_from(coarse, fours_x, width, first, first + count, rows, (top, made))
-        sums_of_lines(rows, first - top, count, room, 2 * half, lines)
-        several, at = min(FOUR, len(first_y) - four), (place[0] + four) * step + 2 * (place[1] + begin)
-        take_parts(carried, begin, end, four, several, waves)
-        add_turned(lines, waves, onto, at, step, width, 0, several)
+        sums_of_lines(rows, first - top, count, buffer, 2 * half, lines)
+        several, at = min(FOUR, len(first_y) - four), (origin[0] + four) * step + 2 * (origin[1] + begin)
+        take_parts(carrier, begin, end, four, several, waves)
+        add_modulated(lines, waves, onto, at, step, width, 0, several)
 
 
 @_jit
 def collect(
     plane: NDArray,
-    place: tuple[int, int],
-    carried: NDArray,
-    back_y: tuple[NDArray, NDArray, NDArray],
-    back_x: tuple[NDArray, NDArray, NDArray],
+    origin: tuple[int, int],
+    carrier: NDArray,
+    adjoint_y: tuple[NDArray, NDArray, NDArray],
+    adjoint_x: tuple[NDArray, NDArray, NDArray],
     left: int,
     right: int,
     begin: int,
     end: int,
 ) -> NDArray:
-    """The transpose of `expand`: what columns add to the coarse ones from `left` to `right`.
+    """Transpose of `expand`: the contribution of fine columns to the coarse ones from `left` to `right`.
 
-    `back_y` and `back_x` are the transposes of the weights: for each coarse sample the first fine one that
-    counts, one past the last, and weights. The result is a float view.
+    `adjoint_y` and `adjoint_x` are the transposed weights: for each coarse sample the first fine one that
+    contributes, one past the last, and weights. The result is a float view.
     """
-    first_y, last_y, weight_y = back_y
+    first_y, last_y, weight_y = adjoint_y
     count, most = len(first_y), most_of_four(first_y, last_y)
     width, half = end - begin, whole(end - begin)
     fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
-    room, result = empty((FOUR, most), plane.dtype), empty((count, 2 * (right - left)), plane.dtype)
-    waves, given, step = lines_for(FOUR, 2 * half, plane), plane.reshape(-1), plane.shape[1]
+    buffer, result = empty((FOUR, most), plane.dtype), empty((count, 2 * (right - left)), plane.dtype)
+    waves, source, step = lines_for(FOUR, 2 * half, plane), plane.reshape(-1), plane.shape[1]
     lines[:] = 0.0
-    fours_x = all_fours(back_x[0][left:right], back_x[1][left:right], back_x[2][left:right], begin, end)
+    fours_x = all_fours(
+        adjoint_x[0][left:right], adjoint_x[1][left:right], adjoint_x[2][left:right], begin, end
+    )
     top = made = 0
     for four in range(0, count, FOUR):
-        first, several = weights_for_four(four, first_y, last_y, weight_y, 0, carried.shape[0], room)
+        first, several = weights_for_four(four, first_y, last_y, weight_y, 0, carrier.shape[0], buffer)
         if first + several - top > fine.shape[0]:
             moved_up(fine, first, made, top)
             top, made = first, max(made, first)
         while made < first + several:
             more = min(FOUR, first + several - made)
-            take_parts(carried, begin, end, made, more, waves)
-            start = (place[0] + made) * step + 2 * (place[1] + begin)
-            take_turned(given, start, step, waves, width, fine, 0, made - top, more)
+            take_parts(carrier, begin, end, made, more, waves)
+            start = (origin[0] + made) * step + 2 * (origin[1] + begin)
+            take_modulated(source, start, step, waves, width, fine, 0, made - top, more)
             made += more
         at = four % BAND
-        sums_of_lines(fine, first - top, several, room, 2 * half, lines[at : at + FOUR])
+        sums_of_lines(fine, first - top, several, buffer, 2 * half, lines[at : at + FOUR])
         if at + FOUR == BAND or four + FOUR >= count:
             put_band(lines, four - at, min(BAND, count - four + at), fours_x, begin, width, result)
     return result

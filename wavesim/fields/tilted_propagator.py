@@ -1,13 +1,15 @@
-"""Free space to a plane that is tilted a little: a sum of ways to parallel planes.
+"""Free space to a slightly tilted plane: a weighted sum of fields on parallel planes.
 
-A tilt by a small angle takes each point of a plane along one direction, nearly the axis, by as much as the
-point is from the line about which the plane turns. The field there follows from those on a few planes that
-are moved along that direction, by Lagrange's polynomials of the distance: once the phase that all light has
-in common is out, waves within some degrees differ by a part of a radian over it. Two tilts one after the
-other turn the plane about its own normal, too, by half their product: one more plane, moved along itself.
-That is right to 1e-3 while the product of both tilts is below 7 square degrees.
+A tilt by a small angle displaces each point of a plane along nearly the axis, in proportion to its distance
+from the axis of rotation. The field on the tilted plane follows from the fields on a few planes that are
+shifted along this direction, by Lagrange interpolation in the displacement. Once the phase that all waves
+have in common is removed, waves within some degrees of each other differ by a fraction of a radian over it.
 
-For light that keeps to the pixels' band, over the whole grid; any tilt, and any light, take
+Two successive tilts also rotate the plane about its own normal, by half their product. One further plane,
+shifted within itself, accounts for this rotation. The approximation is accurate to 1e-3 while the product of
+both tilts is below 7 square degrees.
+
+The method is for light within the pixels' band, over the whole grid. For any tilt and any light, use
 :mod:`wavesim.fields.tilted_samples`.
 """
 
@@ -27,41 +29,42 @@ from wavesim.fields.plane_waves import TransferFunction
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 ACCURACY = 1e-3
-"""Of the steepest wave of the grid's band, at the worst point: the light as a whole does far better."""
+"""Largest error of the steepest wave of the grid's band at the worst point; the whole field is more
+accurate."""
 LEVEL = 1e-4
-"""Radians by which waves differ at the rim of a plane that is taken for upright."""
+"""Largest phase difference of waves at the rim, in radians, at which a plane counts as not tilted."""
 MOST_PLANES = 15
-LEAST_TURN = 1e-3
-"""Of a pitch: how far a turn about the plane's own normal may move a sample without a plane for it."""
+LEAST_ROTATION = 1e-3
+"""Largest displacement, in pitches, by the rotation about the normal that is neglected."""
 
 
 class TiltedPropagator:
-    """Free space to a plane that is tilted about the middle of its grid, by a few degrees at most.
+    """Free space to a plane that is tilted about the centre of its grid, by a few degrees at most.
 
-    Linear in the field, and with an exact adjoint; the phase of the middle of the band is left out, so that
-    the field on the tilted plane is known but for a phase at each point.
+    The operator is linear in the field and has an exact adjoint. It omits the phase of the centre of the
+    band, so that the field on the tilted plane is correct except for a phase at each point.
 
     Parameters
     ----------
     grid, wavelength_um, distance_mm, dtype, shift_mm
-        As of :class:`wavesim.fields.plane_waves.TransferFunction`.
+        As in :class:`wavesim.fields.plane_waves.TransferFunction`.
     tilt_deg : (x, y)
-        Right-handed rotation of the second plane about x, then about the y axis that turned with it.
+        Right-handed rotation of the second plane about x, then about the rotated y axis.
 
     Attributes
     ----------
     tilt_deg : (x, y)
-        As given.
-    ways : list of PlaneWay
-        To the parallel planes.
+        The given tilt.
+    propagators : list of TransferFunction
+        Propagators to the parallel planes.
 
     Raises
     ------
     InputError
-        If the grid is a line, or the tilt takes more than `MOST_PLANES` planes.
+        If the grid is a line, or the tilt needs more than `MOST_PLANES` planes.
     """
 
-    is_none = False
+    is_identity = False
 
     def __init__(
         self,
@@ -74,9 +77,10 @@ class TiltedPropagator:
     ) -> None:
         if grid.is_line:
             raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has no tilted sensor")
-        turned = rotation_matrix(*np.deg2rad(tilt_deg))
-        # How far a point (x, y) of the plane goes: all of it along the axis by what it is along `uphill`.
-        moved = turned[:, :2] - np.eye(3)[:, :2]
+        rotation = rotation_matrix(*np.deg2rad(tilt_deg))
+        # Displacement of a point (x, y) of the plane: along the axis it depends only on the coordinate along
+        # `uphill`, the direction of steepest rise.
+        moved = rotation[:, :2] - np.eye(3)[:, :2]
         uphill = moved[2] / math.hypot(*moved[2])
         level = np.array([-uphill[1], uphill[0]])
         half = np.array(grid.half_widths_mm[::-1])
@@ -90,57 +94,57 @@ class TiltedPropagator:
         count = _count(phase, tilt_deg)
         self._nodes = reach * np.cos(np.pi * (np.arange(count) + 0.5) / count)
         self._nodes[count // 2] = 0.0
-        self._turns = np.exp(-1j * middle * along[2] * self._nodes)
-        places = [along * node for node in self._nodes]
+        self._phasors = np.exp(-1j * middle * along[2] * self._nodes)
+        displacements = [along * node for node in self._nodes]
         self._side = 0.0
-        if side * math.hypot(*across) > LEAST_TURN * grid.pitch_mm:
+        if side * math.hypot(*across) > LEAST_ROTATION * grid.pitch_mm:
             self._side = side
-            places.append(across * side)
+            displacements.append(across * side)
         x_mm, y_mm = shift_mm
-        self.ways = [
+        self.propagators = [
             TransferFunction(
                 grid, wavelength_um, distance_mm + float(z), dtype, (x_mm + float(x), y_mm + float(y))
             )
-            for x, y, z in places
+            for x, y, z in displacements
         ]
 
-    def weights(self, number: int, rows: slice, farther: float = 0.0) -> ComplexArray:
-        """Of one of the ways, on some rows of samples, shape (rows, nx).
+    def weights(self, index: int, rows: slice, row_offset: float = 0.0) -> ComplexArray:
+        """Return the weights of one parallel plane on some rows of samples, shape (rows, nx).
 
-        `farther`: by how many samples the rows lie farther up.
+        `row_offset` shifts the rows along y, in samples.
         """
         height, width = self._grid.shape
         pitch_mm = self._grid.pitch_mm
-        y = pitch_mm * (np.arange(rows.start, rows.stop) + farther - 0.5 * (height - 1))[:, None]
+        y = pitch_mm * (np.arange(rows.start, rows.stop) + row_offset - 0.5 * (height - 1))[:, None]
         x = pitch_mm * (np.arange(width) - 0.5 * (width - 1))
         sideways = (self._level[0] * x + self._level[1] * y) / self._side if self._side else 0.0
         nodes = self._nodes
-        if number == len(nodes):
+        if index == len(nodes):
             return np.asarray(sideways, self._dtype)
-        there, own = self._uphill[0] * x + self._uphill[1] * y, nodes[number]
-        weight = np.ones(there.shape)
-        for other in np.delete(nodes, number):
-            weight *= (there - other) / (own - other)
-        if number == len(nodes) // 2:
+        height_mm, own = self._uphill[0] * x + self._uphill[1] * y, nodes[index]
+        weight = np.ones(height_mm.shape)
+        for other in np.delete(nodes, index):
+            weight *= (height_mm - other) / (own - other)
+        if index == len(nodes) // 2:
             weight -= sideways
-        return np.asarray(weight * self._turns[number], self._dtype)
+        return np.asarray(weight * self._phasors[index], self._dtype)
 
-    def there(self, spectrum: ComplexArray) -> ComplexArray:
-        """The field on the second plane, from its spectrum on the first."""
+    def forward(self, spectrum: ComplexArray) -> ComplexArray:
+        """Return the field on the second plane from its spectrum on the first."""
         total = np.zeros_like(spectrum)
-        for number, way in enumerate(self.ways):
-            total += way.there(spectrum) * self.weights(number, slice(0, len(total)))
+        for index, propagator in enumerate(self.propagators):
+            total += propagator.forward(spectrum) * self.weights(index, slice(0, len(total)))
         return total
 
-    def back(self, values: ComplexArray) -> ComplexArray:
-        """The adjoint of :meth:`there`, where a spectrum counts as much as the field that it makes."""
+    def adjoint(self, values: ComplexArray) -> ComplexArray:
+        """Return the adjoint of :meth:`forward`, for equal weights of a spectrum and the field of it."""
         total = np.zeros_like(values)
-        for number, way in enumerate(self.ways):
-            total += way.back(values * self.weights(number, slice(0, len(total))).conj())
+        for index, propagator in enumerate(self.propagators):
+            total += propagator.adjoint(values * self.weights(index, slice(0, len(total))).conj())
         return total
 
 
-Way = TransferFunction | TiltedPropagator
+PlanePropagator = TransferFunction | TiltedPropagator
 
 
 def propagator_to(
@@ -150,8 +154,8 @@ def propagator_to(
     dtype: DTypeLike,
     shift_mm: tuple[float, float],
     tilt_deg: tuple[float, float],
-) -> Way:
-    """Free space to a parallel plane, or to one that is tilted, by enough for its rim to see it."""
+) -> PlanePropagator:
+    """Return the propagator to a parallel plane, or to a tilted one where the tilt is not negligible."""
     rim_mm = math.hypot(*grid.half_widths_mm) * math.hypot(*np.deg2rad(tilt_deg))
     _, differing = band_wavenumbers(grid, wavelength_um)
     if rim_mm * differing > LEVEL:
@@ -160,18 +164,18 @@ def propagator_to(
 
 
 def band_wavenumbers(grid: Grid, wavelength_um: float) -> tuple[float, float]:
-    """kz (1/mm) in the middle of what the grid's samples hold, and how much others differ from it."""
+    """Return kz (1/mm) in the centre of the grid's band, and the largest deviation from it."""
     most = 2e3 * math.pi / wavelength_um
     least = math.sqrt(max(most**2 - 2.0 * (math.pi / grid.pitch_mm) ** 2, 0.0))
     return 0.5 * (most + least), 0.5 * (most - least)
 
 
 def _count(phase: float, tilt_deg: tuple[float, float]) -> int:
-    """Of planes, at Chebyshev's points, from whose middle waves turn by so much; odd, to have one there."""
+    """Return the number of planes (odd, Chebyshev nodes) for waves that differ by a phase at the rim."""
     for count in range(3, MOST_PLANES + 1, 2):
         if phase**count / (math.factorial(count) * 2.0 ** (count - 1)) <= ACCURACY:
             return count
     raise InputError(
-        f"tilt_deg = {tilt_deg}: the sensor's rim is {phase:.3g} rad out of the plane: too much for a sensor "
-        "that is nearly upright; tilt it less, or take a smaller window of it"
+        f"tilt_deg = {tilt_deg}: waves differ by {phase:.3g} rad at the sensor's rim, too much for this "
+        "method; use a smaller tilt or a smaller window of the sensor"
     )

@@ -1,12 +1,13 @@
-"""Fields on planes that are tilted against the axis: the angular spectrum, turned.
+"""Fields on tilted planes: rotation of the angular spectrum.
 
-A plane wave is one on every plane: turning the frame turns its wave vector, and the density of the spectrum
-changes by the Jacobian kz / kz' (Matsushima, Schimmel and Wyrowski 2003). The turned frequencies do not fall
-on the samples of the spectrum; a non-uniform Fourier sum gives its exact values there.
+A plane wave is a plane wave on every plane. A rotation of the frame rotates its wave vector and multiplies
+the density of the spectrum by the Jacobian kz / kz' (Matsushima, Schimmel and Wyrowski 2003). The rotated
+frequencies do not coincide with the samples of the spectrum; a non-uniform Fourier sum evaluates the spectrum
+there exactly.
 
-A field on a tilted plane lies in the plane's own frame: its origin is the pivot, its axes are turned by a
-right-handed rotation about x, then about the turned y axis, and its z is 0. The pivot is the centre of the
-grid on the straight plane. On a meridional line only a tilt about x is possible.
+A field on a tilted plane is defined in the plane's own frame. Its origin is the pivot, its axes are rotated
+by a right-handed rotation about x, then about the rotated y axis, and its z is 0. The pivot is the centre of
+the grid on the untilted plane. On a meridional line only a tilt about x is possible.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.chirp_z import chirp_z_transform
 from wavesim.fields.field import Grid
-from wavesim.fields.guards import EDGE, check_sample_count, tell
+from wavesim.fields.guards import EDGE, check_sample_count, report_loss
 from wavesim.fields.plane_waves import (
     FADE_ZONES,
     TURN,
@@ -37,26 +38,26 @@ from wavesim.fields.plane_waves import (
 from wavesim.runtime.arrays import array_module, fftn
 
 ACCURACY = 1e-13
-"""Of the non-uniform Fourier sums."""
+"""Relative accuracy of the non-uniform Fourier sums."""
 WIDEST = 4.0
-"""Half-widths of the input window beyond which light on the tilted plane is not followed."""
+"""Width on the tilted plane, in half-widths of the input window, within which light is followed."""
 WAVE_SECONDS, WAVE_BYTES = {True: 2e-6, False: 6.5e-7}, 200
-"""For each sample of the spectrum, of a line or a plane: measured on two cores."""
+"""Time for each sample of the spectrum of a line and of a plane, measured on two cores, and memory."""
 PROBES = 33
-"""Directions along each axis from which bounds are taken."""
+"""Sampled directions along each axis, from which the bounds of the frequencies follow."""
 
 
 class TiltedSamples:
-    """A passage by a non-uniform Fourier transform, to a tilted plane or from one.
+    """Propagation by a non-uniform Fourier transform, to a tilted plane or from one.
 
     Parameters
     ----------
     source, target, wavelength_um, index
-        Of the passage.
+        As in :class:`wavesim.fields.propagator.FreeSpacePropagator`.
     tilt_deg
-        About x and y, of the tilted plane.
+        Tilt of the tilted plane about x and y.
     straight
-        Whether the source is the plane that is not tilted: light travels along that one's z.
+        Whether the source is the untilted plane. Light travels along z of the untilted plane.
 
     Raises
     ------
@@ -78,15 +79,15 @@ class TiltedSamples:
         if tilted.z_mm != 0.0:
             raise InputError(f"grid z_mm = {tilted.z_mm:g}: a tilted plane lies at z = 0 of its own frame")
         rotation = _rotation(tilted, tilt_deg)
-        # With the target's axes as columns.
+        # Columns are the axes of the target.
         self.rotation = rotation if straight else rotation.T
         self.source, self.target = source, target
         self.wavelength_um, self.index = wavelength_um, index
         self.most = 1e3 * index / wavelength_um
-        # Centres from the pivot: that of the straight grid is the pivot.
+        # Centres relative to the pivot, which is the centre of the untilted grid.
         self.centre_in = (0.0,) * len(source.shape) if straight else centres_mm(source)
         self.centre_out = centres_mm(target) if straight else (0.0,) * len(target.shape)
-        # Of the light along the straight frame's z, in the source frame.
+        # Frequency, in the source frame, of the wave along z of the untilted plane.
         along_z = (0.0, 0.0) if straight else (self.rotation[1, 2], self.rotation[0, 2])
         self.carrier = tuple(float(self.most * part) for part in along_z[: len(source.shape)])
         self.frequencies = self._frequencies()
@@ -94,9 +95,9 @@ class TiltedSamples:
         check_sample_count([f.count for f in self.frequencies], "the tilt")
 
     def directions(self, cycles: Sequence[Any], rotation: Array, xp: Any = np) -> tuple[list[Any], Any, Any]:
-        """Frequencies in the other frame (y, x), and the axial ones in this frame and in the other.
+        """Return frequencies in the other frame (y, x), and axial ones in this frame and in the other.
 
-        Of waves whose frequencies in this frame (y, x) are given; `rotation` has its axes as columns.
+        `cycles` are the frequencies in this frame (y, x); the columns of `rotation` are its axes.
         """
         squared = self.most**2 - sum(f**2 for f in cycles)
         axial = xp.sqrt(xp.clip(squared, 0.0, None))
@@ -105,7 +106,7 @@ class TiltedSamples:
         return turned[:-1], axial, turned[-1]
 
     def _frequencies(self) -> list[Samples]:
-        """Of the target frame: all that the source's samples hold, at the step that the windows ask for."""
+        """Return the frequencies of the target frame that cover the source's band, at the required step."""
         half = 0.5 / self.source.pitch_mm
         probe = np.linspace(-half, half, PROBES)
         axes = np.meshgrid(*[probe + c for c in self.carrier], indexing="ij")
@@ -123,7 +124,7 @@ class TiltedSamples:
         return result
 
     def _half_field_mm(self, axis: int) -> float:
-        """Half-width, about the pivot, of what is followed on the target plane."""
+        """Return the half-width, about the pivot, of the region that is followed on the target plane."""
         half = max(w + abs(c) for w, c in zip(self.source.half_widths_mm, self.centre_in, strict=True))
         cosine = float(self.rotation[2, 2])
         blur = math.sqrt(1e-3 * self.wavelength_um / self.index * half * math.sqrt(1.0 - cosine**2))
@@ -134,7 +135,7 @@ class TiltedSamples:
         return self._half_field_mm(axis) + window
 
     def _weights(self) -> tuple[list[Array], Array]:
-        """Frequencies in the source frame of each target frequency, and the factor of its wave."""
+        """Return the source frequencies of each target frequency, and the factor of its wave."""
         dimensions = len(self.frequencies)
         cycles = [along(f.points(), axis, dimensions) for axis, f in enumerate(self.frequencies)]
         sources, axial, turned = self.directions(cycles, self.rotation)
@@ -171,40 +172,40 @@ class TiltedSamples:
         )
 
     def _nonuniform(self, values: Any, cycles: list[Array], kind: int, xp: Any) -> Any:
-        """Fourier sum from source samples to frequencies (kind 2), or its adjoint (kind 1)."""
+        """Return the Fourier sum from source samples to frequencies (kind 2), or its adjoint (kind 1)."""
         library, on_device = _nufft_library(xp)
         pitch = self.source.pitch_mm
         points = [np.remainder(2.0 * math.pi * pitch * f + math.pi, 2.0 * math.pi) - math.pi for f in cycles]
-        # Samples lie half a pitch off the library's where their number is even, and about their centre.
+        # The library's samples are offset by half a pitch where their number is even.
         offset = [
             c + (0.5 * pitch if n % 2 == 0 else 0.0)
             for c, n in zip(self.centre_in, self.source.shape, strict=True)
         ]
         phase = sum(2.0 * math.pi * f * x for f, x in zip(cycles, offset, strict=True))
-        turn = phasor_of(-phase if kind == 2 else phase)
+        twiddle = phasor_of(-phase if kind == 2 else phase)
         data = xp.asarray(values, dtype=xp.complex128)
         if on_device:
-            points, turn = [xp.asarray(p) for p in points], xp.asarray(turn)
+            points, twiddle = [xp.asarray(p) for p in points], xp.asarray(twiddle)
         else:
             data = np.ascontiguousarray(data)
         transform = getattr(library, f"nufft{len(points)}d{kind}")
         if kind == 2:
-            return xp.asarray(transform(*points, data, eps=ACCURACY, isign=-1) * turn)
+            return xp.asarray(transform(*points, data, eps=ACCURACY, isign=-1) * twiddle)
         shape = self.source.shape if len(points) == 2 else self.source.shape[0]
-        return xp.asarray(transform(*points, data * turn, shape, eps=ACCURACY, isign=1))
+        return xp.asarray(transform(*points, data * twiddle, shape, eps=ACCURACY, isign=1))
 
     @property
     def seconds(self) -> float:
-        """What one use takes on this machine."""
+        """Predicted time of one use on this machine."""
         return WAVE_SECONDS[self.source.is_line] * self.samples
 
     @property
     def peak_bytes(self) -> int:
-        """Most memory of one use, its result not counted."""
+        """Peak memory of one use, without its result."""
         return WAVE_BYTES * self.samples
 
     def measure(self, values: Any) -> dict[str, float]:
-        """Parts of the field's energy that the samples cannot hold, by name."""
+        """Return the fractions of the field's energy that the samples cannot represent, by name."""
         xp = array_module(values)
         dimensions = len(self.source.shape)
         for axis, (n, carrier) in enumerate(zip(self.source.shape, self.carrier, strict=True)):
@@ -236,30 +237,32 @@ class TiltedSamples:
         }
 
     def check(self, values: Any, coarse_output: bool) -> None:
-        """Warn, or refuse, where samples cannot hold the field."""
+        """Warn, or raise SamplingError, where the samples cannot represent the field."""
         parts = self.measure(values)
         pitch_in, pitch_out = 1e3 * self.source.pitch_mm, 1e3 * self.target.pitch_mm
-        tell(
+        report_loss(
             parts["edge"],
-            f"lies at the edge of the band that a pitch of {pitch_in:.4g} um holds",
+            f"lies at the edge of the Nyquist band of a pitch of {pitch_in:.4g} um",
             "sample the field more finely, or smooth its edges",
         )
-        tell(parts["lost"], "decays, or does not cross the tilted plane forwards", "tilt it less")
-        tell(
+        report_loss(
+            parts["lost"], "is evanescent, or does not cross the tilted plane forwards", "tilt it less"
+        )
+        report_loss(
             parts["wide"],
-            f"meets the tilted plane more than {WIDEST / 2:g} half-widths away",
+            f"reaches the tilted plane more than {WIDEST / 2:g} half-widths away",
             "tilt it less, or give a narrower field",
         )
         if not coarse_output:
-            tell(
+            report_loss(
                 parts["fine"],
-                f"has more cycles per mm on the output plane than its pitch of {pitch_out:.4g} um shows",
+                f"has frequencies above the Nyquist limit of the output pitch of {pitch_out:.4g} um",
                 f"give a pitch of {1e3 * self._finest_mm():.4g} um or less, or ask for coarse samples "
                 "(coarse_output=True)",
             )
 
     def _finest_mm(self) -> float:
-        """Pitch that holds all that the source's samples hold."""
+        """Return the pitch that samples the whole band of the source."""
         return 0.5 / max(abs(f.centre) + 0.5 * f.step * f.count for f in self.frequencies)
 
 
@@ -273,6 +276,6 @@ def _rotation(grid: Grid, tilt_deg: tuple[float, float]) -> Array:
 
 
 def _nufft_library(xp: Any) -> tuple[ModuleType, bool]:
-    """The library for an array module, and whether it works on that module's arrays."""
+    """Return the library for an array module, and whether it uses that module's arrays."""
     on_device = "cupy" in xp.__name__
     return import_module("cufinufft" if on_device else "finufft"), on_device

@@ -27,7 +27,7 @@ from wavesim.fields.coverage import ROUNDING, SAMPLES_PER_FEATURE, Rectangle, re
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.contrast import RESOLVED_CONTRAST, ElementContrast, bar_contrast
 from wavesim.targets.bar_sets import SetContrast
-from wavesim.targets.patterns import Ground
+from wavesim.targets.patterns import Polarity
 from wavesim.targets.region import around, cut_field, holds, part_of
 from wavesim.targets.usaf import ELEMENTS, GROUPS, UsafElement, chart_outline, usaf_line_width_um
 
@@ -195,7 +195,7 @@ class ChartResolution:
 def chart_resolution(
     transmission: Field,
     elements: Sequence[UsafElement],
-    ground: Ground,
+    ground: Polarity,
     passed_um: float,
     inside: NDArray[np.bool_] | None = None,
     threshold: float = RESOLVED_CONTRAST,
@@ -268,7 +268,7 @@ def chart_resolution(
 
 
 def _contrast(
-    transmission: Field, element: UsafElement, place: UsafElement, ground: Ground
+    transmission: Field, element: UsafElement, place: UsafElement, ground: Polarity
 ) -> ElementContrast:
     """Contrast of an element at its place, from the samples about it alone."""
     own = cut_field(transmission, around(place.outline, transmission.grid))
@@ -328,7 +328,7 @@ def _same(one_um: float, other_um: float) -> bool:
 def register_chart(
     transmission: Field,
     elements: Sequence[UsafElement],
-    ground: Ground,
+    ground: Polarity,
     inside: NDArray[np.bool_] | None = None,
 ) -> Registration | None:
     """Find where a chart lies in a result, to a small part of a sample.
@@ -404,7 +404,7 @@ class _Seen:
         self,
         field: Field,
         elements: Sequence[UsafElement],
-        ground: Ground,
+        ground: Polarity,
         inside: NDArray[np.bool_] | None,
     ) -> None:
         self.grid, self.elements = field.grid, elements

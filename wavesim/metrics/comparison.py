@@ -107,7 +107,7 @@ def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) 
     scene = patch_scene(lens, patch_mm, field_mm, meridional=True, **where)
     truth = reference_for(scene)
     start = random_field(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
-    unknown = [part.relative_error for part in truth.neglected()]
+    unknown = [part.relative_error for part in truth.error_terms()]
     return AnalyticCase(scene, start, truth.forward(start), float(np.sqrt(np.sum(np.square(unknown)))))
 
 

@@ -26,7 +26,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.metrics.similarity import Mask, Picture
 from wavesim.runtime.threads import row_blocks
 from wavesim.targets.bar_sets import SetContrast, set_contrast
-from wavesim.targets.patterns import Ground
+from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import UsafElement
 
 RESOLVED_CONTRAST = 0.2
@@ -64,7 +64,7 @@ class ElementContrast:
 
 
 def bar_contrast(
-    picture: Picture, grid: Grid, element: UsafElement, ground: Ground = "bright"
+    picture: Picture, grid: Grid, element: UsafElement, ground: Polarity = "bright"
 ) -> ElementContrast:
     """Contrast of an element's bars where the chart has them.
 
@@ -101,7 +101,7 @@ def bar_contrast(
 
 
 def element_contrasts(
-    picture: Picture, grid: Grid, elements: Sequence[UsafElement], ground: Ground = "bright"
+    picture: Picture, grid: Grid, elements: Sequence[UsafElement], ground: Polarity = "bright"
 ) -> tuple[ElementContrast, ...]:
     """:func:`bar_contrast` of several elements, the coarsest first.
 

@@ -19,7 +19,7 @@ from wavesim.metrics.transmitted_band import transmitted_directions, transmitted
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import row_blocks
 from wavesim.scene.scene import Scene
-from wavesim.targets.patterns import Ground
+from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import UsafElement
 
 SAME_PLACE = 0.05
@@ -120,7 +120,7 @@ def _moduli(values: Any, factor: float = 1.0) -> Any:
 def chart_metrics(
     transmission: Field,
     elements: Sequence[UsafElement],
-    ground: Ground,
+    ground: Polarity,
     passed_um: float,
     inside: NDArray[np.bool_] | None = None,
 ) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What people look at: fields, frames, reconstructions, comparisons, pages that zoom."""
+"""Figures of fields, frames, reconstructions and comparisons, and zoomable pages."""
 
 import lazy_loader
 

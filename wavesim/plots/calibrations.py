@@ -1,4 +1,4 @@
-"""The picture of a calibration: how the search went."""
+"""Figure of a calibration: misfits and parameters of the benches that were tried."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ LINE, BEST, NOISE = "#1f5fa8", "#b3202c", "#666666"
 
 
 def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
-    """Misfit and parameters of all mountings tried.
+    """Draw misfit and parameters of all mountings that were tried.
 
     Parameters
     ----------
     found
-        What is drawn.
+        Result of the calibration.
     noise
-        Misfit that noise alone would leave, as a line.
+        Misfit that noise alone would leave, drawn as a line.
     """
     from matplotlib.figure import Figure
 
@@ -35,20 +35,20 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
         return figure
     rows = 1 + (len(found.parameters) + 1) // 2
     figure = Figure(figsize=(8.0, 2.0 * rows), layout="constrained")
-    places = figure.add_gridspec(rows, 2)
-    above = figure.add_subplot(places[0, :])
+    cells = figure.add_gridspec(rows, 2)
+    above = figure.add_subplot(cells[0, :])
     _draw_misfits(above, found, noise)
     steps = np.arange(1, len(found.trail) + 1)
-    for number, name in enumerate(found.parameters):
-        place = figure.add_subplot(places[1 + number // 2, number % 2], sharex=above)
-        what, unit, factor = _told(name)
-        place.plot(steps, [factor * values[number] for values, _ in found.trail], ".-", color=LINE, lw=0.8)
-        value = factor * found.values[number]
-        place.axhline(value, color=BEST, lw=0.8)
-        place.set_ylabel(f"{what} ({unit})" if unit else what)
-        place.set_title(f"found: {value:.3f} {unit}".rstrip(), fontsize=9, color=BEST)
-        place.grid(alpha=0.25)
-        place.set_xlabel("bench tried" if number >= len(found.parameters) - 2 else "")
+    for k, name in enumerate(found.parameters):
+        axes = figure.add_subplot(cells[1 + k // 2, k % 2], sharex=above)
+        label, unit, factor = _label_and_unit(name)
+        axes.plot(steps, [factor * values[k] for values, _ in found.trail], ".-", color=LINE, lw=0.8)
+        value = factor * found.values[k]
+        axes.axhline(value, color=BEST, lw=0.8)
+        axes.set_ylabel(f"{label} ({unit})" if unit else label)
+        axes.set_title(f"found: {value:.3f} {unit}".rstrip(), fontsize=9, color=BEST)
+        axes.grid(alpha=0.25)
+        axes.set_xlabel("bench tried" if k >= len(found.parameters) - 2 else "")
     return figure
 
 
@@ -68,7 +68,7 @@ def _draw_misfits(axes: Axes, found: Calibrated, noise: float | None) -> None:
 
 
 def _draw_values(axes: Axes, found: Calibrated) -> None:
-    """Each parameter over what was expected of it, with its standard deviation; grey: not told."""
+    """Draw each parameter over its typical size, with its standard deviation; grey if undetermined."""
     assert found.deviations is not None
     assert found.typical is not None
     rows = np.arange(len(found.parameters))[::-1]
@@ -76,31 +76,29 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
     for row, name, value, deviation, usual in zip(
         rows, found.parameters, found.values, found.deviations, typical, strict=True
     ):
-        color = NOISE if name in found.not_told else BEST
+        color = NOISE if name in found.poorly_determined else BEST
         axes.errorbar(
             value / usual, row, xerr=deviation / usual, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color
         )
-        _, unit, factor = _told(name)
-        told = f"{factor * value:.3g} ± {factor * deviation:.2g} {unit}".rstrip()
+        _, unit, factor = _label_and_unit(name)
+        text = f"{factor * value:.3g} ± {factor * deviation:.2g} {unit}".rstrip()
         axes.annotate(
-            told, (1.0, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
+            text, (1.0, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=7.5, color=color, annotation_clip=False,
         )  # fmt: skip
-    axes.set_yticks(rows, [_told(name)[0] for name in found.parameters], fontsize=7.5)
+    axes.set_yticks(rows, [_label_and_unit(name)[0] for name in found.parameters], fontsize=7.5)
     axes.set_ylim(-0.7, len(rows) - 0.3)
     axes.axvline(0.0, color="black", lw=0.6)
     axes.set_xlabel(
-        "found, over what is usual of it; bars are standard deviations, grey is not told by the frames"
+        "value over typical size; bars are standard deviations, grey: not determined by the frames"
     )
     axes.grid(alpha=0.25)
 
 
-UNITS = {"mm": ("µm", 1e3), "um": ("µm", 1.0), "deg": ("deg", 1.0), "waves": ("waves", 1.0)}
-
-
-def _told(name: str) -> tuple[str, str, float]:
-    """A parameter in words, its unit, and what values are multiplied by for that."""
+def _label_and_unit(name: str) -> tuple[str, str, float]:
+    """Return a parameter's label, its unit, and the factor that converts its value to this unit."""
+    units = {"mm": ("µm", 1e3), "um": ("µm", 1.0), "deg": ("deg", 1.0), "waves": ("waves", 1.0)}
     head, _, tail = name.rpartition("_")
-    if tail in UNITS:
-        return head.replace("_", " "), *UNITS[tail]
+    if tail in units:
+        return head.replace("_", " "), *units[tail]
     return name.replace("_", " "), "", 1.0

@@ -52,12 +52,12 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
     most = max(len(own) for own in planes.values())
     single = most == 1
     figure, axes = panel_row(len(planes) if single else most, title, 1 if single else len(planes))
-    for place in axes.ravel():
-        place.set_visible(False)
+    for cell in axes.ravel():
+        cell.set_visible(False)
     placed = [(i, j, frame) for i, own in enumerate(planes.values()) for j, frame in enumerate(own)]
     for i, j, frame in placed:
-        place = axes[0, i] if single else axes[i, j]
-        place.set_visible(True)
+        cell = axes[0, i] if single else axes[i, j]
+        cell.set_visible(True)
         settings = frame.settings
         gain = settings.gain_electrons_per_count
         counts, pitch_um = for_screen(frame.counts, settings.pixel_pitch_um)
@@ -65,12 +65,12 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
         low = max(math.sqrt(fixed_variance(frame)), 1e-3)
         norm = LogNorm(low, max(float(electrons.max()), 10.0 * low))
         shown = np.maximum(electrons, low)
-        picture = place.imshow(shown, cmap="inferno", norm=norm, **AS_SAMPLED)
-        colour_bar(figure, picture, place, "electrons")
+        picture = cell.imshow(shown, cmap="inferno", norm=norm, **AS_SAMPLED)
+        colour_bar(figure, picture, cell, "electrons")
         shortest = min(one.settings.exposure for one in planes[settings.plane_distance_mm])
         times = "" if single else f", exposure {settings.exposure / shortest:.4g} x"
-        place.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex{times}")
-        scale_bar(place, shown.shape, pitch_um)
+        cell.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex{times}")
+        scale_bar(cell, shown.shape, pitch_um)
     return figure
 
 
@@ -100,22 +100,22 @@ def residual_figure(
         Written on top.
     """
     figure, (axes,) = panel_row(len(maps), f"{title}\nAmplitude of the result less the recorded one".strip())
-    for place, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
+    for cell, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
         shown, drawn_pitch_um, reach, label = _residual(error, plane, pitch_um)
         found = plane_metrics(plane.amplitude, plane.sigma, error)
-        said = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
+        text = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
         if found["noise"] is not None:
-            said += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
-        place.set_facecolor("0.6")
-        picture = place.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
-        colour_bar(figure, picture, place, label)
-        place.set_title(said, fontsize=11)
-        scale_bar(place, shown.shape, drawn_pitch_um)
+            text += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
+        cell.set_facecolor("0.6")
+        picture = cell.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
+        colour_bar(figure, picture, cell, label)
+        cell.set_title(text, fontsize=11)
+        scale_bar(cell, shown.shape, drawn_pitch_um)
     return figure
 
 
 def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array, float, float, str]:
-    """What is drawn of a residual, its pitch in µm, the reach of its colours, and its unit."""
+    """Return the drawn residual, its pitch (µm), the half range of its colours, and its unit."""
     if plane.sigma is None:
         shown, drawn_pitch_um = for_screen(error, pitch_um)
         shown = shown / math.sqrt(float(np.mean(plane.amplitude**2, dtype=float)))
@@ -127,7 +127,7 @@ def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array,
 
 
 def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -> Figure:
-    """One chart for each curve, side by side.
+    """Draw one chart for each curve, side by side.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
 
     figure = Figure(figsize=(5.6 * len(curves), 4.0), layout="constrained")
     title_figure(figure, title, 11.0)
-    for place, (label, (x, y, x_label)) in zip(
+    for cell, (label, (x, y, x_label)) in zip(
         figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
     ):
-        place.plot(x, y, color=CURVE, lw=1.8, marker="o" if len(x) <= 40 else None, ms=3.5)
-        place.set(xlabel=x_label, ylabel=label)
+        cell.plot(x, y, color=CURVE, lw=1.8, marker="o" if len(x) <= 40 else None, ms=3.5)
+        cell.set(xlabel=x_label, ylabel=label)
         if np.min(y) > 0.0 and np.max(y) > 10.0 * np.min(y):
-            place.set_yscale("log")
-        place.grid(alpha=0.3, which="both")
-        place.spines[["top", "right"]].set_visible(False)
+            cell.set_yscale("log")
+        cell.grid(alpha=0.3, which="both")
+        cell.spines[["top", "right"]].set_visible(False)
     return figure

@@ -16,32 +16,32 @@ from wavesim.sensor.exposures import fixed_variance
 from wavesim.sensor.frames import Frame
 
 BRIGHTEST = 0.9999
-"""Quantile of amplitudes that is shown brightest: single samples may stand out."""
+"""Quantile of amplitudes at the upper end of the colours, so that single samples may exceed it."""
 
 MOST_ASKED = 1_000_000
-"""Samples by which ranges are found."""
+"""Most samples from which ranges are found."""
 
 Plane = Literal["object", "sensor"]
 
 
 @dataclass(frozen=True, eq=False)
 class PictureLayer:
-    """One picture of a page.
+    """A picture of a page.
 
     Attributes
     ----------
     name : str
-        What is shown.
+        Name of the picture.
     unit : str
-        Of the values; may be empty.
+        Unit of the values; may be empty.
     plane : {"object", "sensor"}
-        Layers of one plane keep the place when they are switched.
+        Plane of the picture. The view stays the same between layers of one plane.
     pitch_um : float
-        Of the samples.
+        Sample pitch (um).
     centre_um : (x, y)
-        Middle of the picture.
+        Centre of the picture.
     levels : list of Level
-        The picture and its halvings; the first row on top, that of the largest y. Not a number is no value.
+        The picture and its halvings; the first row has the largest y. NaN means no value.
     low, high : float
         Range of the colours.
     beyond : (bool, bool)
@@ -75,7 +75,7 @@ def field_layers(
     values
         Complex or real, shape (ny, nx), y increasing with the row.
     pitch_um
-        Of the samples.
+        Sample pitch (um).
     centre_um
         Middle of the samples (x, y).
     name
@@ -98,7 +98,7 @@ def field_layers(
         reach = phase_reach(np.angle(some[np.abs(some) > LIT * brightest]))
         turn = reach == math.pi
         levels = [
-            Level(level.kept, _phase_where_lit(LIT * brightest))
+            Level(level.stored, _phase_where_lit(LIT * brightest))
             for level in picture_levels(upright, "phase_rad")
         ]
         colours = "twilight" if turn else "RdBu_r"
@@ -125,7 +125,7 @@ def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 
         return np.float32(gain) * (counts - np.float32(offset))
 
     levels = [Level(frame.counts[::-1], electrons)]
-    levels += picture_levels(halved(levels[0].kept, electrons), "electrons")
+    levels += picture_levels(halved(levels[0].stored, electrons), "electrons")
     low = max(math.sqrt(fixed_variance(frame)), 1e-3)
     high = max(float(electrons(frame.counts.max())), 10.0 * low)
     beyond = float(electrons(frame.counts.min())) < low, False

@@ -1,4 +1,4 @@
-"""Pictures of objects: the true one, the one that was found, and profiles through both."""
+"""Figures of objects: the true object, the reconstructed object, and profiles through both."""
 
 from __future__ import annotations
 
@@ -18,21 +18,19 @@ from wavesim.targets.usaf import UsafElement
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PHASE_QUANTILE = 0.995
-"""Of the modulus of phases, which the colours are to hold."""
 
 LIT = 0.1
-"""Of the brightest amplitude, below which phase says nothing."""
+"""Fraction of the brightest amplitude below which phase is not shown."""
 
 SIDE_INCHES = 5.6
 LABEL_POINTS = 6.5
 LABELS = "#D8404A"
 STYLES = {"found": ("#1f5fa8", "-"), "true": ("#333333", "--")}
-"""Colour and line of profiles."""
+"""Colour and line style of profiles."""
 
 
 class _Shown(NamedTuple):
-    """One picture: what it is of, values, colours with their range, and the name of their bar."""
+    """One picture with its name, values, colour map and range, and the label of its colour bar."""
 
     name: str
     values: Array
@@ -51,22 +49,22 @@ def object_figure(
     elements: Sequence[UsafElement] = (),
     profile: UsafElement | None = None,
 ) -> Figure:
-    """Amplitude of an object's transmission within its field stop, and phase unless it is 0 everywhere.
+    """Draw the amplitude of an object within its field stop, and its phase unless it is 0 everywhere.
 
     Parameters
     ----------
     transmission
-        On a plane.
+        Transmission of the object.
     inside
-        Samples within the field stop, of the grid's shape.
+        Whether each sample is within the field stop.
     title
-        Written on top.
+        Title of the figure.
     truth
-        The true object on the same samples, which then stands beside it, with profiles through both.
+        True object on the same samples, which is drawn beside it, with profiles through both.
     elements
-        Of a USAF chart, which get their numbers (group-element) where there is room.
+        Elements of a USAF chart, which are labelled (group-element) if they are large enough.
     profile
-        Element through whose bars profiles are drawn; left out: they run through the middle.
+        Element through whose bars profiles are drawn. Default: profiles through the centre.
     """
     from matplotlib.figure import Figure
 
@@ -80,19 +78,19 @@ def object_figure(
     grid = figure.add_gridspec(2 * len(rows), columns + profiles)
     for row, pictures in enumerate(rows):
         for column, picture in enumerate(pictures):
-            place = figure.add_subplot(grid[2 * row : 2 * row + 2, column])
-            _draw(figure, place, picture, transmission, elements, columns > 1)
+            axes = figure.add_subplot(grid[2 * row : 2 * row + 2, column])
+            _draw(figure, axes, picture, transmission, elements, columns > 1)
     if profiles:
         half = len(rows)
-        ways: tuple[Orientation, ...] = ("x", "y")
-        for number, way in enumerate(ways):
-            place = figure.add_subplot(grid[number * half : (number + 1) * half, -1])
-            _draw_profile(place, named, profile, way)
+        orientations: tuple[Orientation, ...] = ("x", "y")
+        for k, orientation in enumerate(orientations):
+            axes = figure.add_subplot(grid[k * half : (k + 1) * half, -1])
+            _draw_profile(axes, named, profile, orientation)
     return figure
 
 
 def _rows(named: dict[str, Field], inside: Any) -> list[list[_Shown]]:
-    """Amplitudes, and phases below them unless all are 0, in common scales."""
+    """Return amplitudes, and phases unless all are 0, on common scales."""
     amplitudes = {name: np.where(inside, np.abs(field.values), np.nan) for name, field in named.items()}
     brightest = max(max(float(np.nanquantile(a, 0.999)) for a in amplitudes.values()), 1e-12)
     bar = "amplitude transmission"
@@ -109,33 +107,33 @@ def _rows(named: dict[str, Field], inside: Any) -> list[list[_Shown]]:
 
 
 def phase_reach(phase: Array) -> float:
-    """Half the range of the colours: half a turn, or less where the phase keeps to less."""
+    """Return half the colour range of a phase (rad): pi, or less if nearly all phases are smaller."""
     known = phase[np.isfinite(phase)]
-    largest = float(np.quantile(np.abs(known), PHASE_QUANTILE)) if known.size else 0.0
+    largest = float(np.quantile(np.abs(known), 0.995)) if known.size else 0.0
     return math.pi if largest > 0.5 * math.pi else max(1.1 * largest, 0.1)
 
 
 def _draw(
     figure: Figure,
-    place: Any,
+    axes: Any,
     shown: _Shown,
     field: Field,
     elements: Sequence[UsafElement],
     several: bool,
 ) -> None:
-    place.set_facecolor("0.6")
+    axes.set_facecolor("0.6")
     picture, pitch_um = for_screen(shown.values, 1e3 * field.grid.pitch_mm)
-    drawn = place.imshow(picture, cmap=shown.colours, vmin=shown.low, vmax=shown.high, **AS_SAMPLED)
-    colour_bar(figure, drawn, place, shown.bar)
-    scale_bar(place, picture.shape, pitch_um)
+    drawn = axes.imshow(picture, cmap=shown.colours, vmin=shown.low, vmax=shown.high, **AS_SAMPLED)
+    colour_bar(figure, drawn, axes, shown.bar)
+    scale_bar(axes, picture.shape, pitch_um)
     if several:
-        place.set_title(f"{shown.name} object", fontsize=11)
+        axes.set_title(f"{shown.name} object", fontsize=11)
     for element in elements:
-        _number(place, element, field, pitch_um)
+        _label_element(axes, element, field, pitch_um)
 
 
-def _number(place: Any, element: UsafElement, field: Field, pitch_um: float) -> None:
-    """Group and element beside the element, away from its column's neighbours, if it is tall enough."""
+def _label_element(axes: Any, element: UsafElement, field: Field, pitch_um: float) -> None:
+    """Write group and element beside an element, if it is tall enough."""
     grid = field.grid
     points_per_um = 72.0 * 0.8 * SIDE_INCHES / (1e3 * grid.pitch_mm * grid.shape[0])
     if not holds(grid, element.outline) or 7.0 * element.line_width_um * points_per_um < LABEL_POINTS:
@@ -146,7 +144,7 @@ def _number(place: Any, element: UsafElement, field: Field, pitch_um: float) -> 
         1e3 * (at - first) / pitch_um
         for at, first in ((edge_mm, grid.x_mm[0]), (element.centre_mm[1], grid.y_mm[0]))
     )
-    place.annotate(
+    axes.annotate(
         f"{element.group}-{element.element}",
         (x, y),
         xytext=(-3.0 if left else 3.0, 0.0),
@@ -158,31 +156,33 @@ def _number(place: Any, element: UsafElement, field: Field, pitch_um: float) -> 
     )
 
 
-def _draw_profile(place: Any, named: dict[str, Field], element: UsafElement | None, way: Orientation) -> None:
-    """Amplitude along x or y: through the set of bars that follow each other that way, or the middle."""
+def _draw_profile(
+    axes: Any, named: dict[str, Field], element: UsafElement | None, orientation: Orientation
+) -> None:
+    """Draw the amplitude along x or y, through a set of bars or through the centre."""
     for name, field in named.items():
         colour, line = STYLES[name]
-        at_um, amplitude = _profile(field, element, way)
-        place.plot(at_um, amplitude, color=colour, ls=line, lw=1.6, label=name)
-    place.set(xlabel=f"{way} (µm)", ylabel="amplitude transmission")
-    place.set_ylim(0.0, 1.25 * place.get_ylim()[1])
-    where = "through the middle"
+        at_um, amplitude = _profile(field, element, orientation)
+        axes.plot(at_um, amplitude, color=colour, ls=line, lw=1.6, label=name)
+    axes.set(xlabel=f"{orientation} (µm)", ylabel="amplitude transmission")
+    axes.set_ylim(0.0, 1.25 * axes.get_ylim()[1])
+    location = "through the centre"
     if element is not None:
-        where = f"of {element.group}-{element.element}: lines of {element.line_width_um:.3g} µm"
-    place.set_title(f"profile along {way} {where}", fontsize=10)
-    place.grid(alpha=0.3)
-    place.legend(frameon=False, loc="upper right", ncols=2)
+        location = f"of {element.group}-{element.element}: lines of {element.line_width_um:.3g} µm"
+    axes.set_title(f"profile along {orientation} {location}", fontsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, loc="upper right", ncols=2)
 
 
-def _profile(field: Field, element: UsafElement | None, way: Orientation) -> tuple[Array, Array]:
-    """Places in µm and amplitudes; of bars the mean over the middle half of their length."""
-    across = 0 if way == "x" else 1
+def _profile(field: Field, element: UsafElement | None, orientation: Orientation) -> tuple[Array, Array]:
+    """Return coordinates (µm) and amplitudes; for bars the mean over the middle half of their length."""
+    across = 0 if orientation == "x" else 1
     rows, columns = field.grid.shape
     if element is None:
         line = field.values[rows // 2] if across == 0 else field.values[:, columns // 2]
         return 1e3 * (field.grid.x_mm, field.grid.y_mm)[across], np.abs(line)
     width_mm = 1e-3 * element.line_width_um
-    x, y = element.set_centre_mm(way)
+    x, y = element.set_centre_mm(orientation)
     half = (4.0 * width_mm, 1.25 * width_mm) if across == 0 else (1.25 * width_mm, 4.0 * width_mm)
     own = cut_field(field, around(Rectangle(x - half[0], x + half[0], y - half[1], y + half[1]), field.grid))
     return 1e3 * (own.grid.x_mm, own.grid.y_mm)[across], np.abs(own.values).mean(axis=across)

@@ -24,18 +24,18 @@ from wavesim.plots.layers import PictureLayer
 from wavesim.plots.pyramid import TILE
 
 MOST_BYTES = 100_000_000
-"""Of tiles in a page; browsers open such a page within a second or two."""
+"""Largest total size of the tiles in a page; browsers open it within a second or two."""
 
 STEPS = 254
-"""Of a layer's range."""
+"""Number of grey levels in a layer's range."""
 
 MARK = "<!-- tiles -->"
-"""Where the template wants the tiles, which are written one by one."""
+"""Position of the tiles in the template; they are written one by one."""
 
 
 @dataclass(frozen=True)
 class ZoomSummary:
-    """What a page holds.
+    """Content of a page.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class ZoomSummary:
     tiles, bytes : int
         Number of tiles, and size of the file.
     halvings : tuple of int
-        Of each layer's samples, down to what the page shows: 0 if that is every sample.
+        Number of halvings of each layer's finest level in the page; 0 if it shows every sample.
     region_mm : float or None
-        Side of a square region whose every sample has room, if levels were left out.
+        Side of a square region that fits with every sample; None if nothing was left out.
     """
 
     layers: tuple[str, ...]
@@ -56,12 +56,12 @@ class ZoomSummary:
     region_mm: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
 Tiles = dict[tuple[int, int], list[str]]
-"""In base 64, by layer and level (number of halvings)."""
+"""Tiles in base 64, by layer index and number of halvings."""
 
 
 def write_zoom_page(
@@ -97,21 +97,24 @@ def write_zoom_page(
         raise InputError("a page that zooms needs one layer or more")
     tiles = _tiles(layers, most_bytes)
     texts: list[str] = []
-    told = [_layer(layer, number, tiles, texts) for number, layer in enumerate(layers)]
-    head, tail = _page(title or "Field", figures, told).split(MARK)
+    descriptions = [_layer(layer, number, tiles, texts) for number, layer in enumerate(layers)]
+    head, tail = _page(title or "Field", figures, descriptions).split(MARK)
     with atomic_path(path) as temporary:
         with temporary.open("w", encoding="utf-8", newline="\n") as file:
             file.write(head)
             file.writelines("\n" + text if number else text for number, text in enumerate(texts))
             file.write(tail)
         size = temporary.stat().st_size
-    names, finest = tuple(layer.name for layer in layers), tuple(e["levels"][0]["halvings"] for e in told)
+    names, finest = (
+        tuple(layer.name for layer in layers),
+        tuple(e["levels"][0]["halvings"] for e in descriptions),
+    )
     region_mm = _region_mm(layers, tiles, most_bytes) if any(finest) else None
     return ZoomSummary(names, len(texts), size, finest, region_mm)
 
 
 def _tiles(layers: Sequence[PictureLayer], most_bytes: int) -> Tiles:
-    """Tiles of small levels before those of large ones, as long as there is room."""
+    """Return tiles of small levels before those of large ones, up to the allowed size."""
     found: Tiles = {}
     order = sorted(
         (math.prod(level.shape), number, halvings)
@@ -203,10 +206,10 @@ def _region_mm(layers: Sequence[PictureLayer], tiles: Tiles, most_bytes: int) ->
 
 
 def _bytes_per_sample(layer: PictureLayer, number: int, tiles: Tiles) -> float:
-    """What a sample takes, by a tile in the middle and by the finest level that had room."""
+    """Estimate the bytes of a sample from a tile in the middle and from the finest level in the page."""
     finest = layer.levels[0]
     rows, columns = (slice(max(0, (n - TILE) // 2), (n + TILE) // 2) for n in finest.shape)
-    middle = finest.shown(finest.kept[rows, columns])
+    middle = finest.shown(finest.stored[rows, columns])
     halvings = min(h for n, h in tiles if n == number)
     coarser = sum(map(len, tiles[number, halvings])) / math.prod(layer.levels[halvings].shape)
     return max(len(_png(_quantised(middle, layer))) / middle.size, coarser)

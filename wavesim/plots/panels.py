@@ -1,4 +1,4 @@
-"""Parts that pictures of frames and objects share: panels, colour bars, scale bars in µm."""
+"""Common elements of figures of frames and objects: panels, colour bars, and scale bars in µm."""
 
 from __future__ import annotations
 
@@ -13,32 +13,29 @@ from lensdesign.common.text import visible
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BAR_SHARE = 0.2
-"""Length of a scale bar, as a share of the picture's width, before it is rounded to 1, 2 or 5."""
-
 MOST_DRAWN = 2048
-"""Samples along a side of a picture; more would only cost time and memory."""
+"""Most samples along a side of a picture; more would only cost time and memory."""
 
 AS_SAMPLED: dict[str, Any] = {"origin": "lower", "interpolation": "antialiased"}
-"""Row 0 is that of the smallest y; no smoothing that the data do not have."""
+"""Row 0 has the smallest y, and samples are not smoothed."""
 
 
 def title_figure(figure: Figure, title: str, size: float = 13.0) -> None:
-    """A title whose lines stay lines, broken where the figure is too narrow; other signs are seen."""
-    room = figure.get_figwidth() - 0.3
-    lines = [part for line in title.split("\n") for part in _broken(visible(line), size, room)]
+    """Set a title, and break lines that are wider than the figure. Control characters are made visible."""
+    width = figure.get_figwidth() - 0.3
+    lines = [piece for line in title.split("\n") for piece in _broken(visible(line), size, width)]
     figure.suptitle("\n".join(lines), fontsize=size, parse_math=False)
 
 
-def _broken(line: str, size: float, room: float) -> list[str]:
-    """A line in as many as it takes between words to be no wider than so many inches."""
+def _broken(line: str, size: float, width: float) -> list[str]:
+    """Break a line between words into lines of at most a width (inches)."""
     from lensdesign.plots.charts import text_inches
 
     first, *words = line.split(" ")
     lines = [first]
     for word in words:
         longer = f"{lines[-1]} {word}"
-        if text_inches(longer, size)[0] <= room:
+        if text_inches(longer, size)[0] <= width:
             lines[-1] = longer
         else:
             lines.append(word)
@@ -46,7 +43,7 @@ def _broken(line: str, size: float, room: float) -> list[str]:
 
 
 def panel_row(count: int, title: str, rows: int = 1) -> tuple[Figure, Any]:
-    """A figure, and its axes in an array of rows."""
+    """Return a figure, and its axes in an array of rows."""
     from matplotlib.figure import Figure
 
     size = 6.4 * count, 5.6 * rows + (0.4 if title else 0.0)
@@ -56,7 +53,7 @@ def panel_row(count: int, title: str, rows: int = 1) -> tuple[Figure, Any]:
 
 
 def for_screen(values: Any, pitch_um: float) -> tuple[Array, float]:
-    """Means over squares of samples, so few that no side has more than `MOST_DRAWN`, and their pitch."""
+    """Reduce values by means over squares to at most `MOST_DRAWN` samples a side. Also return their pitch."""
     factor = math.ceil(max(values.shape) / MOST_DRAWN)
     if factor == 1:
         return np.asarray(values, float), pitch_um
@@ -66,14 +63,14 @@ def for_screen(values: Any, pitch_um: float) -> tuple[Array, float]:
 
 
 def colour_bar(figure: Figure, picture: Any, axes: Any, label: str) -> None:
-    """A bar of colours beside its picture."""
+    """Draw a colour bar beside its picture."""
     figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.03, label=label)
 
 
 def scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
-    """A bar of a round length below the picture, in place of ticks."""
+    """Draw a scale bar of a round length, about a fifth of the width, below the picture instead of ticks."""
     rows, columns = shape
-    length_um = _round_length(BAR_SHARE * columns * pitch_um)
+    length_um = _round_length(0.2 * columns * pitch_um)
     left, low, length = 0.0, -0.025 * rows, length_um / pitch_um
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
@@ -84,6 +81,6 @@ def scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
 
 
 def _round_length(length: float) -> float:
-    """1, 2 or 5 times a power of ten, not above a length."""
+    """Round a length down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(length))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9))

@@ -24,14 +24,14 @@ ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 COLOURS = {"x": "#1f5fa8", "y": "#d1622b"}
 PSF_DECADES = 4.0
 RIM = 1.04
-"""Half width of the wavefront's picture, in that of the pupil."""
+"""Half width of the wavefront map, in pupil radii."""
 
 
 def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], title: str = "") -> Figure:
-    """One sheet on a registered pupil.
+    """Draw one sheet with the figures of a registered pupil.
 
-    Wavefront map, point spread on a logarithmic scale, modulation transfer, and for each line width the
-    picture of the line pairs with the profiles across them.
+    It shows the wavefront, the point spread function on a logarithmic scale, the modulation transfer
+    function, and for each line width the picture of the line pairs with profiles across them.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], ti
     Returns
     -------
     matplotlib.figure.Figure
-        Not tied to any window; save it with ``figure.savefig``.
+        The figure, which is not attached to a window; save it with ``figure.savefig``.
     """
     from matplotlib.figure import Figure
 

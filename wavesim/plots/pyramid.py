@@ -1,7 +1,7 @@
-"""Large pictures in tiles, each level half of the one before it, as OME-TIFF files that viewers zoom.
+"""Tiled OME-TIFF pyramids of large pictures, with each level half the size of the previous one.
 
-A picture of a whole field has 50 million samples. QuPath, napari, Fiji and Bio-Formats read of such a file
-the tiles that they show, from the level that suits the screen.
+A picture of a whole field has 50 million samples. QuPath, napari, Fiji and Bio-Formats read only the tiles
+that they show, from the level that suits the screen.
 """
 
 from __future__ import annotations
@@ -23,58 +23,55 @@ TILE = 512
 """Side of a tile, in samples."""
 
 STRIP = 2 * TILE
-"""Rows that are halved at once: what it takes beside the arrays themselves stays small."""
+"""Rows that are halved at once, which keeps temporary arrays small."""
 
 CLASSIC_BYTES = 2**32 - 2**25
-"""Of samples up to which a file is a classic TIFF, whose offsets have 32 bits; a BigTIFF beyond."""
-
-DEFLATE_LEVEL = 1
-"""Floating point numbers that carry noise get hardly smaller by more work."""
+"""Largest size of a classic TIFF, whose offsets have 32 bits; larger files are BigTIFFs."""
 
 KEY = "transferlens_field"
-"""Under which a file's description holds what its values are."""
+"""Key of the description of the values in a file's metadata."""
 
 Function = Callable[[Any], Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One level of a picture: what is kept of it, and how values to be shown come from that.
+    """One level of a picture.
 
     Attributes
     ----------
-    kept : ndarray, shape (ny, nx)
-        Real or complex.
+    stored : ndarray, shape (ny, nx)
+        Real or complex values from which the next level is computed.
     shown : function
-        From a part of `kept` to real values.
+        Function from stored values to the real values that are shown.
     """
 
-    kept: Any
+    stored: Any
     shown: Function
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, columns = self.kept.shape
+        """Number of rows and columns."""
+        rows, columns = self.stored.shape
         return rows, columns
 
     def tiles(self, side: int = TILE) -> Iterator[Any]:
-        """Real values, tile by tile, row by row; those at the right and lower border may be smaller."""
+        """Yield the shown values tile by tile, in rows. Tiles at the far borders may be smaller."""
         rows, columns = self.shape
         for y in range(0, rows, side):
             for x in range(0, columns, side):
-                yield self.shown(self.kept[y : y + side, x : x + side])
+                yield self.shown(self.stored[y : y + side, x : x + side])
 
 
-def halved(values: Any, of: Function | None = None) -> Any:
-    """Means over 2 x 2 samples, in single precision; over fewer at the far border of an odd size.
+def halved(values: Any, transform: Function | None = None) -> Any:
+    """Return means over 2 x 2 samples in single precision; over fewer at the far border of an odd size.
 
     Parameters
     ----------
     values
-        Real or complex, shape (ny, nx).
-    of
-        Function whose means are taken; left out, of the values themselves.
+        Real or complex values, shape (ny, nx).
+    transform
+        Function that is applied before the mean. Default: none.
 
     Returns
     -------
@@ -85,7 +82,7 @@ def halved(values: Any, of: Function | None = None) -> Any:
     strips = []
     for start in range(0, rows, STRIP):
         strip = values[start : start + STRIP]
-        strip = strip if of is None else of(strip)
+        strip = strip if transform is None else transform(strip)
         kind = np.complex64 if np.iscomplexobj(strip) else np.float32
         odd = strip.shape[0] % 2, columns % 2
         if any(odd):
@@ -96,7 +93,7 @@ def halved(values: Any, of: Function | None = None) -> Any:
 
 
 def picture_levels(values: Any, quantity: str, least: int = TILE) -> list[Level]:
-    """A picture of some values and its halvings, until one tile holds them.
+    """Return a picture of values and its halvings, down to a single tile.
 
     Parameters
     ----------
@@ -107,18 +104,18 @@ def picture_levels(values: Any, quantity: str, least: int = TILE) -> list[Level]
         values themselves), whose halvings are the angle of the complex mean, since angles have no mean;
         anything else the real values.
     least
-        Longest side of the last level.
+        Largest side of the last level.
     """
     plain: Function = np.asarray
-    # How the samples are shown, what is taken of them before they are halved, how halvings are shown.
-    taken: dict[str, tuple[Function, Function | None, Function]] = {
+    # How samples are shown, the transform before the first halving, and how halvings are shown.
+    kinds: dict[str, tuple[Function, Function | None, Function]] = {
         "amplitude": (np.abs, np.abs, plain),
         "phase_rad": (np.angle, None, np.angle) if np.iscomplexobj(values) else (plain, _phasors, np.angle),
     }
-    shown, before, then = taken.get(quantity, (plain, None, plain))
+    shown, transform, shown_halved = kinds.get(quantity, (plain, None, plain))
     levels = [Level(values, shown)]
     while max(levels[-1].shape) > least:
-        levels.append(Level(halved(levels[-1].kept, before if len(levels) == 1 else None), then))
+        levels.append(Level(halved(levels[-1].stored, transform if len(levels) == 1 else None), shown_halved))
     return levels
 
 
@@ -131,7 +128,7 @@ def write_pyramid(
     path: str | os.PathLike[str],
     pitch_um: float,
     quantities: Sequence[str] = ("amplitude", "phase_rad"),
-    **said: Any,
+    **description: Any,
 ) -> None:
     """Write a field or picture as an OME-TIFF in tiles, with halvings for viewers that zoom.
 
@@ -146,25 +143,25 @@ def write_pyramid(
     path
         File to write.
     pitch_um
-        Of the samples.
+        Sample pitch (um).
     quantities
         "amplitude", "phase_rad" (see :func:`picture_levels`); any other name means the real values
         themselves.
-    **said
-        What else is to stand in the file's description (JSON).
+    **description
+        Further entries of the file's description (JSON).
 
     Raises
     ------
     InputError
         If the values are no picture, the quantities do not suit them, or the file cannot be written.
     """
-    _refuse(values, pitch_um, quantities)
+    _check_values(values, pitch_um, quantities)
     channels = [picture_levels(values, quantity) for quantity in quantities]
     with atomic_path(path) as temporary:
-        _write(temporary, channels, _metadata(values, pitch_um, quantities, said), 1e4 / pitch_um)
+        _write(temporary, channels, _metadata(values, pitch_um, quantities, description), 1e4 / pitch_um)
 
 
-def _refuse(values: Any, pitch_um: float, quantities: Sequence[str]) -> None:
+def _check_values(values: Any, pitch_um: float, quantities: Sequence[str]) -> None:
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "biufc":
         raise InputError(
             f"a picture of {values.dtype} values of shape {values.shape}: must be real or complex (ny, nx)"
@@ -177,10 +174,10 @@ def _refuse(values: Any, pitch_um: float, quantities: Sequence[str]) -> None:
         raise InputError(f"quantities = {list(quantities)}: of complex values, allowed: amplitude, phase_rad")
 
 
-def _metadata(values: Any, pitch_um: float, quantities: Sequence[str], said: dict[str, Any]) -> Any:
-    about = {"quantities": list(quantities), "pitch_um": pitch_um, **said}
+def _metadata(values: Any, pitch_um: float, quantities: Sequence[str], entries: dict[str, Any]) -> Any:
+    about = {"quantities": list(quantities), "pitch_um": pitch_um, **entries}
     description = json.dumps({KEY: about}, allow_nan=False)
-    # The same values make the same file.
+    # The UUID follows from the values, so that the same values give the same file.
     digest = hashlib.blake2b(description.encode(), digest_size=16)
     for start in range(0, values.shape[0], STRIP):
         digest.update(np.ascontiguousarray(values[start : start + STRIP]).data)
@@ -210,7 +207,7 @@ def _write(path: Any, channels: Sequence[Sequence[Level]], metadata: Any, sample
                 tile=(TILE, TILE),
                 photometric="minisblack",
                 compression="zlib",
-                compressionargs={"level": DEFLATE_LEVEL},
+                compressionargs={"level": 1},  # Noisy numbers hardly shrink at higher levels.
                 resolution=(samples_per_cm * 0.5**number,) * 2,
                 resolutionunit="CENTIMETER",
                 **(first if number == 0 else {"subfiletype": 1, "metadata": None}),

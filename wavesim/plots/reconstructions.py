@@ -12,7 +12,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import Retrieved, agreement
+from wavesim.reconstruction.phase_retrieval import Retrieved, agreement
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,15 +21,15 @@ COLOURS = ("#1f5fa8", "#d1622b", "#2f8f4e", "#7a4fa3", "#555555")
 
 
 def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence of retrieval") -> Figure:
-    """What the correlation of amplitudes (A6) lacks to 1, and the residual at the first plane.
+    """Draw 1 minus the correlation of amplitudes (A6), and the residual at the first plane.
 
-    Both are on logarithmic axes over the iterations: near 1 a correlation hardly shows any change. Where a
-    run stagnated, a dot stands on its curve.
+    Both are on logarithmic axes over the iterations, because a correlation near 1 hardly changes. A dot marks
+    the iteration at which a run stagnated.
 
     Parameters
     ----------
     runs
-        Of :func:`wavesim.retrieve`, by the name of their start.
+        Results of :func:`wavesim.retrieve`, by the name of their start.
     title
         Written on top.
 

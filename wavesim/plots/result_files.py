@@ -60,7 +60,7 @@ def new_results(folder: Path) -> Iterator[Path]:
         UNFINISHED.add(place)
         place.mkdir(0o700)
     except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(f"cannot make the folder {folder}: a file stands in its place") from error
+        raise InputError(f"cannot make the folder {folder}: a file of this name exists") from error
     except OSError as error:
         raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
     try:

@@ -171,7 +171,7 @@ class PatchChain:
         """
         return self.perturbed(placement).returned(object_values).values
 
-    def neglected(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
+    def error_terms(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
         """What is left out, with estimates of the returned field's relative error.
 
         Parameters

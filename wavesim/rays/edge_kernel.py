@@ -16,27 +16,28 @@ _jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, 
 
 @_jit
 def at_arms(y: NDArray, x: NDArray, arms: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """The detour's x at points from the centre of a plane's pupil, where it ends, and the arms before them.
+    """Interpolate x, its limits and the index of the preceding arm at points relative to the pupil's centre.
 
-    Of each arm, evenly around the centre, there are the reach, how far within the rim and beyond it rays
-    tell the detour, two ends, and the coefficients of x over the way from the rim; in between all is linear.
+    The arms are evenly spaced around the centre. Each holds its reach, the depths inside and outside the rim
+    up to which rays determine x, two limits of x, and the coefficients of x over the distance from the rim.
+    Between arms all values are interpolated linearly.
     """
     count, parts = arms.shape
     found, ends, before = empty(y.shape[0]), empty((2, y.shape[0])), empty(y.shape[0], int64)
     per_turn = count / (2.0 * math.pi)
     for n in range(y.shape[0]):
-        place = (math.atan2(y[n], x[n]) * per_turn) % count
-        first = int(place) % count
-        share = place - math.floor(place)
+        position = (math.atan2(y[n], x[n]) * per_turn) % count
+        first = int(position) % count
+        fraction = position - math.floor(position)
         a, b = arms[first], arms[(first + 1) % count]
-        way = a[0] + share * (b[0] - a[0]) - math.sqrt(y[n] * y[n] + x[n] * x[n])
-        deep, seen = a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
-        inside = min(max(way, -seen), deep)
+        distance = a[0] + fraction * (b[0] - a[0]) - math.sqrt(y[n] * y[n] + x[n] * x[n])
+        deep, beyond = a[1] + fraction * (b[1] - a[1]), a[2] + fraction * (b[2] - a[2])
+        inside = min(max(distance, -beyond), deep)
         total = 0.0
         for k in range(parts - 1, 4, -1):
-            total = total * inside + a[k] + share * (b[k] - a[k])
-        found[n] = total * inside + (a[5] + share * (b[5] - a[5])) * (way - inside)
-        ends[0, n] = a[3] + share * (b[3] - a[3])
-        ends[1, n] = a[4] + share * (b[4] - a[4])
+            total = total * inside + a[k] + fraction * (b[k] - a[k])
+        found[n] = total * inside + (a[5] + fraction * (b[5] - a[5])) * (distance - inside)
+        ends[0, n] = a[3] + fraction * (b[3] - a[3])
+        ends[1, n] = a[4] + fraction * (b[4] - a[4])
         before[n] = first
     return found, ends, before

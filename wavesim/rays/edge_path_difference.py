@@ -1,8 +1,8 @@
-"""The way round by the rim of the stop: how much longer it is than the direct one, for points of a plane.
+"""Path difference between light by way of the stop's rim and direct light, for points of a plane.
 
-Rays of other object points that pass the very point of the rim land beside the border of the footprint; the
-same points of the plane are reached directly from the object point itself. What the paths differ by is the
-detour, on either side of the border. Other points are taken where the detour is stationary along the rim.
+Rays of other object points through the same point of the rim land next to the border of the footprint. The
+direct ray of the object point itself reaches the same points of the plane. The difference of both paths is
+the detour, on either side of the border. It is taken where it is stationary along the rim.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from wavesim.rays.ray_bundles import STEP, OpenPupil, inverses, shoot, trace_bun
 from wavesim.scene.scene import Scene
 
 AIM_STEPS = 12
-STEP_SHARES = (1.0, 0.2, 0.04)
-"""Of a Fresnel zone of the object, by which neighbours are moved: the first with which rays tell."""
+STEP_FRACTIONS = (1.0, 0.2, 0.04)
+"""Displacements of the object point that are tried, in Fresnel zones of the object."""
 
 BEYOND = 1.0 + 1e-6
-"""Of the reach, where light is stopped; what stops it there is taken for the edge."""
+"""Position just outside the reach; the surface that stops light there is the edge."""
 
 AIMED_MM, MET_MM = 1e-6, 1e-9
-"""Near enough, on the plane and on the rim: what is left adds no more than 1e-5 radians."""
+"""Tolerances of aiming on the plane and on the rim; the remaining phase error is below 1e-5 radians."""
 
 LONGEST = 3.0
-"""Of the movement before, how much farther an object point is moved at a time."""
+"""Largest step of the object point, relative to the previous step."""
 
 
 @dataclass(frozen=True)
 class EdgeRayLandings:
-    """Where rays by way of the rim land.
+    """Landing points of rays by way of the rim.
 
     Attributes
     ----------
     inwards : ndarray, shape (n,)
-        How far the direct ray passes within the rim, in stop coordinates; negative in the shadow.
+        Distance of the direct ray inside the rim, in stop coordinates; negative in the shadow.
     detour : ndarray, shape (n,)
-        Its phase in radians: k times the difference of both paths.
+        Phase of the detour in radians: k times the difference of both paths.
     stop : ndarray, shape (n, 2)
-        Through which point the direct ray goes.
+        Stop point of the direct ray.
     ok : ndarray of bool, shape (n,)
         Whether both rays arrive.
     inverse : ndarray, shape (n, d, d)
-        By how much a stop point is moved for a movement on the plane, there.
+        Derivative of the stop point with respect to the point on the plane.
     """
 
     inwards: Array
@@ -63,9 +63,9 @@ class EdgePathDifference:
     Attributes
     ----------
     reach : ndarray, shape (arms,)
-        Of the arms that are followed.
-    told : ndarray of bool, shape (arms,)
-        Whether rays arrive there.
+        Reach of the traced arms.
+    arrives : ndarray of bool, shape (arms,)
+        Whether rays through the rim arrive.
     zone_mm : ndarray, shape (arms,)
         Fresnel zone of the object, as seen from the rim.
 
@@ -76,11 +76,11 @@ class EdgePathDifference:
     point_mm
         Object point (x, y).
     pupil
-        Its open part of the stop.
+        Open part of the stop for this point.
     plane_z_mm
         z of the plane behind the lens.
     every
-        Of the pupil's arms one in so many is followed.
+        Trace every n-th arm of the pupil.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class EdgePathDifference:
         self._points = np.broadcast_to(np.asarray(point_mm, float), self._rim.shape)
         self._axes = [1] if scene.object_grid.is_line else [1, 0]
         base = trace_bundle(scene, np.asarray(point_mm), self._rim, plane_z_mm)
-        self.told, self._across = base.ok, _across(pupil, every, base.cosine_jacobian)
+        self.arrives, self._across = base.ok, _across(pupil, every, base.cosine_jacobian)
         self._inverse = inverses(np.where(base.ok[:, None, None], base.jacobian, 1.0))
         self._surfaces = self._stopped_by(
             pupil.points(np.full(len(pupil.angles), BEYOND), pupil.angles)[::every]
@@ -112,13 +112,13 @@ class EdgePathDifference:
         return shoot(self.scene, points, stop, self.plane_z_mm, clip=clip)
 
     def _stopped_by(self, beyond: Array) -> NDArray[np.intp]:
-        """The surface at which light beyond each arm of the rim ends."""
+        """Return the surface at which light outside each arm of the rim ends."""
         rays, last = self._shot(self._points, beyond, clip=True), self.scene.system.surfaces - 1
         ends = np.clip(rays.failed_surface, 0, last)
         return np.where(rays.ok, self.scene.lens.stop_index, ends).astype(np.intp)
 
     def _reached(self, points: Array, rays: RayTrace, arms: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Where rays of object points meet the surfaces of arms, shape (n, 3), and their paths so far."""
+        """Return where rays meet the surfaces of their arms, shape (n, 3), and their paths up to there."""
         assert rays.hits is not None
         start = np.column_stack([points, np.full(len(points), self.scene.object_grid.z_mm)])
         legs = np.diff(np.concatenate([start[:, None], rays.hits], axis=1), axis=1)
@@ -127,7 +127,7 @@ class EdgePathDifference:
         return rays.hits[each, surfaces], np.cumsum(lengths, axis=1)[each, surfaces]
 
     def _inverse_at_rim(self, arms: NDArray[np.intp]) -> Array:
-        """By how much stop points are moved for a movement on the surfaces that stop light."""
+        """Return the derivatives of stop points with respect to points on the surfaces that stop light."""
         moves = STEP * np.array([sign * np.eye(2)[axis] for axis in self._axes for sign in (1.0, -1.0)])
         stop = (self._rim + moves[:, None]).reshape(-1, 2)
         points, many = np.tile(self._points, (len(moves), 1)), np.tile(arms, len(moves))
@@ -142,17 +142,16 @@ class EdgePathDifference:
         start: Array | None = None,
         inverse: Array | None = None,
     ) -> EdgeRayLandings:
-        """Of rays from points beside the object point, moved across the rim, shape (n,).
+        """Trace rays by way of the rim from points next to the object point, shape (n,).
 
         Parameters
         ----------
         moved_mm
-            How far.
+            Displacement of the object points across the rim.
         arms
-            By way of which of them.
+            Indices of the arms.
         start, inverse
-            Stop points from which the direct rays are sought, and their :class:`EdgeRayLandings`; default:
-            those of the rim.
+            Initial stop points of the direct rays, and their derivatives. Default: those of the rim.
         """
         places, path, met = self._by_rim(self._points[arms] + moved_mm[:, None] * self._across[arms], arms)
         start = self._rim[arms] if start is None else start
@@ -162,8 +161,8 @@ class EdgePathDifference:
         return EdgeRayLandings(self.pupil.inwards(stop), detour, stop, ok & met, inverse)
 
     def _by_rim(self, points: Array, arms: NDArray[np.intp]) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Where rays of other points by way of the rim meet the plane, their paths from the object point
-        up to the rim and from there on, and whether they arrive."""
+        """Return where rays of other points by way of the rim meet the plane, the paths from the object point
+        to the rim and from there to the plane, and whether the rays arrive."""
         stop, inverse = self._rim[arms], self._rim_inverse[arms]
         change = miss = np.zeros((len(arms), len(self._axes)))
         for step in range(AIM_STEPS):
@@ -181,8 +180,8 @@ class EdgePathDifference:
     def _aimed(
         self, target: Array, arms: NDArray[np.intp], start: Array, inverse: Array
     ) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-        """Stop points of direct rays that meet the plane at targets, their paths, whether they do, and the
-        inverses there."""
+        """Return the stop points of direct rays to targets on the plane, their paths, whether they arrive,
+        and the derivatives there."""
         axes, points, stop = self._axes, self._points[arms], start.copy()
         index = float(self.scene.system.index[0, -1])
         change = miss = np.zeros((len(arms), len(axes)))
@@ -202,23 +201,23 @@ class EdgePathDifference:
     def marched(
         self, depths: Array, arms: NDArray[np.intp], inwards_per_mm: Array, alive: NDArray[np.bool_]
     ) -> Iterator[EdgeRayLandings]:
-        """Along arms, all at a time, to some depths within the rim (in the shadow where they are negative).
+        """March along all arms to some depths inside the rim, or in the shadow where depths are negative.
 
         Parameters
         ----------
         depths
-            In stop coordinates, growing in size, shape (steps, n); none is asked for where they are NaN.
+            Depths in stop coordinates, increasing in magnitude, shape (steps, n); NaN for no step.
         arms
-            Which, shape (n,).
+            Indices of the arms, shape (n,).
         inwards_per_mm
-            Of the way inwards, for an object point's movement, at the rim.
+            Derivative of the distance inwards with respect to the object point, at the rim.
         alive
-            Which to follow.
+            Arms to trace.
 
         Yields
         ------
-        Landed
-            Near each depth; of an arm that was lost once none is `ok`.
+        EdgeRayLandings
+            Landing points near each depth. An arm that was lost once stays not `ok`.
         """
         moved, way = np.zeros(len(arms)), np.zeros(len(arms))
         rate, stop, inverse = inwards_per_mm.copy(), self._rim[arms], self._inverse[arms]
@@ -244,7 +243,7 @@ class EdgePathDifference:
 
 
 def _renewed(inverse: Array, change: Array, came: Array) -> Array:
-    """Broyden's rank-one update of inverse Jacobians, by what a change of the stop point did on the plane."""
+    """Apply Broyden's rank-one update to inverse Jacobians, by the effect of a change of the stop point."""
     gone = np.einsum("nij,nj->ni", inverse, came)
     down = np.einsum("ni,ni->n", change, gone)
     row = np.einsum("ni,nij->nj", change, inverse)
@@ -254,7 +253,7 @@ def _renewed(inverse: Array, change: Array, came: Array) -> Array:
 
 
 def _across(pupil: OpenPupil, every: int, cosine_jacobian: Array) -> Array:
-    """Ways (x, y) of unit length in which an object point moves its detour across the rim alone."""
+    """Return unit directions (x, y) of the object point in which its detour changes only across the rim."""
     if pupil.is_line:
         return np.array([[0.0, 1.0]] * 2)
     rim = pupil.rim

@@ -1,11 +1,13 @@
-"""The aperture's edge as light draws it, for the light of one object point on one plane.
+"""Fresnel diffraction at the aperture's edge, for the light of one object point on one plane.
 
 Near the border of a footprint the field is that of the rays times a Fresnel integral F(x), on both sides of
-the border: x^2 is k times the detour of light that comes by way of the rim, and x changes its sign there. See
-R. M. Lewis and J. Boersma, "Uniform asymptotic theory of edge diffraction", J. Math. Phys. 10, 2291 (1969).
+the border. x^2 is k times the detour, the path difference between light by way of the rim and direct light; x
+changes its sign at the border. See R. M. Lewis and J. Boersma, "Uniform asymptotic theory of edge
+diffraction", J. Math. Phys. 10, 2291 (1969).
 
-Far from the border the difference to a sharp edge is light of the rim, whose phase follows the way from the
-object to the rim. Of neighbouring object points that share one F it can be told near the border alone.
+Far from the border the difference to a sharp edge is a wave from the rim, whose phase depends on the path
+from the object to the rim. Neighbouring object points that share one F can therefore use it only near the
+border.
 """
 
 from __future__ import annotations
@@ -19,193 +21,194 @@ from scipy.special import fresnel
 
 from lensdesign.common.arrays import Array
 from wavesim.rays.edge_kernel import at_arms
-from wavesim.rays.edge_path_difference import STEP_SHARES, EdgePathDifference
+from wavesim.rays.edge_path_difference import STEP_FRACTIONS, EdgePathDifference
 from wavesim.rays.ray_bundles import OpenPupil
 from wavesim.scene.scene import Scene
 
 SHADOW = {True: 24.0, False: 8.0}
-"""x at which the shadow is taken for dark, on a line and on a plane."""
+"""x at which the shadow counts as dark, on a line and on a plane."""
 
-LEAST_TOLD = 2.0
-"""x up to which F is told all the same: neighbours do not cancel where edges are sharper
-than light draws them."""
+LEAST_RESOLVED = 2.0
+"""x up to which F is always used: the fields of neighbouring tiles do not cancel where edges are sharper than
+diffraction allows."""
 
 DEEPEST = {True: 1.9, False: 0.9}
-"""Of the reach, how far within it rays by way of the rim are looked for, on a line and on a plane."""
+"""Depth inside the rim to which rays by way of the rim are traced, relative to the reach, on a line and a
+plane."""
 
 FARTHEST = 0.4
-"""And how far beyond it."""
+"""Distance outside the rim to which they are traced, relative to the reach."""
 
 STEPS_WITHIN, STEPS_BEYOND = {True: 16, False: 6}, 3
 ORDER = 8
-"""Of the polynomial in the way from the rim that x over this way is."""
+"""Order of the polynomial for x over the distance t from the rim."""
 
 UNFOLLOWED = 0.1
-"""Radians by which the detour of rays may differ from the polynomial's."""
+"""Largest difference between the detours of the rays and of the polynomial, in radians."""
 
 EASED = 0.1
-"""Of the x at which F ends, over how much it goes over into a sharp edge."""
+"""Fraction of the largest x over which F changes smoothly into a sharp edge."""
 
 FRINGES = math.pi
-"""x times the movement of x over neighbouring points, from which on their light of the rim, each with a phase
-of its own, is none on average."""
+"""x times the change of x over neighbouring points above which their waves from the rim cancel on average."""
 
 LEAST = 1e-9
-"""Way in stop coordinates over which a rate can be told."""
+"""Smallest distance in stop coordinates from which a rate can be determined."""
 
 SHARPEST = 1e7
-"""Rate of x over the stop's coordinates where the plane is that of the rim, or rays do not tell it."""
+"""Rate of x over the stop's coordinates where the plane is that of the rim, or rays do not determine it."""
 
 LOOKED = 65
-"""Places along an arm at which x is looked at."""
+"""Sampled positions along an arm."""
 
 EVERY, SMOOTH = 6, 1e-6
-"""Of a plane's arms, one in so many is followed where those tell the reach of the others to such a share."""
+"""On a plane only one of so many arms is traced, if these arms determine the reach of the others to this
+accuracy."""
 
 LINEAR, CUBIC = (0, 1), (-1, 0, 1, 2)
-"""Neighbours through which there are polynomials."""
+"""Offsets of the neighbours that a polynomial interpolates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """How light falls off at the rim of the open part of the stop.
+    """Diffraction at the rim of the open part of the stop.
 
     Attributes
     ----------
     pupil : OpenPupil
-        The open part.
+        Open part of the stop.
     terms : ndarray, shape (arms, terms)
-        x is t times a polynomial in t, the way from the rim inwards along an arm; its coefficients.
-    deep, seen : ndarray, shape (arms,)
-        The t within the rim, and beyond it, up to which rays tell this.
-    turned : ndarray of bool, shape (arms,)
-        Whether light by way of the rim is ahead, as past a focus: F then is its conjugate.
+        Coefficients of a polynomial in t, the distance from the rim inwards along an arm; x is t times it.
+    deep, beyond : ndarray, shape (arms,)
+        Largest t inside the rim, and outside it, up to which rays determine x.
+    conjugate : ndarray of bool, shape (arms,)
+        Whether light by way of the rim is ahead, as past a focus, so that F is replaced by its conjugate.
     shift_per_mm : float
-        How much x changes for an object point's movement, at most.
+        Largest change of x with the position of the object point.
     """
 
     pupil: OpenPupil
     terms: Array
     deep: Array
-    seen: Array
-    turned: NDArray[np.bool_]
+    beyond: Array
+    conjugate: NDArray[np.bool_]
     shift_per_mm: float
 
     @property
     def rate(self) -> Array:
-        """What x grows by at the rim, shape (arms,)."""
+        """Derivative of x at the rim, shape (arms,)."""
         return self.terms[:, 0]
 
     @property
     def bend(self) -> Array:
-        """The second order of x, as a share of the first, shape (arms,)."""
+        """Second-order coefficient of x relative to the first, shape (arms,)."""
         return np.asarray(self.terms[:, 1] / self.rate)
 
     @property
     def shadow(self) -> OpenPupil:
-        """The open part, with as much around it as is not dark."""
+        """The open part with the part of its shadow that is not dark."""
         beyond = _beyond(self.pupil.reach, self.pupil.is_line, self.rate)
         return OpenPupil(self.pupil.centre, self.pupil.reach + beyond, self.pupil.angles)
 
-    def told(self, width_mm: float) -> float:
-        """The largest x at which F is told all around, for a part of the object of some width."""
-        return float(np.min(self._told(width_mm)))
+    def resolved_to(self, width_mm: float) -> float:
+        """Return the largest x up to which F is known all around, for a part of the object of some width."""
+        return float(np.min(self._resolved_to(width_mm)))
 
-    def _told(self, width_mm: float) -> Array:
-        deepest = _detour(self.deep, self.terms, self.deep, self.seen)
+    def _resolved_to(self, width_mm: float) -> Array:
+        deepest = _detour(self.deep, self.terms, self.deep, self.beyond)
         most = FRINGES / max(self.shift_per_mm * width_mm, 1e-300)
-        return np.minimum(np.maximum(deepest, LEAST_TOLD), most)
+        return np.minimum(np.maximum(deepest, LEAST_RESOLVED), most)
 
     def factor(self, stop: Array, width_mm: float, traced: OpenPupil) -> NDArray[np.complex128]:
-        """F for light through points of the stop, y or y and x, shape (..., d).
+        """Return F for light through points of the stop, y or y and x, shape (..., d).
 
         Parameters
         ----------
         stop
-            Points.
+            Points of the stop.
         width_mm
-            Of the part of the object that shares it.
+            Width of the part of the object that shares the result.
         traced
-            As much of the shadow as there is light from: there F has come down to 0.
+            Part of the shadow from which light is traced; F has decreased to 0 at its border.
         """
-        told, moved = self._told(width_mm), self.shift_per_mm * width_mm
-        dark = -_detour(self.pupil.reach - traced.reach, self.terms, self.deep, self.seen)
-        ends = np.minimum(told, dark), told
+        resolved, moved = self._resolved_to(width_mm), self.shift_per_mm * width_mm
+        dark = -_detour(self.pupil.reach - traced.reach, self.terms, self.deep, self.beyond)
+        ends = np.minimum(resolved, dark), resolved
         if self.pupil.is_line:
             up = stop[..., 0] - self.pupil.centre[1]
-            ways = self.pupil.reach[0] - up, self.pupil.reach[1] + up
+            distances = self.pupil.reach[0] - up, self.pupil.reach[1] + up
             first, second = (
-                _drawn(
-                    _detour(way, self.terms[arm], self.deep[arm], self.seen[arm]),
+                _diffracted(
+                    _detour(distance, self.terms[arm], self.deep[arm], self.beyond[arm]),
                     (ends[0][arm], ends[1][arm]),
                     moved,
-                    self.turned[arm],
+                    self.conjugate[arm],
                 )
-                for arm, way in enumerate(ways)
+                for arm, distance in enumerate(distances)
             )
             return np.asarray(first * second)
         y, x = stop[..., 0] - self.pupil.centre[1], stop[..., 1] - self.pupil.centre[0]
         found = np.ones(y.shape, complex)
-        near = y * y + x * x > self._clear_radius(told) ** 2
+        near = y * y + x * x > self._clear_radius(resolved) ** 2
         found[near] = self._at(y[near], x[near], ends, moved)
         return found
 
-    def _clear_radius(self, told: Array) -> float:
-        """How far from the centre of a plane's pupil F is not told, along all arms and between."""
-        ways = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, LOOKED)
-        terms, deep, seen = self.terms[:, None], self.deep[:, None], self.seen[:, None]
-        inside = _detour(ways, terms, deep, seen) >= max(told)
+    def _clear_radius(self, resolved: Array) -> float:
+        """Return the distance from the centre of a plane's pupil within which F is 1."""
+        distances = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, LOOKED)
+        terms, deep, beyond = self.terms[:, None], self.deep[:, None], self.beyond[:, None]
+        inside = _detour(distances, terms, deep, beyond) >= max(resolved)
         first = np.where(inside.any(axis=1), np.argmax(inside, axis=1), LOOKED - 1)
         return max(0.0, float(np.min(self.pupil.reach * (1.0 - (first + 1) / (LOOKED - 1)))))
 
     def _at(self, y: Array, x: Array, ends: tuple[Array, Array], moved: float) -> NDArray[np.complex128]:
-        """F at points of a plane's stop from the centre of the pupil."""
-        arms = np.column_stack([self.pupil.reach, self.deep, self.seen, *ends, self.terms])
-        x_of, found, before = at_arms(y, x, arms)
-        return _drawn(x_of, (found[0], found[1]), moved, self.turned[before])
+        """Return F at points of a plane's stop, relative to the centre of the pupil."""
+        arms = np.column_stack([self.pupil.reach, self.deep, self.beyond, *ends, self.terms])
+        x_of, found, arm_before = at_arms(y, x, arms)
+        return _diffracted(x_of, (found[0], found[1]), moved, self.conjugate[arm_before])
 
 
-def _drawn(
-    x: Array, ends: tuple[Array, Array], moved: float, turned: NDArray[np.bool_]
+def _diffracted(
+    x: Array, ends: tuple[Array, Array], moved: float, conjugate: NDArray[np.bool_]
 ) -> NDArray[np.complex128]:
-    """F up to some x in the shadow and in the light, a sharp edge beyond, and in between both.
+    """Return F up to some x in the shadow and in the light, a sharp edge beyond, with a smooth transition.
 
-    Of points over which x moves, the light by way of the rim has the mean of their phases.
+    For points over which x changes by `moved`, the wave from the rim has the mean of their phases.
     """
     most = np.maximum(np.where(x < 0.0, *ends), 1e-300)
-    share = np.clip((1.0 - np.abs(x) / most) / EASED, 0.0, 1.0)
-    share *= share * (3.0 - 2.0 * share) * np.sinc(np.minimum(np.abs(x) * moved / math.pi, 1.0))
+    weight = np.clip((1.0 - np.abs(x) / most) / EASED, 0.0, 1.0)
+    weight *= weight * (3.0 - 2.0 * weight) * np.sinc(np.minimum(np.abs(x) * moved / math.pi, 1.0))
     found = np.asarray(x > 0.0, complex)
-    near = share > 0.0
-    drawn = fresnel_edge(x[near])
-    if np.any(turned):
-        drawn = np.where(np.broadcast_to(turned, x.shape)[near], drawn.conj(), drawn)
-    found[near] += share[near] * (drawn - found[near])
+    near = weight > 0.0
+    edge = fresnel_edge(x[near])
+    if np.any(conjugate):
+        edge = np.where(np.broadcast_to(conjugate, x.shape)[near], edge.conj(), edge)
+    found[near] += weight[near] * (edge - found[near])
     return found
 
 
-def _detour(way: Array, terms: Array, deep: Array, seen: Array) -> Array:
-    """x at ways from the rim; where rays do not tell it, it grows on as at the rim."""
-    inside = np.clip(way, -seen, deep)
+def _detour(distance: Array, terms: Array, deep: Array, beyond: Array) -> Array:
+    """Return x at distances from the rim; where rays do not determine it, it grows as at the rim."""
+    inside = np.clip(distance, -beyond, deep)
     total = np.zeros(np.broadcast_shapes(inside.shape, terms.shape[:-1]))
     for term in np.moveaxis(terms, -1, 0)[::-1]:
         total = total * inside + term
-    return np.asarray(total * inside + terms[..., 0] * (way - inside))
+    return np.asarray(total * inside + terms[..., 0] * (distance - inside))
 
 
 def _beyond(reach: Array, line: bool, rate: Array) -> Array:
-    """How far beyond the rim it is not dark, in stop coordinates."""
+    """Return the width of the shadow that is not dark, in stop coordinates."""
     return np.minimum(SHADOW[line] / rate, FARTHEST * reach)
 
 
 def fresnel_edge(x: Array) -> NDArray[np.complex128]:
-    """F(x) = e^(-i pi/4) / sqrt(pi) times the integral of exp(i t^2) from minus infinity to x."""
+    """Return F(x) = e^(-i pi/4) / sqrt(pi) times the integral of exp(i t^2) from minus infinity to x."""
     sine, cosine = fresnel(math.sqrt(2.0 / math.pi) * np.asarray(x))
     return np.asarray(0.5 * (1.0 - 1j) * ((cosine + 0.5) + 1j * (sine + 0.5)))
 
 
 def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, plane_z_mm: float) -> Edge:
-    """How the light of an object point falls off at the border of its footprint.
+    """Trace the rays that determine the diffraction at the border of an object point's footprint.
 
     Parameters
     ----------
@@ -214,7 +217,7 @@ def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
     point_mm
         Object point (x, y).
     pupil
-        Its open part of the stop.
+        Open part of the stop for this point.
     plane_z_mm
         z of the plane behind the lens.
     """
@@ -223,13 +226,13 @@ def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
         if every == 1 or (np.all(found.good) and len(set(found.moves < 0.0)) == 1):
             break
     terms = _between(found.terms, every, CUBIC)
-    deep, seen = (_between(way, every, LINEAR) for way in (found.deep, found.seen))
-    turned = np.repeat(found.moves < 0.0, every)
-    return Edge(pupil, terms, deep, seen, turned, float(np.max(np.abs(found.moves))))
+    deep, beyond = (_between(distance, every, LINEAR) for distance in (found.deep, found.beyond))
+    conjugate = np.repeat(found.moves < 0.0, every)
+    return Edge(pupil, terms, deep, beyond, conjugate, float(np.max(np.abs(found.moves))))
 
 
 def _is_smooth(pupil: OpenPupil) -> bool:
-    """Whether some arms tell where the rim is between them: nothing has cut a corner into it."""
+    """Return whether some arms determine the rim between them, so that it has no corner."""
     if pupil.is_line or len(pupil.angles) % EVERY:
         return False
     off = _between(pupil.reach[::EVERY], EVERY, CUBIC) - pupil.reach
@@ -237,34 +240,34 @@ def _is_smooth(pupil: OpenPupil) -> bool:
 
 
 def _between(values: Array, every: int, points: tuple[int, ...]) -> Array:
-    """All arms' values from those of one in so many, by Lagrange's polynomials through neighbouring ones."""
+    """Return the values of all arms from those of every n-th one, by Lagrange interpolation."""
     if every == 1:
         return values
-    share = np.arange(every) / every
-    parts = np.zeros((len(values), every, *values.shape[1:]))
+    fraction = np.arange(every) / every
+    result = np.zeros((len(values), every, *values.shape[1:]))
     for at in points:
         others = [other for other in points if other != at]
-        weight = np.prod([(share - other) / (at - other) for other in others], axis=0)
+        weight = np.prod([(fraction - other) / (at - other) for other in others], axis=0)
         own = weight.reshape(-1, *(1,) * (values.ndim - 1))
-        parts += own * np.roll(values, -at, axis=0)[:, None]
-    return parts.reshape(-1, *values.shape[1:])
+        result += own * np.roll(values, -at, axis=0)[:, None]
+    return result.reshape(-1, *values.shape[1:])
 
 
 @dataclass(frozen=True)
 class _Followed:
-    """What rays tell of some arms: as of :class:`Edge`, with x for an object point's movement in 1/mm, and
-    whether they tell anything."""
+    """Coefficients and limits of some arms as in :class:`Edge`, the change of x with the object point in
+    1/mm, and whether rays determine them."""
 
     terms: Array
     deep: Array
-    seen: Array
+    beyond: Array
     moves: Array
     good: NDArray[np.bool_]
 
 
 def _followed(detours: EdgePathDifference) -> _Followed:
-    """March along arms to both sides of the rim."""
-    inwards, detour, moved, good = _beside(detours)
+    """Trace rays along arms to both sides of the rim."""
+    inwards, detour, moved, good = _next_to_rim(detours)
     line, arms = detours.pupil.is_line, np.arange(len(detours.reach))
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = np.where(good, np.sqrt(np.abs(detour[0])) / np.abs(inwards[0]), SHARPEST)
@@ -275,32 +278,32 @@ def _followed(detours: EdgePathDifference) -> _Followed:
     depths[:STEPS_BEYOND, 1] = -beyond * _beyond(detours.reach, line, rate)
     twice = (np.tile(part, 2) for part in (arms, (inwards[0] - inwards[1]) / (2.0 * moved), good))
     steps = list(detours.marched(depths.reshape(len(depths), -1), *twice))
-    way, longer, ok = (
+    distance, longer, ok = (
         np.reshape([getattr(step, name) for step in steps], depths.shape)
         for name in ("inwards", "detour", "ok")
     )
-    ways, detours_of = (
-        np.concatenate([beside, part[:, 0], part[:STEPS_BEYOND, 1]]).T
-        for beside, part in ((inwards, way), (detour, longer))
+    distances, detours_of = (
+        np.concatenate([beside, steps_of[:, 0], steps_of[:STEPS_BEYOND, 1]]).T
+        for beside, steps_of in ((inwards, distance), (detour, longer))
     )
-    terms, (deep, seen) = _fitted(ways, detours_of, np.sum(ok, axis=0).T, good)
+    terms, (deep, outside) = _fitted(distances, detours_of, np.sum(ok, axis=0).T, good)
     terms[~good, 0] = SHARPEST
-    return _Followed(terms, deep, seen, moves, good)
+    return _Followed(terms, deep, outside, moves, good)
 
 
-def _beside(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Ways inwards and detours next to the rim on either side, shape (2, arms), by which movement they were
-    found, and whether they tell anything."""
+def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Return distances inwards and detours on either side of the rim, shape (2, arms), the displacement of
+    the object point that gave them, and whether they were found."""
     count = len(detours.reach)
     inwards, detour = np.zeros((2, count)), np.zeros((2, count))
     moved, good = np.ones(count), np.zeros(count, bool)
-    for share in STEP_SHARES:
-        some = np.flatnonzero(detours.told & ~good)
+    for fraction in STEP_FRACTIONS:
+        some = np.flatnonzero(detours.arrives & ~good)
         if not len(some):
             break
-        step = share * detours.zone_mm[some]
+        step = fraction * detours.zone_mm[some]
         found = detours.landed(np.concatenate([step, -step]), np.tile(some, 2))
-        way, longer, ok = (part.reshape(2, -1) for part in (found.inwards, found.detour, found.ok))
+        way, longer, ok = (values.reshape(2, -1) for values in (found.inwards, found.detour, found.ok))
         with np.errstate(invalid="ignore"):
             new = ok.all(axis=0) & (way[0] * way[1] < -(LEAST**2)) & (longer[0] * longer[1] > 0.0)
         new &= np.isfinite(longer).all(axis=0)
@@ -312,18 +315,19 @@ def _beside(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDArray[n
 def _fitted(
     way: Array, detour: Array, many: NDArray[np.intp], good: NDArray[np.bool_]
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Coefficients of x over the way t, and from where to where they follow the rays, for each arm.
+    """Return the coefficients of x over the distance t, and the limits up to which they fit the rays.
 
-    Rays farthest from the rim, within it and beyond, are left out until the others agree.
+    Rays farthest from the rim, inside it and outside, are removed until the others agree.
 
     Parameters
     ----------
     way, detour
-        Of two rays beside the rim, then of those within it and of those beyond, shape (arms, nodes).
+        Distances and detours of two rays next to the rim, then of those inside and outside, shape (arms,
+        nodes).
     many
-        How many of either side arrive, shape (arms, 2).
+        Numbers of rays that arrive inside and outside, shape (arms, 2).
     good
-        Whether the first two do.
+        Whether the first two rays arrive.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         values = np.sqrt(np.abs(detour)) / np.abs(way)

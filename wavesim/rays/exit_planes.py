@@ -1,4 +1,4 @@
-"""The plane behind a lens to which rays carry a field: free of folds, with free space beyond."""
+"""Plane behind a lens, free of folds, on which rays carry a field, with free space behind it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bun
 from wavesim.scene.scene import Scene
 
 CANDIDATES = 33
-"""Planes between exit vertex and exit grid that are looked at where rays fold on the exit grid."""
+"""Candidate planes between exit vertex and exit grid, where rays fold on the exit grid."""
 
 SAMPLE_ORDER = {True: 64, False: 16}
 NARROWEST = 0.6
-"""Share of its cross-section at the exit vertex to which a tube of rays may have come down."""
+"""Smallest cross-section of a ray tube, relative to that at the exit vertex."""
 
 FINENESS, ZONES = 0.85, 6.0
 
@@ -29,13 +29,13 @@ Samples = list[tuple[tuple[float, float], Array]]
 
 @dataclass(frozen=True)
 class ExitPlane:
-    """Where the tiles' fields are summed, and how the sum goes on to the exit grid.
+    """Plane on which the tiles' fields are summed, and its propagator to the exit grid.
 
     Attributes
     ----------
     grid : Grid
         Samples of the plane; the exit grid itself where `beyond` is None.
-    beyond : Passage or None
+    beyond : FreeSpacePropagator or None
         Free space from there to the exit grid.
     """
 
@@ -44,7 +44,7 @@ class ExitPlane:
 
 
 def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
-    """Take the plane asked for, or choose one.
+    """Return the given plane, or choose one.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
         If rays fold on the plane asked for, or on every plane.
     """
     target = scene.exit_grid
-    # What of the stop is open is so on every plane behind the lens.
+    # The open part of the stop is the same for every plane behind the lens.
     samples = _samples(scene, target.z_mm if plane_z_mm is None else plane_z_mm)
     if plane_z_mm is None:
         plane_z_mm = _chosen_z_mm(scene, samples)
@@ -67,7 +67,7 @@ def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
 
 
 def _chosen_z_mm(scene: Scene, samples: Samples) -> float:
-    """The exit grid's plane; the one farthest from folds if light comes to a caustic in front of it."""
+    """Return the exit grid's plane, or the plane farthest from folds if a caustic lies in front of it."""
     last = scene.exit_grid.z_mm
     first = scene.lens.exit_vertex_z_mm
     here = _quality(scene, samples, last)
@@ -86,14 +86,14 @@ def _chosen_z_mm(scene: Scene, samples: Samples) -> float:
 
 @dataclass(frozen=True)
 class _Quality:
-    """How far from a fold rays are on a plane.
+    """Return the distance of rays from a fold on a plane.
 
     Attributes
     ----------
     evenness : float
         Least over largest determinant of the map from stop to plane; 0 where it folds.
     narrowing : float
-        Least share of its cross-section at the exit vertex that a tube of rays keeps; 0 where the map folds.
+        Smallest cross-section of a ray tube, relative to the exit vertex; 0 where the map folds.
     caustics : int
         Most that light has touched.
     """
@@ -119,7 +119,7 @@ def _quality(scene: Scene, samples: Samples, plane_z_mm: float) -> _Quality:
 
 
 def _samples(scene: Scene, plane_z_mm: float) -> Samples:
-    """The middle and the corners of the object grid, and stop points that are open to each."""
+    """Return the centre and the corners of the object grid, with stop points that are open to each."""
     grid = scene.object_grid
     ends = [(a[0], a[-1]) for a in (grid.x_mm, grid.y_mm)]
     points = {grid.centre_mm} | {(float(x), float(y)) for x in ends[0] for y in ends[1]}
@@ -130,12 +130,12 @@ def _samples(scene: Scene, plane_z_mm: float) -> Samples:
 def _bundles(
     scene: Scene, samples: Samples, plane_z_mm: float
 ) -> list[tuple[tuple[float, float], RayBundle]]:
-    """Rays of the samples."""
+    """Trace the sampled rays."""
     return [(p, trace_bundle(scene, np.asarray(p), stop, plane_z_mm)) for p, stop in samples]
 
 
 def _covering_grid(scene: Scene, plane_z_mm: float, bundles: list[RayBundle]) -> Grid:
-    """Samples that hold all of the light on the plane."""
+    """Return the samples that contain all of the light on the plane."""
     ends = np.concatenate([b.sensor_mm[b.ok] for b in bundles])
     sine = max(float(np.abs(b.slopes[b.ok]).max()) for b in bundles)
     wavelength_mm = 1e-3 * scene.wavelength_um

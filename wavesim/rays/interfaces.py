@@ -1,4 +1,4 @@
-"""Refracting surfaces over a transverse grid: their height, their aperture, and how rays cross them.
+"""Refracting surfaces over a transverse grid: their height, their aperture, and the rays that cross them.
 
 Engines that carry a field from plane to plane need to know where along z a surface lies at each transverse
 point, and with which angles the light of one object point meets and leaves it there.
@@ -25,7 +25,7 @@ FAN_RINGS, FAN_ARMS = 24, 48
 
 @dataclass(frozen=True)
 class SurfaceMap:
-    """One surface over transverse points of the fixed frame.
+    """Heights of a surface over transverse points of the fixed frame.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class SurfaceMap:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether the surface is there, within its clear semi-diameter."""
+        """Whether the surface exists, within its clear semi-diameter."""
         return np.asarray(np.isfinite(self.z_mm) & (self.inwards_mm >= 0.0))
 
 
@@ -67,7 +67,7 @@ class Crossings:
 
 
 def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) -> SurfaceMap:
-    """Height and aperture of a surface, tilted and decentered as it is, its figure included.
+    """Return height and aperture of a surface with its tilt, decenter and figure.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) 
 
 
 def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, ...]:
-    """How the rays of one object point cross each surface, those through the whole lens only.
+    """Trace the rays of one object point to each surface; only rays through the whole lens count.
 
     Raises
     ------
@@ -138,12 +138,12 @@ def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, .
 
 
 def validate_meridional(scene: Scene, rays: RayTrace) -> None:
-    """InputError if rays of a meridional line do not stay in its plane."""
+    """Raise InputError if rays of a meridional line do not stay in its plane."""
     aside = np.abs(np.stack([rays.position[rays.ok, 0], rays.direction[rays.ok, 0]]))
     if scene.object_grid.is_line and np.any(aside > 1e-9):
         raise InputError(
             "the rays of the meridional line leave the plane x = 0: the lens is not symmetric about it; use "
-            "planes in place of lines, or only decenter_y_mm, despace_mm and tilt_x_deg"
+            "planes instead of lines, or only decenter_y_mm, despace_mm and tilt_x_deg"
         )
 
 
@@ -167,7 +167,7 @@ def _crossing(system: CompiledSystem, surface: int, points: Array, before: Array
 def transmission(
     coating: Coating, n1: float, n2: float, incidence: Array, refraction: Array, is_line: bool
 ) -> Array:
-    """Factor of the field at a surface, from the cosines to its normal on both sides.
+    """Return the transmission of the field at a surface, from the cosines to its normal on both sides.
 
     An ideal coating keeps the flux, n cos |u|^2. A bare surface has Fresnel's coefficient: that of TE waves
     in the meridional world, the root of the mean of both flux transmissions on a plane.

@@ -12,7 +12,7 @@ from lensdesign.raytrace.cached_kernels import cached_njit
 
 @cached_njit(nogil=True, error_model="numpy")
 def row_ends(border: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
-    """Where rows at rising y enter a closed border of points (y, x), and where they leave it last."""
+    """Return where rows at increasing y enter a closed border of points (y, x), and last leave it."""
     low, high = empty(len(y)), empty(len(y))
     low[:], high[:] = inf, -inf
     for arm in range(len(border)):

@@ -1,8 +1,8 @@
 """Smooth maps over a plane behind a lens, for the light of one object point.
 
-Rays through a modest set of stop points land where they will; polynomials through what they carry tell path,
-object-side direction and amplitude at every sensor point of the footprint, however the lens is tilted,
-decentered or perturbed. The order of the polynomials is raised until rays that they have not seen agree.
+Polynomials through a modest number of rays give path, object-side direction and amplitude at every sensor
+point of the footprint, for any tilt, decenter or perturbation of the lens. The order of the polynomials
+increases until they agree with further rays that were not fitted.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ from wavesim.scene.scene import Scene
 
 PATH_TOLERANCE_WAVES = 1e-4
 AMPLITUDE_TOLERANCE = 1e-4
-"""Relative error of the amplitude that rays which the maps have not seen may show."""
+"""Largest relative error of the amplitude at rays that were not fitted."""
 
 LINE_ORDERS, PLANE_ORDERS = (12, 20, 32, 48, 72, 120, 200), (8, 12, 16, 20, 26)
 RIM_ARMS = 360
 MOST_BENT = 2.0
-"""Second order of the edge, as a share of the first at the middle of the light: with more, two do not
-tell it."""
+"""Largest second-order coefficient of the edge relative to the first, at the centre of the light; above it
+two orders do not describe the edge."""
 
-SHADOW_SHARES = (1.0, 0.5, 0.25, 0.1)
-"""Of the shadow, as much as rays reach."""
+SHADOW_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
+"""Fractions of the shadow that are tried, until rays reach it."""
 
 BLOCK = 8192
 """Scattered points at which polynomials are evaluated at a time."""
 
 
 class RayMapError(InputError):
-    """Polynomials do not follow the rays closely enough."""
+    """Polynomials do not fit the rays with the required accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothMap:
-    """Polynomials of one or two variables over a box, in products of Chebyshev's.
+    """Polynomials of one or two variables over a box, as products of Chebyshev polynomials.
 
     Attributes
     ----------
     middle, half_width : ndarray, shape (d,)
-        Of the box.
+        Centre and half-width of the box.
     coefficients : ndarray, shape (functions, order + 1) or (functions, order + 1, order + 1)
-        Real or complex.
+        Real or complex coefficients.
     """
 
     middle: Array
@@ -61,7 +61,7 @@ class SmoothMap:
     coefficients: NDArray
 
     def at(self, points: Array) -> NDArray:
-        """Values at scattered points, shape (functions, n) for points of shape (n, d)."""
+        """Return the values at scattered points, shape (functions, n) for points of shape (n, d)."""
         parts = [self._at(points[i : i + BLOCK]) for i in range(0, max(len(points), 1), BLOCK)]
         return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
 
@@ -73,11 +73,11 @@ class SmoothMap:
         return np.stack([np.sum((basis[0] @ c) * basis[1], axis=1) for c in self.coefficients])
 
     def on_axes(self, axes: Sequence[Array]) -> NDArray:
-        """Values on a line, or on the grid of two axes, shape (functions, ny) or (functions, ny, nx)."""
+        """Return the values on a line or a grid of two axes, shape (functions, ny) or (functions, ny, nx)."""
         return np.stack(list(self.along(axes).each()))
 
     def along(self, axes: Sequence[Array]) -> MapOnAxes:
-        """What its values on a line or a grid follow from."""
+        """Return the polynomials' terms along the axes of a line or a grid."""
         order = self.coefficients.shape[1] - 1
         terms = (
             chebyshev.chebvander((axis - middle) / half, order)
@@ -88,39 +88,39 @@ class SmoothMap:
 
 @dataclass(frozen=True, eq=False)
 class MapOnAxes:
-    """Polynomials, and their terms along the axes of a line or a grid.
+    """Polynomials with their terms along the axes of a line or a grid.
 
     Attributes
     ----------
     coefficients : ndarray
-        As of :class:`SmoothMap`.
+        As in :class:`SmoothMap`.
     terms : tuple of ndarray, shape (samples, order + 1)
-        Along y (and x).
+        Chebyshev terms along y (and x).
     """
 
     coefficients: NDArray
     terms: tuple[NDArray, ...]
 
-    def each(self, place: Callable[[NDArray], Any] = np.asarray) -> Iterator[Any]:
-        """One function after the other, where all at once would be too much.
+    def each(self, transfer: Callable[[NDArray], Any] = np.asarray) -> Iterator[Any]:
+        """Yield the values of one function after the other, to limit the memory.
 
         Parameters
         ----------
-        place
-            Puts an array where the work is done.
+        transfer
+            Moves an array to the device that computes.
         """
-        y, *x = (place(terms) for terms in self.terms)
-        for c in place(self.coefficients):
+        y, *x = (transfer(terms) for terms in self.terms)
+        for c in transfer(self.coefficients):
             yield y @ c @ x[0].T if x else y @ c
 
     def single(self) -> MapOnAxes:
-        """The same in float32."""
+        """Return the same in float32."""
         terms = tuple(one.astype(np.float32) for one in self.terms)
         return MapOnAxes(self.coefficients.astype(np.float32), terms)
 
 
 def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:
-    """Least-squares polynomials of a total order through values, shape (functions, n), at points (n, d)."""
+    """Fit polynomials of a total order to values (functions, n) at points (n, d), by least squares."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half_width = 0.5 * (low + high), 0.5 * (high - low)
     scaled = (points - middle) / half_width
@@ -138,30 +138,31 @@ def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:
 
 @dataclass(frozen=True, eq=False)
 class RayMap:
-    """What the light of one object point does on one plane.
+    """Rays of one object point on one plane, as smooth maps.
 
     Attributes
     ----------
     plane_z_mm : float
         z of the plane.
     pupil : OpenPupil
-        Where it gets through the stop.
+        Open part of the stop for this point.
     maps : SmoothMap
-        Of y, or y and x: path V in mm, amplitude in mm^(-d/2), then object-side cosines in the same order.
+        Functions of y, or y and x: path V in mm, amplitude in mm^(-d/2), then object-side cosines in the same
+        order.
     rim_mm : ndarray, shape (arms, d)
         Border of the footprint; its two ends on a line.
     caustics : int
-        Touched by the light on its way.
+        Number of caustics that the light has touched.
     bundle : RayBundle
-        The rays that were fitted.
+        The fitted rays.
     traced : OpenPupil
-        Through which they go: the open part of the stop, and its shadow where the edge was asked for.
+        Part of the stop that they pass: the open part, and its shadow where the edge was requested.
     border_mm : ndarray, shape (arms, d)
-        Border of what they reach.
+        Border of the region that they reach.
     edge : Edge or None
-        How light falls off at the rim, where that was asked for.
+        Diffraction at the rim, where it was requested.
     stop : SmoothMap or None
-        Stop coordinates, y or y and x; with the edge.
+        Stop coordinates, y or y and x, where the edge was requested.
     """
 
     plane_z_mm: float
@@ -176,8 +177,8 @@ class RayMap:
     stop: SmoothMap | None = None
 
     @property
-    def tells_edge(self) -> bool:
-        """Whether two orders tell how light falls off at the rim, and rays reach its shadow."""
+    def resolves_edge(self) -> bool:
+        """Whether two orders describe the edge, and rays reach its shadow."""
         if self.edge is None:
             return False
         lit = self.pupil.reach
@@ -187,22 +188,23 @@ class RayMap:
         )
 
     def row_spans(self, axes: Sequence[Array]) -> NDArray[np.intp]:
-        """Samples of a grid inside the border, as :func:`row_spans`."""
+        """Return the samples of a grid inside the border, as :func:`row_spans`."""
         return row_spans(self.border_mm, axes)
 
 
 def row_spans(border_mm: Array, axes: Sequence[Array]) -> NDArray[np.intp]:
-    """Samples of a grid inside a border: first and end per row, shape (rows, 2); one row on a line.
+    """Return the samples of a grid inside a border: first and end per row, shape (rows, 2); one row on a
+    line.
 
-    Rows outside have an end that is their first. A row that leaves it and comes back into it is
-    taken as inside in between.
+    Rows outside have an end that equals their first. A row that leaves the border and enters it again counts
+    as inside in between.
 
     Parameters
     ----------
     border_mm
-        Points (y) or (y, x) along it, shape (arms, d).
+        Points (y) or (y, x) along the border, shape (arms, d).
     axes
-        Of the grid, y (and x), in mm.
+        Axes y (and x) of the grid, in mm.
     """
     if len(axes) == 1:
         low, high = border_mm.min(), border_mm.max()
@@ -214,26 +216,26 @@ def row_spans(border_mm: Array, axes: Sequence[Array]) -> NDArray[np.intp]:
 
 
 def moved(border: Array, by: float) -> Array:
-    """Points of a closed border, shape (n, d), outwards along the arms from their middle; not beyond that."""
+    """Move points of a closed border, shape (n, d), outwards from their centre, but not beyond the centre."""
     middle = border.mean(axis=0)
     radii = np.linalg.norm(border - middle, axis=1, keepdims=True)
     return np.asarray(middle + (border - middle) * np.maximum(1.0 + by / radii, 0.0))
 
 
 def inside_border(border: Array, axes: Sequence[Array]) -> NDArray[np.bool_]:
-    """Points of a grid with axes y (and x), in rising order, that lie inside a closed border."""
+    """Return the mask of the grid points, with increasing axes y (and x), inside a closed border."""
     spans, column = row_spans(border, axes), np.arange(len(axes[-1]))
     mask = (column >= spans[:, :1]) & (column < spans[:, 1:])
     return np.asarray(mask[0] if len(axes) == 1 else mask)
 
 
 def sample_points(pupil: OpenPupil, order: int, shift: float = 0.0) -> Array:
-    """Stop points for polynomials of an order, denser towards the rim, shape (n, 2)."""
+    """Return stop points for polynomials of an order, denser towards the rim, shape (n, 2)."""
     inside = 1.0 - 2.0 * STEP
     if pupil.is_line:
         count = 2 * order + 2
-        place = np.cos(np.pi * (np.arange(count) + 0.5 + shift) / (count + 2.0 * shift))
-        return pupil.points(inside * np.abs(place), np.sign(place) * 0.5 * np.pi)
+        position = np.cos(np.pi * (np.arange(count) + 0.5 + shift) / (count + 2.0 * shift))
+        return pupil.points(inside * np.abs(position), np.sign(position) * 0.5 * np.pi)
     rings, arms = order // 2 + 4, 2 * order + 8
     # Chebyshev points over the diameter, as far as they differ by more than a turn.
     radius = np.cos(0.5 * np.pi * (np.arange(rings) + 0.5 * (1.0 + shift)) / (rings + 0.5 * shift))
@@ -245,30 +247,29 @@ def sample_points(pupil: OpenPupil, order: int, shift: float = 0.0) -> Array:
 def ray_map(
     scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reach_mm: float, *, edge: bool = False
 ) -> RayMap:
-    """Maps of path, amplitude and direction over the footprint of an object point.
+    """Trace rays of an object point, and fit maps of path, amplitude and direction over its footprint.
 
     Parameters
     ----------
     scene
-        Lens, wavelength and coating; its object grid tells the object plane.
+        Lens, wavelength and coating; its object grid defines the object plane.
     point_mm
         Object point (x, y).
     plane_z_mm
         z of the plane behind the lens.
     reach_mm
-        How far from the point the object extends: the direction p must be known so well that a point
-        so far away errs by no more path than is allowed.
+        Extent of the object about the point, for which the direction p must be accurate.
     edge
-        Whether to look at how light falls off at the rim, and to carry the maps on into its shadow.
+        Whether to describe the diffraction at the rim, and to extend the maps into its shadow.
 
     Raises
     ------
     InputError
-        If no light gets through.
+        If no ray passes the lens.
     FoldError
         If the rays fold on the plane.
     RayMapError
-        If polynomials do not follow the rays to 1e-4 waves.
+        If polynomials do not fit the rays to 1e-4 waves.
     """
     pupil = open_pupil(scene, point_mm, plane_z_mm, RIM_ARMS)
     drawn = light_edge(scene, point_mm, pupil, plane_z_mm) if edge else None
@@ -280,9 +281,9 @@ def ray_map(
         bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order), plane_z_mm)
         caustics = check_no_fold(bundle, point_mm, plane_z_mm)
         check = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order, 0.37), plane_z_mm)
-        told = _carried(bundle)[:, bundle.ok]
-        both = fit_map(bundle.sensor_mm[bundle.ok], np.concatenate([told, _stop_of(bundle)]), order)
-        maps = replace(both, coefficients=both.coefficients[: len(told)])
+        fitted = _carried(bundle)[:, bundle.ok]
+        both = fit_map(bundle.sensor_mm[bundle.ok], np.concatenate([fitted, _stop_of(bundle)]), order)
+        maps = replace(both, coefficients=both.coefficients[: len(fitted)])
         difference = np.abs(maps.at(check.sensor_mm) - _carried(check))[:, check.ok]
         errors = np.array(
             [
@@ -293,24 +294,24 @@ def ray_map(
         )
         if np.all(errors < [PATH_TOLERANCE_WAVES, AMPLITUDE_TOLERANCE, PATH_TOLERANCE_WAVES]):
             borders = [border_of(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
-            stop = None if drawn is None else replace(both, coefficients=both.coefficients[len(told) :])
+            stop = None if drawn is None else replace(both, coefficients=both.coefficients[len(fitted) :])
             return RayMap(
                 plane_z_mm, pupil, maps, borders[0], caustics, bundle, traced, borders[1], drawn, stop
             )
     raise RayMapError(
         f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm are too rough on the plane z = {plane_z_mm:g} "
-        f"mm: polynomials of order {orders[-1]} err by {errors[0]:.2g} waves of path, {errors[1]:.2g} of the "
-        f"amplitude and {errors[2]:.2g} waves by direction (allowed: {PATH_TOLERANCE_WAVES:g}, "
-        f"{AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); stop the lens down, or go farther from the "
-        "caustic"
+        f"mm: the errors of polynomials of order {orders[-1]} are {errors[0]:.2g} waves of path, "
+        f"{errors[1]:.2g} of the amplitude and {errors[2]:.2g} waves by direction "
+        f"(allowed: {PATH_TOLERANCE_WAVES:g}, {AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); "
+        "stop the lens down, or go farther from the caustic"
     )
 
 
 def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_z_mm: float) -> OpenPupil:
-    """The open part of the stop, with as much of its shadow as rays reach without folding."""
+    """Return the open part of the stop with the part of its shadow that rays reach without folding."""
     order = (LINE_ORDERS if edge.pupil.is_line else PLANE_ORDERS)[0]
-    for share in SHADOW_SHARES:
-        reach = edge.pupil.reach + share * (edge.shadow.reach - edge.pupil.reach)
+    for fraction in SHADOW_FRACTIONS:
+        reach = edge.pupil.reach + fraction * (edge.shadow.reach - edge.pupil.reach)
         wider = OpenPupil(edge.pupil.centre, reach, edge.pupil.angles)
         bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(wider, order), plane_z_mm)
         if not np.all(bundle.ok):
@@ -324,14 +325,14 @@ def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_
 
 
 def border_of(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, plane_z_mm: float) -> Array:
-    """Where the rim of a pupil lands on a plane for one object point (x, y), shape (arms, d)."""
+    """Return where rays through a pupil's rim meet a plane, for one object point (x, y), shape (arms, d)."""
     points = np.broadcast_to(np.asarray(point_mm, float), pupil.rim.shape)
     ends = shoot(scene, points, pupil.rim, plane_z_mm, clip=False).position
     return ends[:, [1] if pupil.is_line else [1, 0]]
 
 
 def _stop_of(bundle: RayBundle) -> Array:
-    """Stop coordinates, y (and x), of the rays that arrive."""
+    """Return the stop coordinates, y (and x), of the rays that arrive."""
     return bundle.pupil[bundle.ok][:, [1] if bundle.sensor_mm.shape[1] == 1 else [1, 0]].T
 
 
@@ -340,7 +341,7 @@ def _carried(bundle: RayBundle) -> Array:
 
 
 def check_no_fold(bundle: RayBundle, point_mm: tuple[float, float], plane_z_mm: float) -> int:
-    """Number of caustics that the light has touched.
+    """Return the number of caustics that the light has touched.
 
     Raises
     ------

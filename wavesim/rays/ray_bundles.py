@@ -1,4 +1,4 @@
-"""Rays of object points through a lens, with all that a wave along them needs.
+"""Rays of object points through a lens, with the quantities that a wave along them needs.
 
 A ray is named by its object point and by the point of the stop through which it goes, as a share of the
 stop's semi-diameter. Beside its end on a plane it carries the optical path V, the object-side direction
@@ -24,10 +24,10 @@ from wavesim.rays.interfaces import transmission, validate_meridional
 from wavesim.scene.scene import Scene
 
 STEP = 3e-4
-"""In stop coordinates, for central differences of rays; their error is some 1e-8 of the derivative."""
+"""Step in stop coordinates for central differences of rays; their relative error is about 1e-8."""
 
 CENTRE_SAMPLES = {True: 401, False: 41}
-"""Along each side of the grid that finds the open part of the stop: on a line, on a plane."""
+"""Samples along each side of the grid that finds the open part of the stop, on a line and on a plane."""
 
 BISECTIONS = 34
 RIM = 1.0 - 1e-9
@@ -39,7 +39,7 @@ class FoldError(InputError):
 
 @dataclass(frozen=True)
 class OpenPupil:
-    """The part of the stop through which light of one object point gets through the whole lens.
+    """The part of the stop through which light of one object point passes the whole lens.
 
     Attributes
     ----------
@@ -65,13 +65,13 @@ class OpenPupil:
         """Points where the light ends, shape (arms, 2)."""
         return self.points(np.ones(len(self.angles)), self.angles)
 
-    def points(self, share: Array, angle: Array) -> Array:
-        """Stop points at shares of the reach along angles, shape (n, 2)."""
+    def points(self, fraction: Array, angle: Array) -> Array:
+        """Return stop points at fractions of the reach along angles, shape (n, 2)."""
         along = np.column_stack([np.cos(angle) * (not self.is_line), np.sin(angle)])
-        return self.centre + (share * self._reach_at(angle))[:, None] * along
+        return self.centre + (fraction * self._reach_at(angle))[:, None] * along
 
     def inwards(self, stop: Array) -> Array:
-        """How far stop points (n, 2) lie inside the rim, along the arms through them; negative outside."""
+        """Return the distance of stop points (n, 2) inside the rim, along their arms; negative outside."""
         x, y = (stop - self.centre).T
         return np.asarray(self._reach_at(np.arctan2(y, x)) - np.hypot(x, y))
 
@@ -122,7 +122,7 @@ class RayBundle:
     caustics: NDArray[np.intp]
 
     def jacobian_before(self, distance_mm: float) -> Array:
-        """Derivatives of the points on a plane so far in front of this one, shape (n, d, d)."""
+        """Return derivatives of the points on a plane at a distance in front of this one, shape (n, d, d)."""
         return self.jacobian - distance_mm * self.slope_jacobian
 
     @cached_property
@@ -132,7 +132,7 @@ class RayBundle:
 
 
 def shoot(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float, *, clip: bool) -> RayTrace:
-    """Trace rays from object points (x, y) through stop points, one of each; with hits on all surfaces.
+    """Trace rays from object points (x, y) through stop points, one of each, with hits on all surfaces.
 
     Where the stop's surface does not reach, rays count as missed.
     """
@@ -204,7 +204,7 @@ def open_pupil(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, a
 
 
 def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float) -> RayBundle:
-    """Rays from object points (x, y) through stop points, with their neighbours.
+    """Trace rays from object points (x, y) through stop points, with their neighbours.
 
     Raises
     ------
@@ -214,10 +214,10 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     axes = [1] if scene.object_grid.is_line else [1, 0]
     points = np.broadcast_to(np.asarray(points_mm, float), pupil.shape)
     moves = STEP * np.array([np.zeros(2), *(sign * np.eye(2)[axis] for axis in axes for sign in (1.0, -1.0))])
-    # One after the other would cost as many calls, which are dearer than the rays.
+    # Calls for each neighbour would cost more than the rays themselves.
     all_points = np.tile(points, (len(moves), 1))
     bunch = shoot(scene, all_points, (pupil + moves[:, None]).reshape(-1, 2), plane_z_mm, clip=False)
-    rays = _part(bunch, slice(0, len(pupil)))
+    rays = _rays_in(bunch, slice(0, len(pupil)))
     validate_meridional(scene, rays)
     headings = _first_headings(scene, all_points, bunch).reshape(len(moves), -1, 3)
     first = headings[0]
@@ -251,30 +251,30 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
 
 
 def determinants(matrices: Array) -> Array:
-    """Of matrices of one or two rows, shape (n, d, d): written out, many times faster than by elimination."""
+    """Return determinants of matrices of one or two rows, shape (n, d, d), faster than by elimination."""
     if matrices.shape[-1] == 1:
         return np.asarray(matrices[:, 0, 0])
     return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
 def inverses(matrices: Array) -> Array:
-    """Of matrices of one or two rows, shape (n, d, d), as :func:`determinants`; 0 where there is none."""
+    """Return inverses of matrices of one or two rows, shape (n, d, d); 0 where a matrix is singular."""
     size = determinants(matrices)
     with np.errstate(divide="ignore"):
-        share = np.where(size != 0.0, 1.0 / size, 0.0)[:, None, None]
+        inverse = np.where(size != 0.0, 1.0 / size, 0.0)[:, None, None]
     if matrices.shape[-1] == 1:
-        return np.asarray(share)
+        return np.asarray(inverse)
     (a, b), (c, d) = np.moveaxis(matrices, 0, -1)
-    return np.asarray(share * np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0))
+    return np.asarray(inverse * np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0))
 
 
-def _part(rays: RayTrace, part: slice) -> RayTrace:
-    """Some rays of a trace."""
-    return replace(rays, **{f.name: getattr(rays, f.name)[part] for f in fields(rays)})
+def _rays_in(rays: RayTrace, chosen: slice) -> RayTrace:
+    """Return some rays of a trace."""
+    return replace(rays, **{f.name: getattr(rays, f.name)[chosen] for f in fields(rays)})
 
 
 def _knots(rays: RayTrace) -> Array:
-    """Points on each surface and on the plane, shape (n, surfaces + 1, 3)."""
+    """Return the points on each surface and on the plane, shape (n, surfaces + 1, 3)."""
     assert rays.hits is not None
     return np.concatenate([rays.hits, rays.position[:, None]], axis=1)
 
@@ -286,7 +286,7 @@ def _first_headings(scene: Scene, points: Array, rays: RayTrace) -> Array:
 
 
 def _losses(scene: Scene, first: Array, rays: RayTrace) -> Array:
-    """Root of the share of the flux that all surfaces let through, shape (n,)."""
+    """Return the root of the fraction of the flux that all surfaces transmit, shape (n,)."""
     result = np.ones(len(first))
     if scene.coating == "ideal":
         return result
@@ -299,7 +299,7 @@ def _losses(scene: Scene, first: Array, rays: RayTrace) -> Array:
         n1, n2 = float(system.index[0, i]), float(system.index[0, i + 1])
         if n1 == n2:
             continue
-        # By Snell's law in vector form the normal lies along the change of n times direction.
+        # By Snell's law in vector form, the normal is parallel to the change of n times direction.
         normal = n2 * headings[i + 1] - n1 * headings[i]
         with np.errstate(invalid="ignore", divide="ignore"):
             normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -340,7 +340,7 @@ def _caustics(rays: RayTrace, knots: Array) -> NDArray[np.intp]:
 
 
 def _cross_section(derivatives: Array, heading: Array) -> Array:
-    """Determinant of the derivatives across the ray and its heading, shape (n,)."""
+    """Return the determinant of the derivatives across the ray and its heading, shape (n,)."""
     if derivatives.shape[-1] == 1:
         return np.asarray(derivatives[:, 1, 0] * heading[:, 2] - derivatives[:, 2, 0] * heading[:, 1])
     (ax, bx), (ay, by), (az, bz) = np.moveaxis(derivatives, 0, -1)

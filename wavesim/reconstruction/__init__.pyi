@@ -1,9 +1,9 @@
 from .diagnostics.bootstrap import Uncertainty, UndeterminedError, uncertainty
-from .found import FoundObject
-from .from_field import Retrieved, agreement, retrieve
-from .from_frames import reconstruct_frames
-from .from_object import Reconstructed, prox_tv, reconstruct
+from .found_object import FoundObject
+from .frame_reconstruction import reconstruct_frames
 from .memory import reconstruction_bytes, retrieval_bytes
+from .object_solver import Reconstructed, prox_tv, reconstruct
+from .phase_retrieval import Retrieved, agreement, retrieve
 from .refocusing import Refocusing, refocus_field, svfg
 
 __all__ = [

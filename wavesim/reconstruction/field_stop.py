@@ -1,16 +1,16 @@
-"""Position and diameter of the field stop, from the frames themselves, with an object that nobody knows.
+"""Position and diameter of the field stop, found from the frames of an unknown object.
 
-The middle of the light on a plane moves with the place of the lit object and with the direction of its light.
-A small stop, moved and tilted in the model, gives these movements; the middles of the recorded light on all
-planes then give a first position by least squares.
+The centroid of the light on a plane moves with the position of the lit object and with the direction of its
+light. A small stop, shifted and tilted in the model, calibrates these movements. The measured centroids on
+all planes then give a first position by least squares.
 
-The Fourier transform of a plane's intensity is about the autocorrelation of the light on the object: where
-the spectrum ends tells the diameter, whatever the object is.
+The Fourier transform of a plane's intensity is nearly the autocorrelation of the light on the object. The
+width of this spectrum gives the diameter of the stop for any object.
 
-From there a pattern search goes down the misfit of short reconstructions over position and diameter. The
-first stage takes the misfit of the object 1, which falls from far away. Later stages take some iterations,
-which tell the rim to a part of a sample. A stop that is too small lacks light, and one that is too large
-leaves the object too free for so few iterations: both leave more.
+A pattern search then reduces the misfit of short reconstructions over position and diameter. The first stage
+uses the misfit of the object 1, which falls from far away. Later stages make some iterations, which
+determine the rim to a fraction of a sample. A stop that is too small lacks light, and one that is too large
+leaves too much freedom for so few iterations: the misfit increases in both cases.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
@@ -36,57 +36,60 @@ from wavesim.sensor.measurement import Measurement, noise_misfit
 
 Array = NDArray[np.floating[Any]]
 
-PROBE = 0.12
-"""Diameter of the stop that is moved in the model to calibrate the movements of the light, over the patch."""
+PROBE_FRACTION = 0.12
+"""Diameter over that of the patch of the stop that calibrates the movements of the light."""
 
 FAINT = 0.02
-"""Of a plane's brightest intensity, below which light does not count for its middle: background and noise."""
+"""Fraction of a plane's peak intensity below which light (background and noise) is ignored for the
+centroid.
+"""
 
-TILT_DEG, TRUST_DEG = 0.2, 0.5
-"""Tilt that is tried, and standard deviation of the direction of the light that is expected."""
+TILT_DEG, EXPECTED_TILT_DEG = 0.2, 0.5
+"""Tilt for the calibration, and expected standard deviation of the direction of the light, in deg."""
 
-TRUST_PIXELS = 1.0
-"""Standard deviation that is expected of the middle of the light on a plane."""
+EXPECTED_PIXELS = 1.0
+"""Expected standard deviation of the centroid of the light on a plane, in pixels."""
 
-PROBE_WIDTH, BINS, ABOVE_FLOOR = 0.3, 200, 0.3
-"""Of the spectra's ends: diameter of the first probe over the patch, samples of the radial spectrum for a
-cycle per pixel, and decades above what the noise leaves."""
+PROBE_WIDTH, BINS, LEAST_DECADES = 0.3, 200, 0.3
+"""Widths of spectra: diameter of the first probe over that of the patch, bins of the radial spectrum per
+(cycle per pixel), and decades above the noise floor.
+"""
 
-STEEP = 0.8
+LEAST_SLOPE = 0.8
 """Decades by which a spectrum falls over the last 15 % before its end."""
 
-SPECTRAL_ERROR, BESIDE = 0.2, (0.9, 1.0, 1.1)
-"""Relative error of the diameter that spectra tell, and diameters beside it that are tried."""
+SPECTRAL_ERROR, WIDTH_RATIOS = 0.2, (0.9, 1.0, 1.1)
+"""Relative error of the diameter from spectra, and ratios to it that are tried."""
 
-ASTRAY = 3.0
-"""Misfit over that of the noise, from which on the position is sought first."""
+FAR_FROM_NOISE = 3.0
+"""Misfit over that of noise above which the position is searched first."""
 
 DIAMETERS = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
-"""Of the first stops that are tried, over the patch."""
+"""Diameters over that of the patch of the first stops that are tried."""
 
-FIRST, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
+FIRST_STAGE, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
 """Iterations of each stage, and its first step over the diameter."""
 
-BESIDE_SHARE = 0.1
-"""Of the diameter, by which the middles of the light must lie beside a stop for another one to be sought."""
+LEAST_OFFSET = 0.1
+"""Offset of the light's centroid over the diameter above which another stop is searched."""
 
-FALLS = 0.95
-"""Ratio of misfits below which another stop explains frames better."""
+IMPROVES = 0.95
+"""Ratio of misfits below which another stop explains the frames better."""
 
 LEAST_STEP = 0.3
-"""Of a sample, below which steps are not made smaller."""
+"""Smallest step, in samples."""
 
 DIRECTIONS = np.array(
     [[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0, 1], [-0.5, 0, 1], [0, 0.5, 1], [0, -0.5, 1]]
 )
-"""Of steps in x, y and diameter: the whole stop, its diameter, or one side of its rim alone."""
+"""Directions of steps in x, y and diameter: the whole stop, its diameter, or one side of its rim."""
 
 MOST_TRIALS = 60
-"""In each stage."""
+"""Largest number of trials in a stage."""
 
 
 class FieldStop(NamedTuple):
-    """A round field stop: its diameter and its middle (x, y) from the axis, in mm."""
+    """A round field stop: diameter in mm, and center (x, y) relative to the axis in mm."""
 
     width_mm: float
     at_mm: tuple[float, float]
@@ -94,18 +97,18 @@ class FieldStop(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StopSearch:
-    """The search for the field stop behind which the frames were taken.
+    """Search for the field stop with which the frames were taken.
 
     Parameters
     ----------
     engine, recorded, kind, scale, fill_factor, modes
-        As of :func:`wavesim.reconstruct`.
+        See :func:`wavesim.reconstruct`.
     light_of
-        The light on the object behind a field stop.
+        Function that returns the light on the object for a field stop.
     patch_mm
-        Side of the patch, which holds the stop.
+        Side of the patch in mm, which contains the stop.
     progress
-        Called with a text for each stop that is tried.
+        Called with a message for each stop that is tried.
     """
 
     engine: Engine
@@ -117,113 +120,116 @@ class StopSearch:
     fill_factor: float = 0.0
     modes: Sequence[SourceMode] = ()
     progress: Callable[[str], None] = lambda text: None
-    _tried: dict[tuple[FieldStop, int], float] = field(default_factory=dict, init=False, repr=False)
+    _misfits: dict[tuple[FieldStop, int], float] = field(default_factory=dict, init=False, repr=False)
 
     def run(self, width_mm: float | None = None, at_mm: tuple[float, float] | None = None) -> FieldStop:
-        """The stop that explains the frames best.
+        """Return the stop that explains the frames best.
 
         Parameters
         ----------
         width_mm, at_mm
-            Diameter or position where one of them is known; it stays as it is.
+            Diameter or center in mm where one of them is known; it stays fixed. Default: both are found.
         """
-        begin = self.start() if at_mm is None else at_mm
+        centre = self.estimated_centre() if at_mm is None else at_mm
         free = np.array((at_mm is None, at_mm is None, width_mm is None))
-        seen = self.width() if width_mm is None else width_mm
+        estimated_width = self.estimated_width_mm() if width_mm is None else width_mm
         if width_mm is not None:
             widths = [width_mm]
-        elif seen is not None:
-            widths = [seen * ratio for ratio in BESIDE]
+        elif estimated_width is not None:
+            widths = [estimated_width * ratio for ratio in WIDTH_RATIOS]
         else:
-            widths = [self.patch_mm * share for share in DIAMETERS]
-        stops = [self._within(np.array([*begin, width])) for width in widths]
-        iterations, step = FIRST
+            widths = [self.patch_mm * fraction for fraction in DIAMETERS]
+        stops = [self._within_patch(np.array([*centre, width])) for width in widths]
+        iterations, step = FIRST_STAGE
         best = min(stops, key=lambda stop: self.misfit(stop, iterations))
         first = self._pattern_search(best, iterations, step, free)
-        if seen is None or abs(first.width_mm / seen - 1.0) < SPECTRAL_ERROR:
+        if estimated_width is None or abs(first.width_mm / estimated_width - 1.0) < SPECTRAL_ERROR:
             stops.append(first)
-        # An object that is dark or bends much light is far from 1, and leads the first stage astray.
+        # A dark or strongly diffracting object differs much from 1, which misleads the first stage.
         best = min(stops, key=lambda stop: self.misfit(stop, STAGES[0][0]))
         noise = noise_misfit(self.recorded) or 0.0
-        if self.misfit(best, STAGES[0][0]) > ASTRAY * noise and at_mm is None:
+        if self.misfit(best, STAGES[0][0]) > FAR_FROM_NOISE * noise and at_mm is None:
             best = self._pattern_search(best, *STAGES[0], free & np.array((True, True, False)))
         for iterations, step in STAGES[1:]:
             best = self._pattern_search(best, iterations, step, free)
-            if self.misfit(best, iterations) < ASTRAY * noise:
+            if self.misfit(best, iterations) < FAR_FROM_NOISE * noise:
                 break
         return best
 
-    def width(self) -> float | None:
-        """Diameter by the spectra of the planes' intensities; None where pixels do not resolve their end.
+    def estimated_width_mm(self) -> float | None:
+        """Return the diameter from the spectra of the planes' intensities, or None where pixels do not
+        resolve them.
 
         The Fourier transform of an intensity far behind the object is the autocorrelation of the light on
-        the object, whatever that is: it ends at the stop's diameter. A stop of known diameter with grains of
-        random phase, recorded with the same noise, says where.
+        the object, which ends at the diameter of the stop. A simulated stop of known diameter, with random
+        phase grains and the same noise, calibrates where the spectrum ends.
         """
         random, probe_mm = np.random.default_rng(0), PROBE_WIDTH * self.patch_mm
-        seen = [_spectrum_end(plane.amplitude, plane.known) for plane in self.recorded]
-        here = max((end for end in seen if end is not None), key=lambda end: end.height, default=None)
-        if here is None:
+        ends = [_spectrum_end(plane.amplitude, plane.known) for plane in self.recorded]
+        measured = max((end for end in ends if end), key=lambda end: end.height, default=None)
+        if measured is None:
             return None
-        number = seen.index(here)
+        plane_index = ends.index(measured)
         for _ in range(2):
-            light = self.light_of(self._within(np.array([0.0, 0.0, probe_mm])))
+            light = self.light_of(self._within_patch(np.array([0.0, 0.0, probe_mm])))
             grains = np.exp(1j * gaussian_filter(random.standard_normal(light.grid.shape), 1.5) * 8.0)
             model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
-            plane = self.recorded[number]
-            made = model.amplitudes(grains.astype(light.values.dtype))[number].astype(float)
-            made *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (made**2).sum()))
+            plane = self.recorded[plane_index]
+            modelled = model.amplitudes(grains.astype(light.values.dtype))[plane_index].astype(float)
+            modelled *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (modelled**2).sum()))
             if plane.sigma is not None:
                 noise = np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
-                made += noise * random.standard_normal(made.shape)
-            end = _spectrum_end(made, plane.known)
+                modelled += noise * random.standard_normal(modelled.shape)
+            end = _spectrum_end(modelled, plane.known)
             if end is None:
                 return None
-            # Once more with a probe of that size: the lens's map is not quite linear.
-            probe_mm *= here.cycles / end.cycles
+            # The second pass uses a probe of the right size, because the mapping is not quite linear.
+            probe_mm *= measured.cycles / end.cycles
         return probe_mm if probe_mm < self.patch_mm else None
 
-    def run_beside(self, stop: FieldStop) -> FieldStop | None:
-        """A stop that explains the frames better than one does, or None.
+    def find_better_stop(self, stop: FieldStop) -> FieldStop | None:
+        """Return a stop that explains the frames better than the given one, or None.
 
-        None is sought where the middles of the light and the ends of the spectra agree with the one given.
+        No search is made if the centroids and the spectra agree with the given stop.
         """
-        start, width = self.start(), self.width()
-        is_aside = math.dist(start, stop.at_mm) > BESIDE_SHARE * stop.width_mm
-        is_other = width is not None and abs(width / stop.width_mm - 1.0) > SPECTRAL_ERROR
-        if not (is_aside or is_other):
+        centre, width_mm = self.estimated_centre(), self.estimated_width_mm()
+        is_displaced = math.dist(centre, stop.at_mm) > LEAST_OFFSET * stop.width_mm
+        has_other_width = width_mm is not None and abs(width_mm / stop.width_mm - 1.0) > SPECTRAL_ERROR
+        if not (is_displaced or has_other_width):
             return None
-        here, found = self.misfit(stop, STAGES[0][0]), self.run()
-        return found if self.misfit(found, STAGES[0][0]) < FALLS * here else None
+        current, better = self.misfit(stop, STAGES[0][0]), self.run()
+        return better if self.misfit(better, STAGES[0][0]) < IMPROVES * current else None
 
-    def start(self) -> tuple[float, float]:
-        """Where the middles of the light on all planes say that the stop is."""
-        probe, step = PROBE * self.patch_mm, 0.25 * self.patch_mm
+    def estimated_centre(self) -> tuple[float, float]:
+        """Return the center of the stop from the centroids of the light on all planes, in mm."""
+        probe, step = PROBE_FRACTION * self.patch_mm, 0.25 * self.patch_mm
         scene = self.engine.scene
         axes = scene.exit_grid.y_mm, scene.exit_grid.x_mm
 
-        def middles(light: Field) -> Array:
+        def centroids(light: Field) -> Array:
             model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
-            made = model.amplitudes(model.lit.astype(light.values.dtype))
-            return np.array([_middle(one, axes) for one in made])
+            modelled = model.amplitudes(model.lit.astype(light.values.dtype))
+            return np.array([_centroid(one, axes) for one in modelled])
 
-        # Planes are displaced from the exit grid as their shifts say; the model has that in it already.
-        here = self.light_of(FieldStop(probe, (0.0, 0.0)))
-        base = middles(here)
-        moved = (middles(self.light_of(FieldStop(probe, (step, 0.0)))) - base) / step
-        tilted = (middles(LightErrors((TILT_DEG, 0.0)).on(here)) - base) / TILT_DEG
-        seen = np.array([_middle(plane.amplitude, axes, plane.known) for plane in self.recorded]) - base
+        # The model already includes the shifts of the planes.
+        current = self.light_of(FieldStop(probe, (0.0, 0.0)))
+        base = centroids(current)
+        moved = (centroids(self.light_of(FieldStop(probe, (step, 0.0)))) - base) / step
+        tilted = (centroids(LightErrors((TILT_DEG, 0.0)).on(current)) - base) / TILT_DEG
+        offsets = np.array([_centroid(plane.amplitude, axes, plane.known) for plane in self.recorded]) - base
         # The lens is round: y moves as x does.
-        trust = TRUST_PIXELS * scene.exit_grid.pitch_mm
-        matrix = np.vstack([np.column_stack([moved[:, 0], tilted[:, 0]]) / trust, [0.0, 1.0 / TRUST_DEG]])
-        right = np.vstack([seen / trust, [0.0, 0.0]])
-        x, y = np.linalg.lstsq(matrix, right, rcond=None)[0][0]
+        deviation = EXPECTED_PIXELS * scene.exit_grid.pitch_mm
+        matrix = np.vstack(
+            [np.column_stack([moved[:, 0], tilted[:, 0]]) / deviation, [0.0, 1.0 / EXPECTED_TILT_DEG]]
+        )
+        target = np.vstack([offsets / deviation, [0.0, 0.0]])
+        x, y = np.linalg.lstsq(matrix, target, rcond=None)[0][0]
         return float(x), float(y)
 
     def misfit(self, stop: FieldStop, iterations: int) -> float:
-        """What a short reconstruction behind a stop leaves."""
-        if (stop, iterations) in self._tried:
-            return self._tried[stop, iterations]
+        """Return the misfit of a short reconstruction with a stop."""
+        if (stop, iterations) in self._misfits:
+            return self._misfits[stop, iterations]
         self.progress(
             f"field stop: {1e3 * stop.width_mm:.3g} um at {1e3 * stop.at_mm[0]:.3g}, "
             f"{1e3 * stop.at_mm[1]:.3g} um"
@@ -240,79 +246,83 @@ class StopSearch:
             modes=self.modes,
             residuals=False,
         )
-        self._tried[stop, iterations] = found.misfit[-1]
+        self._misfits[stop, iterations] = found.misfit[-1]
         return found.misfit[-1]
 
-    def _within(self, values: Array) -> FieldStop:
-        """A stop that the patch holds: smaller and nearer to the axis where it must be."""
+    def _within_patch(self, values: Array) -> FieldStop:
+        """Return a stop within the patch: smaller and nearer to the axis where necessary."""
         pitch = self.engine.scene.object_grid.pitch_mm
-        width = float(np.clip(values[2], 4.0 * pitch, self.patch_mm))
-        room = 0.5 * (self.patch_mm - width)
-        x, y = (float(np.clip(v, -room, room)) for v in values[:2])
-        return FieldStop(width, (x, y))
+        width_mm = float(np.clip(values[2], 4.0 * pitch, self.patch_mm))
+        largest_offset = 0.5 * (self.patch_mm - width_mm)
+        x, y = (float(np.clip(v, -largest_offset, largest_offset)) for v in values[:2])
+        return FieldStop(width_mm, (x, y))
 
     def _pattern_search(
         self, start: FieldStop, iterations: int, first: float, free: NDArray[np.bool_]
     ) -> FieldStop:
-        """Steps along x, y and the diameter, halved where none helps; between them, as a parabola says."""
+        """Search along x, y and the diameter with steps that are halved where none improves.
+
+        A parabola through three misfits gives one more point of each step.
+        """
 
         def value(stop: FieldStop) -> float:
             return self.misfit(stop, iterations)
 
         pitch = self.engine.scene.object_grid.pitch_mm
-        best, step, begun = start, max(first * start.width_mm, 1.5 * LEAST_STEP * pitch), len(self._tried)
-        while step >= LEAST_STEP * pitch and len(self._tried) - begun < MOST_TRIALS:
-            before = best
+        best, step = start, max(first * start.width_mm, 1.5 * LEAST_STEP * pitch)
+        trials_before = len(self._misfits)
+        while step >= LEAST_STEP * pitch and len(self._misfits) - trials_before < MOST_TRIALS:
+            previous = best
             for direction in DIRECTIONS[~np.any(DIRECTIONS[:, ~free], axis=1)]:
-                best = self._along(best, step * direction, value)
-            if value(best) >= value(before):
+                best = self._line_minimum(best, step * direction, value)
+            if value(best) >= value(previous):
                 step *= 0.5
         return best
 
-    def _along(self, best: FieldStop, step: Array, value: Callable[[FieldStop], float]) -> FieldStop:
+    def _line_minimum(self, best: FieldStop, step: Array, value: Callable[[FieldStop], float]) -> FieldStop:
         def at(length: float) -> FieldStop:
-            return self._within(np.array([*best.at_mm, best.width_mm]) + length * step)
+            return self._within_patch(np.array([*best.at_mm, best.width_mm]) + length * step)
 
-        low, here, high = value(at(-1.0)), value(best), value(at(1.0))
-        bend = low - 2.0 * here + high
-        tries = [best, at(-1.0), at(1.0)]
-        if bend > 0.0 and min(low, high) >= here:
-            length = 0.5 * (low - high) / bend
+        low, current, high = value(at(-1.0)), value(best), value(at(1.0))
+        curvature = low - 2.0 * current + high
+        candidates = [best, at(-1.0), at(1.0)]
+        if curvature > 0.0 and min(low, high) >= current:
+            length = 0.5 * (low - high) / curvature
             if abs(length) > 0.1:
-                tries.append(at(length))
-        return min(tries, key=value)
+                candidates.append(at(length))
+        return min(candidates, key=value)
 
 
-class _End(NamedTuple):
-    """Where a spectrum ends, in cycles per pixel, and its decades above what is beyond."""
+class _SpectrumEnd(NamedTuple):
+    """The end of a spectrum in cycles per pixel, and its height above the noise floor in decades."""
 
     cycles: float
     height: float
 
 
-def _spectrum_end(amplitude: Array, known: Any = None) -> _End | None:
-    """Where the radial spectrum of a plane's intensity falls to that of its noise."""
+def _spectrum_end(amplitude: Array, known: Any = None) -> _SpectrumEnd | None:
+    """Return where the radial spectrum of a plane's intensity falls to its noise."""
     light = amplitude.astype(float) ** 2
     if known is not None:
         light = np.where(known, light, 0.0)
     light *= np.outer(*(np.hanning(count + 2)[1:-1] for count in light.shape))
     power = np.abs(scipy.fft.fft2(light)) ** 2
     cycles = np.hypot(*np.meshgrid(*(scipy.fft.fftfreq(count) for count in light.shape), indexing="ij"))
-    place = (cycles * BINS).astype(int)
-    count = np.maximum(np.bincount(place.ravel()), 1)
-    profile = np.log10(np.bincount(place.ravel(), power.ravel()) / count + 1e-300)[: BINS // 2]
+    bin_index = (cycles * BINS).astype(int)
+    count = np.maximum(np.bincount(bin_index.ravel()), 1)
+    profile = np.log10(np.bincount(bin_index.ravel(), power.ravel()) / count + 1e-300)[: BINS // 2]
     floor = float(np.median(profile[-BINS // 20 :]))
-    above = np.flatnonzero(profile > floor + ABOVE_FLOOR)
+    above = np.flatnonzero(profile > floor + LEAST_DECADES)
     if len(above) == 0 or above[-1] >= len(profile) - BINS // 20:
         return None
     last = int(above[-1])
-    height, near = (float(profile[int(share * last)] - floor) for share in (0.5, 0.85))
-    # Light that pixels alias falls off slowly towards their limit, and has no end there.
-    return _End((last + 1.0) / BINS, height) if near > STEEP else None
+    height, slope = (float(profile[int(fraction * last)] - floor) for fraction in (0.5, 0.85))
+    # A spectrum that pixels alias falls slowly towards the Nyquist limit and has no end there.
+    return _SpectrumEnd((last + 1.0) / BINS, height) if slope > LEAST_SLOPE else None
 
 
-def _middle(amplitude: Array, axes: tuple[Array, Array], known: Any = None) -> tuple[float, float]:
-    """Middle (x, y) of the light on a plane, without what is faint."""
+def _centroid(amplitude: Array, axes: tuple[Array, Array], known: Any = None) -> tuple[float, float]:
+    """Return the centroid (x, y) of the light on a plane, without faint light."""
     light = amplitude.astype(float) ** 2
     if known is not None:
         light = np.where(known, light, 0.0)

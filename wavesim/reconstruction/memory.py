@@ -1,6 +1,7 @@
-"""Arrays that a reconstruction holds, and when: each listed once, and told before it runs what they take.
+"""Memory of a reconstruction: every array, and the phases in which it exists.
 
-A new array is one line here, in the list of the step that makes it.
+Each array is listed once, in the inventory of the step that creates it. The memory estimate follows from
+these lists. A new array needs one more line.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
-from wavesim.reconstruction.retrieval.steps import bytes_at_work, rows_of_block
+from wavesim.reconstruction.retrieval.iteration import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
 from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.fourier.panels import bytes_of_panels
@@ -27,225 +28,275 @@ from wavesim.scene.settings import Kind
 from wavesim.targets.patch import LIGHT_BYTES
 
 LIGHT_OF_MODE_BYTES = 56
-"""For each sample of the object, while light of one direction is made, in double precision."""
+"""Bytes per object sample while the light of one mode is computed in double precision."""
 
-TILTED_WAYS, TILTED_FIELDS = 6, 3
-"""Planes, at most as a rule, from which the field on a tilted sensor follows, and fields while it does."""
+TILTED_PLANES, TILTED_FIELDS = 6, 3
+"""Usual largest number of parallel planes for the field on a tilted sensor, and of fields in that
+computation.
+"""
 
 READ_BYTES = 24
-"""For each sample of the object, while a true object is read. Measured."""
+"""Measured bytes per object sample while a true object is read."""
 
 REFOCUSED_BYTES, CARRIED_BYTES, PSNR_BYTES, PRODUCT_BYTES, SIMILARITY_BYTES = 330, 85, 12, 64, 160
-"""For each sample whose sharpness is asked for, that is carried along the axis with these, or compared with
-the truth; and for each of a block of rows that is. Measured."""
+"""Measured bytes per sample: of which the sharpness is computed; that is propagated; of the PSNR. Then bytes
+per sample of a block of rows: of the transmitted band, and of the structural similarity.
+"""
 
 PICTURE_BYTES, SCREEN_BYTES, SCREEN, DRAWN_BYTES, PLANE_BYTES = 60_000_000, 100, 4_000_000, 12, 9
-"""Of what draws pictures, of each sample as far as it is drawn by itself (`SCREEN` of them at most), and of
-each of the object, or pixel of a plane. Measured."""
+"""Measured bytes for pictures: in total; per sample drawn by itself (at most `SCREEN` samples); per sample
+of the object; per pixel of a plane.
+"""
 
 
 class Phase(Flag):
-    """What a run does at one time.
+    """Phases of a run.
 
-    An iteration goes through the lens, changes the field by what pixels saw on each plane, goes back to the
-    object, smoothes it, steps, and accelerates; the first one sees planes once more, for the scale. One of
-    Appendix A is a pass.
+    An iteration propagates to the exit grid (LENS), computes intensities and the change of the field on each
+    plane, takes the change back to the object (ADJOINT), smooths it, and makes an accelerated step. The
+    first iteration computes the intensities twice to fit the scale. An iteration of Appendix A is one phase
+    (RETRIEVING).
     """
 
-    LIGHTING, READING, MOVING = auto(), auto(), auto()
+    LIGHTING, READING, STORING = auto(), auto(), auto()
     DRAWING_NOISE = auto()
     STARTING = auto()
     MEASURING_NOISE = auto()
     LENS = auto()
-    SEEING = auto()
-    CHANGING = auto()
-    BACK = auto()
+    COMPUTING_INTENSITIES = auto()
+    CHANGING_FIELD = auto()
+    ADJOINT = auto()
     SMOOTHING = auto()
     STEPPING = auto()
     ACCELERATING = auto()
-    PASSING = auto()
+    RETRIEVING = auto()
     ENDING = auto()
     JUDGING = auto()
     COMPARING = auto()
-    SHARPNESS = auto()
-    CARRYING = auto()
+    REFOCUSING = auto()
+    PROPAGATING = auto()
     DRAWING = auto()
 
 
-BEFORE = Phase.LIGHTING | Phase.READING | Phase.MOVING
-PLANES = Phase.SEEING | Phase.CHANGING
-SEEN = PLANES | Phase.ENDING
+PREPARING = Phase.LIGHTING | Phase.READING | Phase.STORING
+ON_PLANES = Phase.COMPUTING_INTENSITIES | Phase.CHANGING_FIELD
+MODELLING = ON_PLANES | Phase.ENDING
 STEPPING = Phase.STEPPING | Phase.ACCELERATING
-ITERATING = Phase.LENS | PLANES | Phase.BACK | Phase.SMOOTHING | STEPPING
+ITERATING = Phase.LENS | ON_PLANES | Phase.ADJOINT | Phase.SMOOTHING | STEPPING
 STARTING = Phase.STARTING | Phase.MEASURING_NOISE
 DESCENDING = Phase.DRAWING_NOISE | STARTING | ITERATING | Phase.ENDING
-RESULTS = Phase.JUDGING | Phase.COMPARING | Phase.SHARPNESS | Phase.CARRYING | Phase.DRAWING
-AFTER_MOVING = DESCENDING | Phase.PASSING | RESULTS
+RESULTS = Phase.JUDGING | Phase.COMPARING | Phase.REFOCUSING | Phase.PROPAGATING | Phase.DRAWING
+AFTER_LOADING = DESCENDING | Phase.RETRIEVING | RESULTS
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What sizes and numbers of arrays follow from.
+    """Shapes and numbers from which the sizes of all arrays follow.
 
     Attributes
     ----------
-    source, behind : tuple of int
-        Samples of the object, and of the exit grid.
+    object_shape, exit_shape : tuple of int
+        Samples of the object grid, and of the exit grid.
     distances_mm : tuple of float
-        Of the recorded planes from the exit grid.
+        Distances of the planes from the exit grid, in mm.
     engine_bytes : int
-        That the engine takes.
+        Memory of the engine.
     dtype : numpy dtype
-        Of fields.
+        Data type of fields.
     """
 
-    source: tuple[int, ...]
-    behind: tuple[int, ...]
+    object_shape: tuple[int, ...]
+    exit_shape: tuple[int, ...]
     distances_mm: tuple[float, ...]
     engine_bytes: int = 0
     dtype: Any = np.complex64
 
     @classmethod
     def of(cls, engine: Engine, distances_mm: Sequence[float]) -> Sizes:
-        """With an engine, in complex64."""
-        scene, taken = engine.scene, engine.cost().peak_bytes_in_single
-        return cls(scene.object_grid.shape, scene.exit_grid.shape, tuple(distances_mm), taken)
+        """Return the sizes for an engine, in complex64."""
+        scene, engine_bytes = engine.scene, engine.cost().peak_bytes_in_single
+        return cls(scene.object_grid.shape, scene.exit_grid.shape, tuple(distances_mm), engine_bytes)
 
     @property
     def real(self) -> np.dtype[Any]:
-        """Of amplitudes."""
+        """Data type of amplitudes."""
         return np.zeros(0, self.dtype).real.dtype
 
     @property
-    def planes(self) -> int:
-        """How many are recorded."""
+    def plane_count(self) -> int:
+        """Number of planes."""
         return len(self.distances_mm)
 
     @property
-    def far(self) -> int:
-        """How many have a way to them."""
+    def remote_planes(self) -> int:
+        """Number of planes that are not on the exit grid itself."""
         return sum(distance != 0.0 for distance in self.distances_mm)
 
     @property
-    def quarter(self) -> tuple[int, ...]:
-        """Frequencies of the exit grid that are not negative, for which a way is kept."""
-        return tuple(n // 2 + 1 for n in (1, *self.behind)[-2:])
+    def quadrant_shape(self) -> tuple[int, ...]:
+        """Shape of a transfer function, which is stored for frequencies of the exit grid that are not
+        negative.
+        """
+        return tuple(n // 2 + 1 for n in (1, *self.exit_shape)[-2:])
 
 
 def given_arrays(
     sizes: Sizes, *, with_sigma: bool = True, backgrounds: int = 0, truth: bool = False
 ) -> Inventory:
-    """What is reconstructed from: `backgrounds` planes have one; `truth`: with a true object, to compare."""
-    source, behind, held, stated = sizes.source, sizes.behind, AFTER_MOVING, sizes.planes * with_sigma
+    """Return the inputs of a reconstruction.
+
+    `backgrounds` is the number of planes with a background; `truth` states whether there is a true object.
+    """
+    object_shape, exit_shape, during, with_sigma_count = (
+        sizes.object_shape,
+        sizes.exit_shape,
+        AFTER_LOADING,
+        sizes.plane_count * with_sigma,
+    )
     return (
-        ArrayGroup("the illumination", source, sizes.dtype, held, lies="scratch"),
-        ArrayGroup("the recorded amplitudes", behind, sizes.real, held, sizes.planes, lies="scratch"),
-        ArrayGroup("the standard deviations", behind, sizes.real, held, stated, lies="scratch"),
-        ArrayGroup("the backgrounds", behind, sizes.real, held, backgrounds, lies="scratch"),
-        ArrayGroup("the true object", source, sizes.dtype, held, int(truth), lies="scratch"),
+        ArrayGroup("the illumination", object_shape, sizes.dtype, during, lies="scratch"),
+        ArrayGroup(
+            "the recorded amplitudes", exit_shape, sizes.real, during, sizes.plane_count, lies="scratch"
+        ),
+        ArrayGroup(
+            "the standard deviations", exit_shape, sizes.real, during, with_sigma_count, lies="scratch"
+        ),
+        ArrayGroup("the backgrounds", exit_shape, sizes.real, during, backgrounds, lies="scratch"),
+        ArrayGroup("the true object", object_shape, sizes.dtype, during, int(truth), lies="scratch"),
     )
 
 
 def step_array(
-    sizes: Sizes, kind: Kind, during: Phase = ITERATING & ~Phase.SEEING, count: int = 2
+    sizes: Sizes, kind: Kind, during: Phase = ITERATING & ~Phase.COMPUTING_INTENSITIES, count: int = 2
 ) -> ArrayGroup:
-    """The object after a step, and the point from which the next one goes; `kind` of object: as sought."""
+    """Return the iterates of the solver for a kind of object: the last step and the extrapolated point."""
     dtype = sizes.real if kind == "amplitude" else sizes.dtype
-    return ArrayGroup("a step", sizes.source, dtype, during, count, lies="scratch")
+    return ArrayGroup("a step", sizes.object_shape, dtype, during, count, lies="scratch")
 
 
 def descent_arrays(
     sizes: Sizes, kind: Kind, fill_factor: float, modes: int = 1, tilted: bool = False
 ) -> Inventory:
-    """What :func:`wavesim.reconstruct` holds beside what it is given; `kind`, `fill_factor`: as of it.
+    """Return the arrays of :func:`wavesim.reconstruct` besides its inputs.
 
-    `modes` are those of the light of a wide source; `tilted`: the sensor is.
+    `kind` and `fill_factor` are those of that function, `modes` is the number of modes of an extended
+    source, and `tilted` states whether the sensor is tilted.
     """
-    source, behind, quarter, dtype, real = sizes.source, sizes.behind, sizes.quarter, sizes.dtype, sizes.real
+    object_shape, exit_shape, quadrant_shape, dtype, real = (
+        sizes.object_shape,
+        sizes.exit_shape,
+        sizes.quadrant_shape,
+        sizes.dtype,
+        sizes.real,
+    )
     step = step_array(sizes, kind)
-    through_lens = Phase.STARTING | Phase.LENS | Phase.BACK | Phase.ENDING
+    through_lens = Phase.STARTING | Phase.LENS | Phase.ADJOINT | Phase.ENDING
     common: Inventory = (
-        ArrayGroup("where there is light", source, bool, DESCENDING),
-        ArrayGroup("ways to planes", quarter, dtype, DESCENDING, sizes.far),
+        ArrayGroup("the mask of lit samples", object_shape, bool, DESCENDING),
+        ArrayGroup("transfer functions to planes", quadrant_shape, dtype, DESCENDING, sizes.remote_planes),
         work("the engine's work", sizes.engine_bytes, through_lens),
-        ArrayGroup("noise at the exit", behind, dtype, Phase.DRAWING_NOISE, 1 + int(sizes.planes > 1)),
-        ArrayGroup("a way back", quarter, dtype, Phase.DRAWING_NOISE, int(sizes.far > 0)),
-        ArrayGroup("the sum of noise at the exit", behind, dtype, Phase.STARTING),
-        ArrayGroup("noise in the object", source, dtype, STARTING),
+        ArrayGroup(
+            "noise at the exit", exit_shape, dtype, Phase.DRAWING_NOISE, 1 + int(sizes.plane_count > 1)
+        ),
+        ArrayGroup(
+            "a transfer function", quadrant_shape, dtype, Phase.DRAWING_NOISE, int(sizes.remote_planes > 0)
+        ),
+        ArrayGroup("the sum of noise at the exit", exit_shape, dtype, Phase.STARTING),
+        ArrayGroup("noise in the object", object_shape, dtype, STARTING),
         step,
-        step_array(sizes, kind, Phase.SEEING, 1),
-        ArrayGroup("the field in the object", source, dtype, Phase.LENS),
-        ArrayGroup("the field at the exit", behind, dtype, Phase.LENS),
-        ArrayGroup("the change at the exit", behind, dtype, Phase.BACK),
-        ArrayGroup("the change of the object", source, dtype, Phase.BACK),
-        ArrayGroup("the object, smoothed, as it was, and its flow", source, step.dtype, Phase.SMOOTHING, 4),
-        ArrayGroup("the object, smoothed", source, step.dtype, Phase.STEPPING),
+        step_array(sizes, kind, Phase.COMPUTING_INTENSITIES, 1),
+        ArrayGroup("the field in the object", object_shape, dtype, Phase.LENS),
+        ArrayGroup("the field at the exit", exit_shape, dtype, Phase.LENS),
+        ArrayGroup("the change at the exit", exit_shape, dtype, Phase.ADJOINT),
+        ArrayGroup("the change of the object", object_shape, dtype, Phase.ADJOINT),
+        ArrayGroup(
+            "the object, smoothed, as it was, and its flow", object_shape, step.dtype, Phase.SMOOTHING, 4
+        ),
+        ArrayGroup("the object, smoothed", object_shape, step.dtype, Phase.STEPPING),
         step_array(sizes, kind, Phase.STEPPING, 1),
         step_array(sizes, kind, Phase.ACCELERATING, 2),
         step_array(sizes, kind, Phase.ENDING, 1),
-        ArrayGroup("residual maps", behind, real, Phase.ENDING, sizes.planes),
+        ArrayGroup("residual maps", exit_shape, real, Phase.ENDING, sizes.plane_count),
     )
     if tilted:
-        common += _of_a_tilt(sizes)
+        common += _tilt_arrays(sizes)
     if modes > 1:
-        return common + _of_modes(sizes, modes)
-    return common + (_of_pixels(sizes) if fill_factor > 0.0 else _of_points(sizes))
+        return common + _mode_arrays(sizes, modes)
+    return common + (_pixel_arrays(sizes) if fill_factor > 0.0 else _point_arrays(sizes))
 
 
-def _of_a_tilt(sizes: Sizes) -> Inventory:
-    """While the sensor is tilted."""
-    ways = TILTED_WAYS * sizes.planes
+def _tilt_arrays(sizes: Sizes) -> Inventory:
+    """Return arrays for a tilted sensor."""
+    parallel_planes = TILTED_PLANES * sizes.plane_count
     return (
-        ArrayGroup("ways to parallel planes", sizes.quarter, sizes.dtype, DESCENDING, ways),
-        ArrayGroup("fields on parallel planes", sizes.behind, sizes.dtype, SEEN, TILTED_FIELDS),
+        ArrayGroup(
+            "transfer functions to parallel planes",
+            sizes.quadrant_shape,
+            sizes.dtype,
+            DESCENDING,
+            parallel_planes,
+        ),
+        ArrayGroup("fields on parallel planes", sizes.exit_shape, sizes.dtype, MODELLING, TILTED_FIELDS),
     )
 
 
-def _of_modes(sizes: Sizes, modes: int) -> Inventory:
-    """While planes are seen in the light of several modes, by pixels."""
-    behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
-    all_through = Phase.LENS | SEEN | Phase.BACK
+def _mode_arrays(sizes: Sizes, modes: int) -> Inventory:
+    """Return arrays for planes in the light of several modes, with pixels that integrate."""
+    exit_shape, dtype, real = sizes.exit_shape, sizes.dtype, sizes.real
+    all_through = Phase.LENS | MODELLING | Phase.ADJOINT
     return (
-        ArrayGroup("spectra of modes at the exit", behind, dtype, all_through, modes),
-        ArrayGroup("what rounds have changed of modes", behind, dtype, PLANES | Phase.BACK, modes),
-        ArrayGroup("means over pixels", behind, real, all_through, sizes.planes),
-        work("light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.source), Phase.LENS | Phase.BACK),
-        ArrayGroup("the change of the object so far", sizes.source, dtype, PLANES | Phase.BACK),
-        ArrayGroup("rows through pixels and their edges", behind, dtype, SEEN, 2),
-        ArrayGroup("means along rows, and over pixels", behind, real, Phase.SEEING | Phase.ENDING, 3),
-        ArrayGroup("what planes have changed", behind, dtype, Phase.CHANGING),
+        ArrayGroup("spectra of modes at the exit", exit_shape, dtype, all_through, modes),
+        ArrayGroup(
+            "changes of modes by inner iterations", exit_shape, dtype, ON_PLANES | Phase.ADJOINT, modes
+        ),
+        ArrayGroup("means over pixels", exit_shape, real, all_through, sizes.plane_count),
+        work(
+            "light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.object_shape), Phase.LENS | Phase.ADJOINT
+        ),
+        ArrayGroup("the change of the object so far", sizes.object_shape, dtype, ON_PLANES | Phase.ADJOINT),
+        ArrayGroup("rows through pixels and their edges", exit_shape, dtype, MODELLING, 2),
+        ArrayGroup(
+            "means along rows, and over pixels",
+            exit_shape,
+            real,
+            Phase.COMPUTING_INTENSITIES | Phase.ENDING,
+            3,
+        ),
+        ArrayGroup("changes of planes", exit_shape, dtype, Phase.CHANGING_FIELD),
     )
 
 
-def _of_pixels(sizes: Sizes) -> Inventory:
-    """While planes are seen by pixels that integrate."""
-    behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
+def _pixel_arrays(sizes: Sizes) -> Inventory:
+    """Return arrays for planes with pixels that integrate."""
+    exit_shape, dtype, real = sizes.exit_shape, sizes.dtype, sizes.real
     return (
-        ArrayGroup("the spectrum at the exit", behind, dtype, SEEN),
-        ArrayGroup("rows through pixels and their edges", behind, dtype, SEEN, 2),
-        ArrayGroup("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
-        ArrayGroup("means over pixels", behind, real, Phase.SEEING),
-        ArrayGroup("what rounds before have changed", behind, dtype, Phase.CHANGING),
-        ArrayGroup("what planes have changed", behind, dtype, Phase.CHANGING),
-        work("rows of bands, and beside them", bytes_of_bands(behind, dtype), Phase.CHANGING),
-        work("columns at work", bytes_of_columns(behind[0], dtype), ITERATING | Phase.ENDING),
+        ArrayGroup("the spectrum at the exit", exit_shape, dtype, MODELLING),
+        ArrayGroup("rows through pixels and their edges", exit_shape, dtype, MODELLING, 2),
+        ArrayGroup("means along rows", exit_shape, real, Phase.COMPUTING_INTENSITIES | Phase.ENDING, 2),
+        ArrayGroup("means over pixels", exit_shape, real, Phase.COMPUTING_INTENSITIES),
+        ArrayGroup("changes of earlier inner iterations", exit_shape, dtype, Phase.CHANGING_FIELD),
+        ArrayGroup("changes of planes", exit_shape, dtype, Phase.CHANGING_FIELD),
+        work("rows of bands, and beside them", bytes_of_bands(exit_shape, dtype), Phase.CHANGING_FIELD),
+        work("columns at work", bytes_of_columns(exit_shape[0], dtype), ITERATING | Phase.ENDING),
     )
 
 
-def _of_points(sizes: Sizes) -> Inventory:
-    """While planes are seen at points."""
-    behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
-    far, near = sizes.far, sizes.planes - sizes.far
-    changed_before = int(near > 0 and sizes.planes > 1) + int(far > 1)
+def _point_arrays(sizes: Sizes) -> Inventory:
+    """Return arrays for planes sampled at points."""
+    exit_shape, dtype, real = sizes.exit_shape, sizes.dtype, sizes.real
+    remote_planes, near_planes = sizes.remote_planes, sizes.plane_count - sizes.remote_planes
+    changed_before = int(near_planes > 0 and sizes.plane_count > 1) + int(remote_planes > 1)
     return (
-        ArrayGroup("the field at the exit, seen", behind, dtype, SEEN),
-        ArrayGroup("the spectrum at the exit", behind, dtype, SEEN, int(far > 0)),
-        ArrayGroup("the field on a plane", behind, dtype, SEEN),
-        ArrayGroup("squares of its parts", behind, real, Phase.SEEING, 2),
-        ArrayGroup("a square of its parts", behind, real, Phase.ENDING),
-        ArrayGroup("a way back", sizes.quarter, dtype, Phase.CHANGING, int(far > 0)),
-        ArrayGroup("what rounds before have changed", behind, dtype, Phase.CHANGING),
-        ArrayGroup("what planes before have changed", behind, dtype, Phase.CHANGING, changed_before),
+        ArrayGroup("the field at the exit, on planes", exit_shape, dtype, MODELLING),
+        ArrayGroup("the spectrum at the exit", exit_shape, dtype, MODELLING, int(remote_planes > 0)),
+        ArrayGroup("the field on a plane", exit_shape, dtype, MODELLING),
+        ArrayGroup("squares of its parts", exit_shape, real, Phase.COMPUTING_INTENSITIES, 2),
+        ArrayGroup("a square of its parts", exit_shape, real, Phase.ENDING),
+        ArrayGroup(
+            "a transfer function", sizes.quadrant_shape, dtype, Phase.CHANGING_FIELD, int(remote_planes > 0)
+        ),
+        ArrayGroup("changes of earlier inner iterations", exit_shape, dtype, Phase.CHANGING_FIELD),
+        ArrayGroup("changes of earlier planes", exit_shape, dtype, Phase.CHANGING_FIELD, changed_before),
     )
 
 
@@ -259,60 +310,71 @@ def reconstruction_bytes(
     modes: int = 1,
     tilted: bool = False,
 ) -> Need:
-    """Memory that :func:`wavesim.reconstruct` takes in complex64, beside Python and libraries (some 0.3 GB).
+    """Return the memory of :func:`wavesim.reconstruct` in complex64.
+
+    Python and libraries take some 0.3 GB more.
 
     Parameters
     ----------
     engine
-        As of :func:`wavesim.reconstruct`.
+        Engine from the object to the exit grid.
     distances_mm
-        Of the recorded planes, from the engine's exit grid.
+        Distances of the planes from the engine's exit grid, in mm.
     kind, fill_factor
-        As of :func:`wavesim.reconstruct`.
+        See :func:`wavesim.reconstruct`.
     with_sigma
-        Whether recorded amplitudes come with standard deviations.
+        Whether the measured amplitudes have standard deviations.
     modes
-        Of the light, if its source is wide.
+        Number of modes of the light of an extended source.
     tilted
         Whether the sensor is tilted.
 
     Returns
     -------
     Need
-        Illumination, recorded arrays and last steps are those that can lie in files.
+        Bytes in memory and in files. Illumination, measured arrays and last steps can be stored in files.
     """
     sizes = Sizes.of(engine, distances_mm)
-    own = descent_arrays(sizes, kind, fill_factor, modes, tilted)
-    return need_of(given_arrays(sizes, with_sigma=with_sigma) + own)
+    working = descent_arrays(sizes, kind, fill_factor, modes, tilted)
+    return need_of(given_arrays(sizes, with_sigma=with_sigma) + working)
 
 
 def retrieval_arrays(sizes: Sizes, masked: bool = True) -> Inventory:
-    """What :func:`wavesim.retrieve` holds beside its arguments; `masked`: not all pixels are known."""
-    behind, dtype, passing = sizes.behind, sizes.dtype, Phase.PASSING
-    plane = math.prod(behind[:-1]), behind[-1]
+    """Return the arrays of :func:`wavesim.retrieve` besides its arguments; `masked`: some pixels are
+    invalid.
+    """
+    exit_shape, dtype, passing = sizes.exit_shape, sizes.dtype, Phase.RETRIEVING
+    plane = math.prod(exit_shape[:-1]), exit_shape[-1]
     blocks = plane[0] // rows_of_block(plane, np.dtype(dtype).itemsize, with_neighbours=True)
-    on_plane, way = (bytes_of_panels((rows, plane[1]), dtype) for rows in (plane[0], plane[0] // 2 + 1))
+    on_plane, transfer = (bytes_of_panels((rows, plane[1]), dtype) for rows in (plane[0], plane[0] // 2 + 1))
     return (
-        ArrayGroup("the field sought, and the one before", behind, dtype, passing, 2),
-        work("fields on planes", sizes.far * on_plane, passing),
-        work("ways to planes", sizes.far * way, passing),
-        ArrayGroup("pixels that are known", behind, bool, passing, sizes.planes * masked),
-        ArrayGroup("rows beside blocks", behind[-1:], dtype, passing, 2 * blocks),
+        ArrayGroup("the field sought, and the one before", exit_shape, dtype, passing, 2),
+        work("fields on planes", sizes.remote_planes * on_plane, passing),
+        work("transfer functions to planes", sizes.remote_planes * transfer, passing),
+        ArrayGroup("pixels that are known", exit_shape, bool, passing, sizes.plane_count * masked),
+        ArrayGroup("rows next to blocks", exit_shape[-1:], dtype, passing, 2 * blocks),
         work("blocks", (os.cpu_count() or 1) * bytes_at_work(plane, dtype), passing),
     )
 
 
 def retrieval_bytes(shape: tuple[int, ...], distances_mm: Sequence[float], masked: bool = True) -> int:
-    """Most bytes that :func:`wavesim.retrieve` takes in single precision, beside its arguments.
+    """Return the largest memory of :func:`wavesim.retrieve` in single precision, besides its arguments, in
+    bytes.
 
     Parameters
     ----------
     shape
-        Of the grid.
+        Shape of the grid.
     distances_mm
-        Of the recorded planes from the plane sought. One at 0 takes no transforms.
+        Distances of the planes from the plane sought, in mm. A plane at 0 needs no transforms.
     masked
-        Whether planes have pixels that tell nothing.
+        Whether planes have invalid pixels.
+
+    Examples
+    --------
+    >>> from wavesim.reconstruction import retrieval_bytes
+    >>> retrieval_bytes((256, 256), (0.0, 2.0)) > 2 * 8 * 256**2
+    True
     """
     return need_of(retrieval_arrays(Sizes(shape, shape, tuple(distances_mm)), masked)).most_bytes
 
@@ -332,73 +394,86 @@ def run_arrays(
     modes: int = 1,
     tilted: bool = False,
 ) -> Inventory:
-    """What the command `wavesim reconstruct` holds, from reading its frames to writing its results.
+    """Return the arrays of the command `wavesim reconstruct`, from reading frames to writing results.
 
     Parameters
     ----------
     engine, distances_mm, kind, fill_factor
-        As of :func:`reconstruction_bytes`; amplitudes are of float32 and come with standard deviations.
+        See :func:`reconstruction_bytes`; amplitudes are float32 and have standard deviations.
     method
         "object" or "paper".
     frames_bytes
-        Of all frames as they are read.
+        Bytes of all frames as they are read.
     shown
-        Samples of the object, along each axis, that are judged and written.
+        Shape of the part of the object that is judged and written.
     carried
-        Number of samples that are carried along the axis for refocusing; 0 without it.
+        Number of samples that are propagated for refocusing; 0 without refocusing.
     truth
-        Whether a true object is compared.
+        Whether the result is compared with a true object.
     backgrounds
-        How many planes have a background.
+        Number of planes with a background.
     modes, tilted
-        As of :func:`reconstruction_bytes`.
+        See :func:`reconstruction_bytes`.
     """
     sizes, of_object = Sizes.of(engine, distances_mm), method == "object"
-    own = descent_arrays(sizes, kind, fill_factor, modes, tilted) if of_object else _paper_arrays(sizes)
+    working = descent_arrays(sizes, kind, fill_factor, modes, tilted) if of_object else _paper_arrays(sizes)
     given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
-    source = math.prod(sizes.source)
-    before = (
-        work("the process itself", BASE_BYTES, BEFORE | AFTER_MOVING),
-        work("the frames", frames_bytes, BEFORE),
-        work("light, as it is made", LIGHT_BYTES * source, Phase.LIGHTING),
-        work("the true object, as it is read", truth * (COMPLEX64 + READ_BYTES) * source, Phase.READING),
-        work("all that is given, as it was read", sum(one.bytes_of_all for one in given), Phase.MOVING),
+    object_shape = math.prod(sizes.object_shape)
+    preparation = (
+        work("the process itself", BASE_BYTES, PREPARING | AFTER_LOADING),
+        work("the frames", frames_bytes, PREPARING),
+        work("light, as it is made", LIGHT_BYTES * object_shape, Phase.LIGHTING),
+        work(
+            "the true object, as it is read", truth * (COMPLEX64 + READ_BYTES) * object_shape, Phase.READING
+        ),
+        work("all inputs, as read", sum(group.bytes_of_all for group in given), Phase.STORING),
     )
-    # A new checkpoint is written before the earlier one goes.
-    passing = ("the field sought, and the one before", Phase.PASSING)
-    state, kept = ("a step", ITERATING) if of_object else passing
-    files = (ArrayGroup("checkpoints", (named(own, state).bytes_of_all,), np.uint8, kept, 2, lies="file"),)
-    return before + given + own + files + _results(sizes, method, shown, carried, truth)
+    # A new checkpoint is written before the old one is deleted.
+    passing = ("the field sought, and the one before", Phase.RETRIEVING)
+    state, saving = ("a step", ITERATING) if of_object else passing
+    files = (
+        ArrayGroup("checkpoints", (named(working, state).bytes_of_all,), np.uint8, saving, 2, lies="file"),
+    )
+    return preparation + given + working + files + _results(sizes, method, shown, carried, truth)
 
 
 def _paper_arrays(sizes: Sizes) -> Inventory:
-    """What Appendix A holds, with the field that it starts from."""
-    lifted = Phase.LENS | Phase.PASSING
+    """Return the arrays of Appendix A, with its initial field."""
+    prepared = Phase.LENS | Phase.RETRIEVING
     return (
         work("the engine's work", sizes.engine_bytes, Phase.LENS),
-        ArrayGroup("the field at the exit", sizes.behind, sizes.dtype, Phase.LENS, 2),
+        ArrayGroup("the field at the exit", sizes.exit_shape, sizes.dtype, Phase.LENS, 2),
         ArrayGroup(
-            "amplitudes above the noise", sizes.behind, sizes.real, lifted, sizes.planes, lies="scratch"
+            "amplitudes above the noise",
+            sizes.exit_shape,
+            sizes.real,
+            prepared,
+            sizes.plane_count,
+            lies="scratch",
         ),
         *retrieval_arrays(sizes),
     )
 
 
 def _results(sizes: Sizes, method: str, shown: tuple[int, ...], carried: int, truth: bool) -> Inventory:
-    """What is held from the last iteration on; all but `sizes` as of :func:`run_arrays`."""
-    dtype, part, of_object = sizes.dtype, math.prod(shown), method == "object"
-    block, behind = part // shown[0] * min(shown[0], threads.BLOCK), math.prod(sizes.behind)
-    judged = max(2 * COMPLEX64 * part, COMPLEX64 * part + PRODUCT_BYTES * block)
-    compared = COMPLEX64 * part + max(PSNR_BYTES * part, SIMILARITY_BYTES * block)
-    drawn = PICTURE_BYTES + SCREEN_BYTES * min(part, SCREEN) + max(DRAWN_BYTES * part, PLANE_BYTES * behind)
+    """Return the arrays after the last iteration; for the arguments see :func:`run_arrays`."""
+    dtype, samples, of_object = sizes.dtype, math.prod(shown), method == "object"
+    block, exit_shape = samples // shown[0] * min(shown[0], threads.BLOCK), math.prod(sizes.exit_shape)
+    judging_bytes = max(2 * COMPLEX64 * samples, COMPLEX64 * samples + PRODUCT_BYTES * block)
+    comparing_bytes = COMPLEX64 * samples + max(PSNR_BYTES * samples, SIMILARITY_BYTES * block)
+    drawing_bytes = (
+        PICTURE_BYTES
+        + SCREEN_BYTES * min(samples, SCREEN)
+        + max(DRAWN_BYTES * samples, PLANE_BYTES * exit_shape)
+    )
     return (
-        ArrayGroup("maps of residuals", sizes.behind, sizes.real, RESULTS, sizes.planes),
-        ArrayGroup("what was found", sizes.source if of_object else sizes.behind, dtype, RESULTS),
+        ArrayGroup("maps of residuals", sizes.exit_shape, sizes.real, RESULTS, sizes.plane_count),
+        ArrayGroup("the result", sizes.object_shape if of_object else sizes.exit_shape, dtype, RESULTS),
         ArrayGroup("the part that is shown", shown, dtype, RESULTS, int(carried > 0 or not of_object)),
-        ArrayGroup("a field that the lens passes", shown, dtype, Phase.JUDGING, 2 * truth, lies="scratch"),
-        work("fields, and what the lens passes of them", truth * judged, Phase.JUDGING),
-        work("a comparison", truth * compared, Phase.COMPARING),
-        work("sharpness", REFOCUSED_BYTES * min(carried, MOST_JUDGED**2), Phase.SHARPNESS),
-        work("what is carried along the axis", CARRIED_BYTES * carried, Phase.CARRYING),
-        work("pictures", drawn, Phase.DRAWING),
+        ArrayGroup("a field within the lens's band", shown, dtype, Phase.JUDGING, 2 * truth, lies="scratch"),
+        work("fields and their parts within the lens's band", truth * judging_bytes, Phase.JUDGING),
+        work("a comparison", truth * comparing_bytes, Phase.COMPARING),
+        work("sharpness", REFOCUSED_BYTES * min(carried, MOST_JUDGED**2), Phase.REFOCUSING),
+        work("fields propagated for refocusing", CARRIED_BYTES * carried, Phase.PROPAGATING),
+        work("pictures", drawing_bytes, Phase.DRAWING),
     )

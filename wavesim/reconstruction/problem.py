@@ -1,50 +1,73 @@
-"""What is reconstructed from frames, and from what: read, checked and predicted before it runs."""
+"""The statement of a reconstruction from frames: object patch, light, planes, engine, memory and checkpoint.
+
+Everything is read, checked and predicted before the reconstruction runs. The light behind an unknown object
+is estimated from its frames: the pixels next to the border of the footprint show how much of it reaches the
+rim of the aperture (:func:`light_of_frames`).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
+from lensdesign.common.section import Section
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens
+from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.engines.whole_field.on_cluster import validate_tiled
 from wavesim.fields.field import Field, Grid
+from wavesim.rays.maps import RIM_ARMS, inside_border, moved
+from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_arrays
-from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint
+from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint, digest_of, key_of
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
 from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
-from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
-from wavesim.sensor.exposures import rounding_fraction
-from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
+from wavesim.sensor.exposures import electrons_of, rounding_fraction
+from wavesim.sensor.frame_sets import (
+    PlaneFrames,
+    frames_by_plane,
+    planes_of_frames,
+    recorded_planes,
+    validate_same_pitch,
+)
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.light_of_frames import light_of_frames
 from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.mounting import light_on, planes_at
-from wavesim.sensor.patch_of_frames import key_of_frames, patch_of_frames
-from wavesim.sensor.windows import exit_scene, imaging_engine
-from wavesim.targets.patch import Patch, lit, read_object, usaf_charts_of
+from wavesim.sensor.same_pictures import validate_distinct_pictures
+from wavesim.sensor.windows import (
+    LEAST_DIVERSITY,
+    check_diversity,
+    check_footprint,
+    exit_scene,
+    imaging_engine,
+)
+from wavesim.targets.patch import Patch, lit, lit_patch, read_object, usaf_charts_of
 from wavesim.targets.region import cut_field, region_grid, widened
 from wavesim.targets.usaf import UsafElement
 
-FOLDS = 2.0
-"""Of how far light spreads while it is refocused: room about a region, so that its rim does not show."""
+SPREAD_FACTOR = 2.0
+"""Margin around a region over the spread of light during refocusing, so that the region's rim does not
+show.
+"""
 
-TELLING = (
+KEY_SETTINGS = (
     "hold_out_plane",
     "method",
     "kind",
@@ -55,18 +78,58 @@ TELLING = (
     "fill_factor",
     "source_deg",
 )
-"""Settings on which the iterations depend, beside the engine's."""
+"""Settings that affect the iterations, besides those of the engine."""
 
 
 class ReconstructionProblem(NamedTuple):
-    """What is reconstructed from what.
+    """All inputs of a reconstruction.
 
-    `shown` is the part of the object that is judged and written, `inside` its samples within the field stop,
-    `carried` the part that is refocused, `held` what the iterations are not given of the planes, `engine_on`
-    makes an engine from another part of the object to the same plane, `engine_of_error` one of another
-    accuracy together with its predicted error, `calibrated` says whether a calibrated bench was given,
-    `rounding` is the largest fraction of a dark pixel's variance that comes from rounding, and
-    `light_behind` gives the light behind another field stop.
+    Attributes
+    ----------
+    patch : Patch
+        Samples of the object and its field stop.
+    light : Field
+        Illumination of the object.
+    source : Source
+        Light source, with its angular width.
+    planes : tuple of PlaneFrames
+        Distance, exposures and saturation of each plane.
+    recorded : tuple of Measurement
+        Measured amplitudes, without the pixels that are held out.
+    held_out : tuple of HeldOut
+        Pixels of each plane that are held out.
+    engine : Engine
+        Engine from the object to the nearest plane.
+    truth : Field or None
+        The true object, if it was given.
+    charts : tuple
+        Elements of the USAF charts.
+    diversity : float
+        Diversity of the planes.
+    checkpoint : Checkpoint or None
+        File of the last iteration.
+    shown_grid, inside : Grid, ndarray of bool
+        Part of the object that is judged and written, and its samples within the field stop.
+    refocus_grid : Grid
+        Part of the object that is refocused.
+    depth_mm : float
+        Depth of focus in mm.
+    engine_on : callable
+        Returns an engine from another part of the object to the same plane.
+    scratch : Scratch
+        Storage of large arrays.
+    memory : Memory
+        Estimate of the memory.
+    predicted_error : float
+        Upper bound of the engine's relative error.
+    engine_of_error : callable
+        Returns an engine of another accuracy, and its predicted error.
+    calibrated : bool
+        Whether a calibrated bench was given.
+    rounding : float
+        Largest fraction of a dark pixel's variance that comes from rounding.
+    light_behind : callable
+        Returns the light behind the field stop of another patch.
     """
 
     patch: Patch
@@ -74,15 +137,15 @@ class ReconstructionProblem(NamedTuple):
     source: Source
     planes: tuple[PlaneFrames, ...]
     recorded: tuple[Measurement, ...]
-    held: tuple[HeldOut, ...]
+    held_out: tuple[HeldOut, ...]
     engine: Engine
     truth: Field | None
     charts: tuple[tuple[UsafElement, ...], ...]
     diversity: float
     checkpoint: Checkpoint | None
-    shown: Grid
+    shown_grid: Grid
     inside: NDArray[np.bool_]
-    carried: Grid
+    refocus_grid: Grid
     depth_mm: float
     engine_on: Callable[[Grid], Engine]
     scratch: Scratch
@@ -95,12 +158,12 @@ class ReconstructionProblem(NamedTuple):
 
     @property
     def modes(self) -> tuple[SourceMode, ...]:
-        """Of the light, by which a wide source's is added up."""
+        """Modes of the light of an extended source."""
         return tuple(self.source.few_modes(self.light.wavelength_um))
 
     @property
     def given(self) -> list[Measurement]:
-        """The planes that the iterations are given: all but one that is held out altogether."""
+        """Planes that the iterations use: all but a plane that is held out as a whole."""
         return [plane for plane in self.recorded if is_given(plane)]
 
 
@@ -112,7 +175,13 @@ def reconstruction_problem(
     calibration: Placement | Bench | None,
     folder: Path | None,
 ) -> ReconstructionProblem:
-    """Read all that a run needs, and refuse what cannot be done."""
+    """Read and check all inputs of a reconstruction; the arguments are those of `reconstruct_frames`.
+
+    Raises
+    ------
+    InputError, MemoryLimitError
+        If an input is invalid or inputs contradict each other, or the arrays do not fit in memory.
+    """
     limit = memory_limit(settings.memory_gb)
     bench = None if calibration is None else bench_of(calibration)
     if bench is not None and settings.pose != Pose():
@@ -124,73 +193,73 @@ def reconstruction_problem(
         raise SettingError(
             "{method} paper: needs frames of two planes or more; {method} object can do with one"
         )
-    shown, inside = _shown(patch, settings.region_mm)
-    true = None if truth is None else _true(truth, patch)
+    shown, inside = _shown_part(patch, settings.region_mm)
+    true = None if truth is None else _true_object(truth, patch)
     charts = usaf_charts_of(patch, settings.chart_at_mm) if settings.usaf else ()
     scene = exit_scene(lens, patch, framed.sensor, framed.planes_mm[0], pose)
     recorded = recorded_planes(frames)
     if bench is not None:
         scene, light = placed_scene(scene, bench.placement), light_on(light, bench)
         recorded = planes_at(recorded, bench)
-    recorded, held = hold_out(recorded, settings.hold_out_plane)
-    behind = light_of_frames(scene, framed.frames, light)
-    # One that is to be found is wide until it is known.
+    recorded, held_out = hold_out(recorded, settings.hold_out_plane)
+    frame_light = light_of_frames(scene, framed.frames, light)
+    # A source whose width is to be found counts as extended until the width is known.
     source = Source(1.0 if settings.source_deg == "find" else settings.source_deg)
     modes = source.few_modes(light.wavelength_um)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
-    engine = _engine(scene, settings, runs, limit, behind)
+    engine = _engine(scene, settings, runs, limit, frame_light)
     if settings.cluster is not None:
         validate_tiled(engine)
     shown = shown.at(light.grid.z_mm)
-    carried = _carried(scene, settings, shown)
-    arrays = _arrays(engine, frames, recorded, shown, carried, settings, true is not None, len(modes))
+    refocus_grid = _refocus_grid(scene, settings, shown)
+    arrays = _arrays(engine, frames, recorded, shown, refocus_grid, settings, true is not None, len(modes))
     memory = Memory(need_of(arrays), limit)
-    scratch = scratch_in(folder, _room(memory, settings))
+    scratch = scratch_in(folder, _scratch_limit(memory, settings))
     key = _key(lens, framed.frames, settings, light, recorded, engine)
-    predicted_error, even = engine.predicted_error(behind), behind.even
-    lit = light.with_values(scratch.held(light.values, "the illumination"))
+    predicted_error, even = engine.predicted_error(frame_light), frame_light.even
+    stored_light = light.with_values(scratch.held(light.values, "the illumination"))
 
     def engine_of_error(error: float) -> tuple[Engine, float]:
-        own = _engine(scene, settings.replaced(error=error), runs, limit, Light(lit, even))
-        return own, own.predicted_error(Light(lit, even))
+        made = _engine(scene, settings.replaced(error=error), runs, limit, Light(stored_light, even))
+        return made, made.predicted_error(Light(stored_light, even))
 
     return ReconstructionProblem(
-        patch,
-        lit,
-        source,
-        planes_of_frames(frames),
-        tuple(_held_plane(scratch, plane) for plane in recorded),
-        held,
-        engine,
-        true and true.with_values(scratch.held(true.values, "the true object")),
-        charts,
-        framed.diversity,
-        None if folder is None else Checkpoint(folder / CHECKPOINT, key),
-        shown,
-        inside,
-        carried,
-        1e-3 * patch.wavelength_um / lens.object.numerical_aperture**2,
-        lambda grid: _engine(
-            replace(scene, object_grid=grid), settings, 6, limit, Light(cut_field(lit, grid), even)
+        patch=patch,
+        light=stored_light,
+        source=source,
+        planes=planes_of_frames(frames),
+        recorded=tuple(_stored_plane(scratch, plane) for plane in recorded),
+        held_out=held_out,
+        engine=engine,
+        truth=true and true.with_values(scratch.held(true.values, "the true object")),
+        charts=charts,
+        diversity=framed.diversity,
+        checkpoint=None if folder is None else Checkpoint(folder / CHECKPOINT, key),
+        shown_grid=shown,
+        inside=inside,
+        refocus_grid=refocus_grid,
+        depth_mm=1e-3 * patch.wavelength_um / lens.object.numerical_aperture**2,
+        engine_on=lambda grid: _engine(
+            replace(scene, object_grid=grid), settings, 6, limit, Light(cut_field(stored_light, grid), even)
         ),
-        scratch,
-        memory,
-        predicted_error,
-        engine_of_error,
-        bench is not None,
-        max(rounding_fraction(frame) for frame in framed.frames),
-        lambda other: _light_behind(other, settings, bench),
+        scratch=scratch,
+        memory=memory,
+        predicted_error=predicted_error,
+        engine_of_error=engine_of_error,
+        calibrated=bench is not None,
+        rounding=max(rounding_fraction(frame) for frame in framed.frames),
+        light_behind=lambda other: _light_behind(other, settings, bench),
     )
 
 
 def _light_behind(patch: Patch, settings: ReconstructionSettings, bench: Bench | None) -> Field:
-    """The light on the object behind a patch's field stop, on the bench as it is."""
+    """Return the light on the object behind a patch's field stop, on the bench as calibrated."""
     light = lit(patch, settings)
     return light if bench is None else light_on(light, bench)
 
 
-def _shown(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:
-    """The part of the object that is judged and written, and its samples within the field stop."""
+def _shown_part(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:
+    """Return the grid of the part that is judged and written, and its samples within the field stop."""
     if region_mm is None:
         return patch.grid, patch.inside
     try:
@@ -199,15 +268,15 @@ def _shown(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:
         raise SettingError(str(error)) from None
     inside = replace(patch, grid=shown).inside
     if not inside.any():
-        said = ",".join(f"{n:g}" for n in region_mm)
+        text = ",".join(f"{n:g}" for n in region_mm)
         raise SettingError(
-            f"{{region_mm}} = {said}: lies beside the field stop of {patch.field_stop_mm:g} mm, where there "
+            f"{{region_mm}} = {text}: lies outside the field stop of {patch.field_stop_mm:g} mm, where there "
             "is no light"
         )
     return shown, inside
 
 
-def _true(truth: Field | Path, patch: Patch) -> Field:
+def _true_object(truth: Field | Path, patch: Patch) -> Field:
     if not isinstance(truth, Field):
         truth = read_object(truth, patch)
     elif truth.grid != patch.grid:
@@ -217,30 +286,30 @@ def _true(truth: Field | Path, patch: Patch) -> Field:
 
 def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float, light: Light) -> Engine:
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    left_gb = 1e-9 * (limit - BASE_BYTES - fields)
-    return imaging_engine(scene, settings, runs=runs, memory_gb=left_gb, light=light)
+    free_gb = 1e-9 * (limit - BASE_BYTES - fields)
+    return imaging_engine(scene, settings, runs=runs, memory_gb=free_gb, light=light)
 
 
 def _arrays(
     engine: Engine,
     frames: Sequence[Frame],
     recorded: Sequence[Measurement],
-    shown: Grid,
-    carried: Grid,
+    shown_grid: Grid,
+    refocus_grid: Grid,
     settings: ReconstructionSettings,
     truth: bool,
     modes: int,
 ) -> Inventory:
     return run_arrays(
         engine,
-        # A plane that is shifted has a way to it, at whatever distance.
+        # A shifted plane needs a propagator at any distance.
         [math.hypot(plane.distance_mm, *plane.shift_mm) for plane in recorded],
         method=settings.method,
         kind=settings.kind,
         fill_factor=settings.fill_factor,
         frames_bytes=sum(frame.counts.nbytes for frame in frames),
-        shown=shown.shape,
-        carried=0 if settings.focus_mm is None else carried.size,
+        shown=shown_grid.shape,
+        carried=0 if settings.focus_mm is None else refocus_grid.size,
         truth=truth,
         backgrounds=sum(plane.background is not None for plane in recorded),
         modes=modes,
@@ -248,16 +317,16 @@ def _arrays(
     )
 
 
-def _carried(scene: Scene, settings: ReconstructionSettings, shown: Grid) -> Grid:
-    """The part of the object that is refocused: with room for what light spreads."""
+def _refocus_grid(scene: Scene, settings: ReconstructionSettings, shown: Grid) -> Grid:
+    """Return the grid of the part that is refocused, with a margin for the spread of light."""
     if settings.focus_mm is None:
         return shown
     aperture = min(scene.lens.object.numerical_aperture, 0.99)
-    reach_mm = max(map(abs, settings.focus_mm)) * math.tan(math.asin(aperture))
-    return widened(shown, scene.object_grid, FOLDS * reach_mm)
+    spread_mm = max(map(abs, settings.focus_mm)) * math.tan(math.asin(aperture))
+    return widened(shown, scene.object_grid, SPREAD_FACTOR * spread_mm)
 
 
-def _room(memory: Memory, settings: ReconstructionSettings) -> float:
+def _scratch_limit(memory: Memory, settings: ReconstructionSettings) -> float:
     try:
         return memory.room_for_arrays("the reconstruction")
     except MemoryLimitError as error:
@@ -266,7 +335,7 @@ def _room(memory: Memory, settings: ReconstructionSettings) -> float:
         raise MemoryLimitError(f"{error}; or refocus a part of the object alone (--region-mm)") from None
 
 
-def _held_plane(scratch: Scratch, plane: Measurement) -> Measurement:
+def _stored_plane(scratch: Scratch, plane: Measurement) -> Measurement:
     amplitude = scratch.held(plane.amplitude, "the recorded amplitudes")
     sigma = plane.sigma if plane.sigma is None else scratch.held(plane.sigma, "the standard deviations")
     background = plane.background
@@ -283,9 +352,200 @@ def _key(
     recorded: Sequence[Measurement],
     engine: Engine,
 ) -> str:
-    told = settings.model_dump_json(include=set(TELLING))
+    settings_json = settings.model_dump_json(include=set(KEY_SETTINGS))
     planes = [
         (p.distance_mm, p.shift_mm, p.tilt_deg, None if p.background is None else float(p.background.mean()))
         for p in recorded
     ]
-    return key_of_frames(lens, frames, light, told, engine.key(), str((light.grid.z_mm, planes)))
+    return key_of_frames(lens, frames, light, settings_json, engine.key(), str((light.grid.z_mm, planes)))
+
+
+class FramePatch(NamedTuple):
+    """Properties of the object that follow from frames and settings.
+
+    Attributes
+    ----------
+    frames : tuple of Frame
+        Frames sorted by plane.
+    planes_mm : tuple of float
+        Distance of each plane in mm.
+    sensor : Sensor
+        Sensor with the size of the frames.
+    patch, light : Patch, Field
+        Samples of the object, and its illumination.
+    diversity : float
+        Diversity of the planes; 0 for a single plane.
+    """
+
+    frames: tuple[Frame, ...]
+    planes_mm: tuple[float, ...]
+    sensor: Sensor
+    patch: Patch
+    light: Field
+    diversity: float
+
+
+def patch_of_frames(
+    lens: Lens, frames: Sequence[Frame], settings: PatchSettings, pose: Pose = Pose()
+) -> FramePatch:
+    """Return the object's patch and illumination for frames, after checks of the frames.
+
+    Raises
+    ------
+    InputError
+        If frames do not belong to the design, a value is invalid, or two planes have the same picture.
+
+    Warns
+    -----
+    FootprintWarning, DiversityWarning
+        If the frames contain less information than they could.
+    """
+    if not frames:
+        raise InputError("frames: must be one at least")
+    validate_same_pitch(frames, lens)
+    by_plane = frames_by_plane(frames)
+    patch, light = lit_patch(lens, settings, frames[0].settings.wavelength_um)
+    rows, columns = frames[0].counts.shape
+    planes = tuple(plane[0].settings.plane_distance_mm for plane in by_plane)
+    sensor = lens.sensor.replaced(pixels=(columns, rows))
+    check_footprint(lens, patch, sensor, planes, pose)
+    figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    validate_distinct_pictures(by_plane, diverse=figure >= LEAST_DIVERSITY)
+    return FramePatch(
+        tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure
+    )
+
+
+def validate_frames(lens: Lens, frames: Sequence[Frame], settings: Section) -> None:
+    """Check that lengths of frames and settings are not in another unit.
+
+    Raises
+    ------
+    SettingError
+        If a length is implausible; see :func:`wavesim.scene.lengths.validate_lengths`.
+    """
+    light = frames[0].settings.wavelength_um if frames else None
+    validate_lengths(lens, {"wavelength_um": light})
+    planes = [frame.settings.plane_distance_mm for frame in frames]
+    validate_lengths(lens, {"plane_distance_mm": planes}, light)
+    validate_lengths(lens, settings, light)
+
+
+def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *settings_json: str | bytes) -> str:
+    """Return a digest of all inputs of a result, under which parts of a run are saved."""
+    pictures = [
+        part for frame in frames for part in (digest_of(frame.counts), frame.settings.model_dump_json())
+    ]
+    maps = [
+        digest_of(pattern)
+        for frame in frames
+        if frame.maps is not None
+        for pattern in (frame.maps.gain, frame.maps.dark_electrons, frame.maps.bad)
+        if pattern is not None
+    ]
+    return key_of(lens.model_dump_json(), digest_of(light.values), *settings_json, *pictures, *maps)
+
+
+RING_WIDTH = 0.1
+"""Width over the radius of the footprint of the ring of pixels that shows the light at the rim."""
+
+DEVIATIONS = 2.0
+"""Standard deviations that are added to the mean over the ring as an upper bound."""
+
+MOST_FAULTY_PIXELS, FAULTY_FRACTION = 4, 0.002
+"""Number of pixels on the ring that may be faulty, and the fraction that may be faulty besides these."""
+
+ROWS = 64
+
+
+def light_of_frames(scene: Scene, frames: Sequence[Frame], illumination: Field) -> Light:
+    """Return the illumination, and the fraction of light that is scattered evenly over the aperture.
+
+    On the nearest plane, light is ordered by its direction. The intensity of pixels next to the footprint's
+    border counts as light that fills the aperture evenly. Where no pixels lie there, all light counts as
+    scattered.
+
+    Parameters
+    ----------
+    scene
+        Scene from the object to the pixels of the nearest plane, one sample per pixel.
+    frames
+        Frames of one or more planes.
+    illumination
+        Field on the object grid of the scene.
+    """
+    middle = scene.object_grid.centre_mm
+    pupil = open_pupil(scene, middle, scene.exit_grid.z_mm, RIM_ARMS)
+    rim = trace_bundle(scene, np.asarray(middle), pupil.rim, scene.exit_grid.z_mm)
+    plane = sorted(frames_by_plane(frames)[0], key=lambda frame: frame.settings.exposure)
+    rings = [_footprint_light(frame, scene, rim.sensor_mm) for frame in plane]
+    clear = [ring for _, ring in rings if ring.is_clear] or [rings[0][1]]
+    total, ring = rings[0][0], clear[-1]
+    if ring.pixels == 0 or total <= 0.0:
+        return Light(illumination, 1.0)
+    lit = np.isfinite(rim.amplitude)
+    # For even light of one unit per direction, compare the light on the border's pixels with the total.
+    border = float(np.mean(rim.amplitude[lit] ** 2)) * scene.exit_grid.cell
+    return Light(
+        illumination, min(max(ring.upper_mean / border * _polygon_area(rim.cosines) / total, 0.0), 1.0)
+    )
+
+
+@dataclass(frozen=True)
+class _Ring:
+    """Light of the pixels next to the border.
+
+    Attributes
+    ----------
+    pixels : int
+        Number of pixels.
+    upper_mean : float
+        Upper bound of the mean light of a pixel.
+    is_clear : bool
+        Whether no more pixels are clipped than may be faulty.
+    """
+
+    pixels: int
+    upper_mean: float
+    is_clear: bool
+
+
+def _ring_of(light: Array, clipped: int) -> _Ring:
+    """Return the winsorized mean over pixels, some of which may be faulty.
+
+    Faulty pixels, cosmic rays or damaged bytes would otherwise count as light at the rim. The brightest
+    pixels are replaced by the next brighter one. This hardly changes the mean of light on many pixels.
+    """
+    count = len(light)
+    faulty = min(MOST_FAULTY_PIXELS + round(FAULTY_FRACTION * count), count // 2)
+    if count == 0:
+        return _Ring(0, 0.0, clipped == 0)
+    winsorized = np.partition(light, count - 1 - faulty)
+    winsorized = np.minimum(winsorized, winsorized[count - 1 - faulty])
+    mean, deviation = float(winsorized.mean()), float(winsorized.std())
+    return _Ring(count, mean + DEVIATIONS * deviation / math.sqrt(count), clipped <= faulty)
+
+
+def _footprint_light(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:
+    """Return the light of a frame per unit of exposure: within the footprint, and on the ring inside its
+    border.
+    """
+    width = RING_WIDTH * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))
+    y, x = scene.exit_grid.y_mm, scene.exit_grid.x_mm
+    total, clipped, lights = 0.0, 0, list[Array]()
+    for start in range(0, len(y), ROWS):
+        rows = slice(start, start + ROWS)
+        inside, within = (inside_border(moved(border_mm, by), (y[rows], x)) for by in (0.0, -width))
+        # Values may be negative, because the mean of the noise of dark pixels must be 0.
+        light, near = electrons_of(frame, rows) / frame.settings.exposure, inside & ~within
+        total += float(light[inside].sum())
+        lights.append(light[near])
+        clipped += int(np.count_nonzero(frame.counts[rows][near] >= frame.settings.clipped_counts))
+    return total, _ring_of(np.concatenate(lights), clipped)
+
+
+def _polygon_area(border: Array) -> float:
+    """Return the area inside a closed border of points (y, x)."""
+    y, x = border.T
+    following = np.roll(border, -1, axis=0)
+    return 0.5 * abs(float(np.sum(y * following[:, 1] - x * following[:, 0])))

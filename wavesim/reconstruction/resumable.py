@@ -1,6 +1,7 @@
-"""Both ways of reconstruction such that a run which was cut off goes on, and ends as if it had not been.
+"""Both kinds of reconstruction with checkpoints: an interrupted run continues as if it had not been
+interrupted.
 
-What the next iteration needs is kept: all of it, in either way.
+A checkpoint holds the complete state that the next iteration needs.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import (
+from wavesim.reconstruction.object_solver import SolverState
+from wavesim.reconstruction.phase_retrieval import (
     LIT,
     Array,
     RetrievalState,
@@ -23,44 +25,47 @@ from wavesim.reconstruction.from_field import (
     residual_and_map,
     retrieve,
 )
-from wavesim.reconstruction.from_object import SolverState
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit
 
-KEEP_SECONDS = 20.0
-"""Between two iterations that are kept, at least."""
+SAVE_INTERVAL_S = 20.0
+"""Shortest time between two saved iterations, in s."""
 
-KEEP_SHARE = 0.02
-"""Of the time of Appendix A that keeping may take: its iterations are short, and their fields large."""
+SAVE_TIME_FRACTION = 0.02
+"""Largest fraction of the time of Appendix A for saving. Its iterations are short, and its fields are
+large.
+"""
 
 MEDIAN = 64.0
-"""Of lit amplitudes, to which recorded ones are scaled for the total-variation step of Appendix A."""
+"""Median of lit amplitudes after the scaling for the total-variation step of Appendix A."""
 
 DARKEST = 0.5
-"""Standard deviations below which no amplitude goes into Appendix A. The total-variation step divides by the
-modulus, and pixels that noise has made 0 would destroy their neighbours."""
+"""Amplitudes below this number of standard deviations are raised to it in Appendix A.
+
+The total-variation step divides by the modulus, so that pixels near 0 would destroy their neighbours.
+"""
 
 Progress = Callable[[int, float], None]
 
 
-def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> SolverState | None:
-    """Where an earlier run of :func:`wavesim.reconstruct` was cut off, if it was, for its `resume`.
+def saved_state(checkpoint: Checkpoint | None, scratch: Scratch) -> SolverState | None:
+    """Return the state at which an earlier run of :func:`wavesim.reconstruct` was interrupted, or None.
 
-    To be given away in the call: no name may hold its arrays to the end.
+    Pass the result on without a name, so that its arrays do not stay in memory to the end.
     """
-    kept = checkpoint.load() if checkpoint else None
-    if kept is None:
+    saved = checkpoint.load() if checkpoint else None
+    if saved is None:
         return None
     return SolverState(
-        scratch.moved(kept.pop("transmission"), "a step"),
-        scratch.moved(kept.pop("ahead"), "a step"),
-        float(kept["momentum"]),
-        tuple(kept["misfit"].tolist()),
-        float(kept["scale"]),
-        int(kept["stage"]),
-        int(kept["began"]),
+        scratch.moved(saved.pop("transmission"), "a step"),
+        scratch.moved(saved.pop("ahead"), "a step"),
+        float(saved["momentum"]),
+        tuple(saved["misfit"].tolist()),
+        float(saved["scale"]),
+        int(saved["stage"]),
+        int(saved["began"]),
     )
 
 
@@ -75,57 +80,59 @@ def retrieve_resumably(
     progress: Progress | None = None,
     scratch: Scratch | None = None,
 ) -> tuple[Retrieved, tuple[Array, ...]]:
-    """The paper's phase retrieval on the engine's exit grid; cut off, the next run goes on from there.
+    """Run the paper's phase retrieval on the engine's exit grid; an interrupted run continues.
 
     Parameters
     ----------
     engine, illumination, recorded
-        As of :func:`wavesim.reconstruct`.
+        See :func:`wavesim.reconstruct`.
     checkpoint
-        Where the last iteration is kept, no more often than every `KEEP_SECONDS`, and for a share
-        `KEEP_SHARE` of the time at most.
+        File of the last iteration, saved at most every `SAVE_INTERVAL_S` and for at most the fraction
+        `SAVE_TIME_FRACTION` of the time.
     iterations
-        In all.
+        Total number of iterations.
     start
-        "model": the field of the illumination without object; "uniform" or "random", as of
+        "model": the field of the illumination without an object; "uniform" or "random": see
         :func:`wavesim.retrieve`.
     progress
-        Called after every iteration with its number and correlation.
+        Callback `progress(index, correlation)`, called after every iteration.
     scratch
-        Where the amplitudes lie as Appendix A takes them; in memory if left out.
+        Storage of the prepared amplitudes; default: memory.
 
     Returns
     -------
     Retrieved
-        With the field in the recorded units.
+        Result with the field in the measured unit.
     residual_maps : tuple of ndarray
-        As of :func:`wavesim.reconstruct`.
+        For each plane, modelled less measured amplitude.
     """
     unit = amplitude_unit(recorded)
     recorded = in_unit(recorded, unit)
-    planes, factor = _prepared(recorded, scratch or Scratch())
-    kept = checkpoint.load() if checkpoint else None
-    # Fields are given away in the call, so that the retrieval can let go of them.
+    planes, factor = _scaled_planes(recorded, scratch or Scratch())
+    saved = checkpoint.load() if checkpoint else None
+    # The fields have no other reference, so that the retrieval can release them.
     found = retrieve(
         engine.scene.exit_grid,
         illumination.wavelength_um,
         planes,
-        _first(engine, illumination, start, factor) if kept is None else "uniform",
+        _start_field(engine, illumination, start, factor) if saved is None else "uniform",
         iterations=iterations,
         progress=progress,
-        resume=None if kept is None else _taken(kept),
-        keep=keeper(checkpoint, KEEP_SHARE),
+        resume=None if saved is None else _retrieval_state(saved),
+        keep=state_saver(checkpoint, SAVE_TIME_FRACTION),
     )
     values = found.field.values
     values /= factor
-    left = [residual_and_map(found.field, plane) for plane in recorded]
-    for array in (values, *(there for _, there in left)) if unit != 1.0 else ():
+    residuals = [residual_and_map(found.field, plane) for plane in recorded]
+    for array in (values, *(residual_map for _, residual_map in residuals)) if unit != 1.0 else ():
         array *= unit
-    return replace(found, residuals=tuple(one for one, _ in left)), tuple(there for _, there in left)
+    return replace(found, residuals=tuple(relative_error for relative_error, _ in residuals)), tuple(
+        residual_map for _, residual_map in residuals
+    )
 
 
-def _first(engine: Engine, illumination: Field, start: str, factor: np.float32) -> Start:
-    """What a retrieval starts from."""
+def _start_field(engine: Engine, illumination: Field, start: str, factor: np.float32) -> Start:
+    """Return the initial field of a retrieval."""
     if start == "model":
         return Field(
             engine.scene.exit_grid, engine.forward(illumination).values * factor, illumination.wavelength_um
@@ -133,44 +140,49 @@ def _first(engine: Engine, illumination: Field, start: str, factor: np.float32) 
     return "uniform" if start == "uniform" else "random"
 
 
-def _taken(kept: dict[str, Any]) -> RetrievalState:
-    """Where a retrieval stood, its fields taken out of what was kept."""
-    curves = (tuple(kept[name].tolist()) for name in ("correlation", "residual_curve"))
-    return RetrievalState(kept.pop("now"), kept.pop("before"), *curves)
+def _retrieval_state(saved: dict[str, Any]) -> RetrievalState:
+    """Return a saved state of a retrieval; its fields are removed from `saved`."""
+    curves = (tuple(saved[name].tolist()) for name in ("correlation", "residual_curve"))
+    return RetrievalState(saved.pop("now"), saved.pop("before"), *curves)
 
 
-def keeper(checkpoint: Checkpoint | None, share: float = math.inf) -> Callable[[Any], None] | None:
-    """Keeps states, if there is where to, so rarely that it takes no more than a share of the time."""
+def state_saver(
+    checkpoint: Checkpoint | None, time_fraction: float = math.inf
+) -> Callable[[Any], None] | None:
+    """Return a callback that saves states, or None without a checkpoint.
+
+    States are saved so rarely that saving takes at most the given fraction of the time.
+    """
     if checkpoint is None:
         return None
-    last, pause = time.monotonic(), KEEP_SECONDS
+    last_save, interval = time.monotonic(), SAVE_INTERVAL_S
 
     def keep(state: SolverState | RetrievalState) -> None:
-        nonlocal last, pause
-        began = time.monotonic()
-        if began - last < pause:
+        nonlocal last_save, interval
+        save_start = time.monotonic()
+        if save_start - last_save < interval:
             return
         checkpoint.keep(**vars(state))
-        last = time.monotonic()
-        pause = max(KEEP_SECONDS, (last - began) / share)
+        last_save = time.monotonic()
+        interval = max(SAVE_INTERVAL_S, (last_save - save_start) / time_fraction)
 
     return keep
 
 
-def _prepared(recorded: Sequence[Measurement], scratch: Scratch) -> tuple[list[Measurement], np.float32]:
-    """Amplitudes for Appendix A, none of them darker than noise, and what they were multiplied by.
+def _scaled_planes(recorded: Sequence[Measurement], scratch: Scratch) -> tuple[list[Measurement], np.float32]:
+    """Return amplitudes for Appendix A, at least as large as the noise, and their scale factor.
 
-    Of standard deviations it asks only whether they are finite: they stay as they are.
+    The standard deviations stay as they are, because Appendix A only uses whether they are finite.
     """
     planes = []
     for plane in recorded:
-        lifted = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "amplitudes above the noise")
-        for row in range(len(lifted)):
-            least: Any = 0.0
+        raised = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "amplitudes above the noise")
+        for row in range(len(raised)):
+            lowest: Any = 0.0
             if plane.sigma is not None:
-                least = DARKEST * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
-            lifted[row] = np.maximum(plane.amplitude[row], least)
-        planes.append(replace(plane, amplitude=lifted))
+                lowest = DARKEST * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
+            raised[row] = np.maximum(plane.amplitude[row], lowest)
+        planes.append(replace(plane, amplitude=raised))
     first = planes[0].amplitude
     factor = np.float32(MEDIAN / float(np.median(first[first > LIT * first.max()])))
     for plane in planes:

@@ -1,12 +1,12 @@
-"""How wide the light's source is, from the frames themselves, with an object that nobody knows.
+"""Width of the light source, found from the frames of an unknown object.
 
-A source of the diameter w washes a plane's intensity out by an amount that grows as w^2. An object is
-sought for a while in the light of one width; then the intensities that it gives, I(w) in that light and I(0)
-in that of a point, tell by least squares how much more or less they ought to be washed out:
+A source of the diameter w blurs a plane's intensity by an amount that grows as w^2. An object is sought for
+some iterations with a source of one width. The intensities of the result, I(w) with that source and I(0)
+with a point source, then give the blur of the measured intensity by least squares:
 
-    recorded = I(w) + (k - 1) (I(w) - I(0)),    w <- w sqrt(k),
+    measured = I(w) + (k - 1) (I(w) - I(0)),    w <- w sqrt(k).
 
-and the object is sought on from where it is, until the width rests.
+The search for the object continues from there until the width converges.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
@@ -28,41 +28,43 @@ from wavesim.sensor.measurement import Measurement
 
 Array = NDArray[np.floating[Any]]
 
-TURNS, ITERATIONS = 8, 6
-"""Widths at most, and iterations of the object in the light of each."""
+MOST_WIDTHS, ITERATIONS = 8, 6
+"""Largest number of widths, and iterations of the object with each."""
 
-AT_REST = 0.02
-"""Relative change of the width from one turn to the next at which it rests."""
+CONVERGED = 0.02
+"""Relative change of the width at which the search ends."""
 
-MOST = 2.0
-"""Factor by which a width changes in one turn at most."""
+LARGEST_FACTOR = 2.0
+"""Largest factor by which the width changes at a time."""
 
-LEAST = 0.1
-"""Of the width at which the object's light is coherent over half of it: narrower sources are points."""
+LEAST_WIDTH = 0.1
+"""Smallest width, over the one at which light is coherent over half of the object. Narrower sources are
+points.
+"""
 
 
-def found_width(
+def find_source_width(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
     settings: ReconstructionSettings,
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> tuple[float, Field]:
-    """Diameter of the source in deg, 0 for a point, and the object that was found with it.
+    """Return the angular diameter of the source in deg (0 for a point), and the object found with it.
 
     Parameters
     ----------
     engine, light, recorded
-        As of :func:`wavesim.reconstruct`, the planes with standard deviations.
+        See :func:`wavesim.reconstruct`; the planes have standard deviations.
     settings
-        Kind of object, and all else.
-    tell
-        Told each width that is tried.
+        Settings of the reconstruction.
+    progress
+        Called with a message for each width that is tried.
     """
-    first = coherent_deg(light)
-    width, start = first, light.with_values(np.ones_like(light.values))
-    for _ in range(TURNS):
-        tell(f"width of the source: {width:.3g} deg")
+    coherent_width = coherent_deg(light)
+    width, start = coherent_width, light.with_values(np.ones_like(light.values))
+    for _ in range(MOST_WIDTHS):
+        progress(f"width of the source: {width:.3g} deg")
         modes = Source(width).few_modes(light.wavelength_um)
         found = reconstruct(
             engine,
@@ -81,43 +83,46 @@ def found_width(
             ForwardModel(engine, light, recorded, found.scale, settings.fill_factor, modes=of)
             for of in (modes, ())
         )
-        ratio = washed_out(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
-        before, width = width, width * math.sqrt(min(max(ratio, MOST**-2), MOST**2))
-        if width < LEAST * first:
+        ratio = blur_ratio(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
+        previous, width = width, width * math.sqrt(min(max(ratio, LARGEST_FACTOR**-2), LARGEST_FACTOR**2))
+        if width < LEAST_WIDTH * coherent_width:
             return 0.0, start
-        if abs(width - before) < AT_REST * before:
+        if abs(width - previous) < CONVERGED * previous:
             break
     return width, start
 
 
 def coherent_deg(light: Field) -> float:
-    """Width of a source whose light is coherent over about half of the lit object: wavelength / diameter."""
+    """Return the source width in deg whose light is coherent over about half of the lit object.
+
+    It is the wavelength over the diameter of the lit area.
+    """
     lit = np.abs(light.values) > 1e-3 * np.abs(light.values).max()
     diameter_mm = 2.0 * math.sqrt(np.count_nonzero(lit) * light.grid.cell / math.pi)
     return math.degrees(1e-3 * light.wavelength_um / diameter_mm)
 
 
-def washed_out(
+def blur_ratio(
     recorded: Sequence[Measurement],
     model: ForwardModel,
     wide: Sequence[Array],
     point: Sequence[Array],
 ) -> float:
-    """How much more planes are washed out than in the light of a wide source: 1 for as much, 0 for a point's.
+    """Return the blur of measured planes over that of a source: 1 for equal blur, 0 for a point source.
 
     Parameters
     ----------
     recorded
-        The planes.
+        Measured planes.
     model
-        Which has their weights.
+        Forward model, which holds the weights of the planes.
     wide, point
-        Amplitudes on the planes in the light of the source, and in that of a point.
+        Amplitudes on the planes for the source, and for a point source.
     """
-    met = own = 0.0
+    cross = power = 0.0
     for plane, weight, broad, sharp in zip(recorded, model.weights, wide, point, strict=True):
         slope = (broad**2 - sharp**2) / np.maximum(2.0 * broad, 1e-6 * broad.max())
-        counted = slope if weight is None else weight * slope
-        met += float(np.vdot(counted, plane.amplitude - broad))
-        own += float(np.vdot(counted, slope))
-    return 1.0 + met / own if own > 0.0 else 1.0
+        weighted = slope if weight is None else weight * slope
+        cross += float(np.vdot(weighted, plane.amplitude - broad))
+        power += float(np.vdot(weighted, slope))
+    return 1.0 + cross / power if power > 0.0 else 1.0

@@ -1,8 +1,8 @@
-"""The first iterations of a large object: on half of its samples, through the lens stopped down.
+"""First iterations of a large object: on half of its samples along each side, through the lens stopped down.
 
-Light of low angles needs fewer samples, goes through less of the lens and falls on fewer pixels: an iteration
-takes less than half of the time. Pixels that light of higher angles reaches as well tell nothing there. What
-comes out is where iterations on all samples begin: what they find late are the coarse parts of an object.
+Light at small angles needs fewer samples, uses less of the lens and reaches fewer pixels. An iteration
+therefore takes less than half of the time. Pixels that light at larger angles also reaches are ignored. The
+result is the start of the iterations on all samples, which would find the coarse parts of an object last.
 """
 
 from __future__ import annotations
@@ -24,24 +24,28 @@ from wavesim.rays.ray_bundles import open_pupil
 from wavesim.scene.scene import Scene
 from wavesim.sensor.measurement import Measurement
 
-ITERATIONS, ROUNDS = 4, 2
-"""On half of the samples, and rounds behind the lens in each; more of them win nothing on all."""
+ITERATIONS, INNER_ITERATIONS = 4, 2
+"""Iterations on half of the samples, and inner iterations of each. More of them do not improve the start."""
 
-BAND_SHARE = 0.9
-"""Of the angles that half of the samples hold, what the lens may pass."""
+BAND_FRACTION = 0.9
+"""Numerical aperture of the lens over the largest that half of the samples can represent."""
 
-LEAST, MOST = 0.35, 0.8
-"""Share of the aperture: with less, little is begun, with more, little is saved."""
+LEAST_APERTURE, LARGEST_APERTURE = 0.35, 0.8
+"""Range of the reduced aperture over that of the lens. Below it little is found, above it little time is
+saved.
+"""
 
 ARMS, POINTS = 72, 8
-"""Rays along the rim of a footprint, and object points about the light."""
+"""Number of rays along the rim of a footprint, and of object points around the light."""
 
 LIT = 1e-3
-"""Of the brightest amplitude, from which on an object sample counts as lit."""
+"""Fraction of the peak amplitude above which an object sample counts as lit."""
 
 
 class CoarseProblem(NamedTuple):
-    """A smaller problem: from half of the object's samples to the middle of the pixels."""
+    """A smaller problem: half of the object's samples along each side, and pixels near the middle of the
+    sensor.
+    """
 
     scene: Scene
     light: Field
@@ -49,54 +53,54 @@ class CoarseProblem(NamedTuple):
 
 
 def coarse_problem(scene: Scene, light: Field, recorded: Sequence[Measurement]) -> CoarseProblem | None:
-    """What light of low angles tells of an object; None where that saves little.
+    """Return the problem for light at small angles, or None where that would save little time.
 
     Parameters
     ----------
     scene
-        From the object to the first plane.
+        Scene from the object to the first plane.
     light
-        On the object's samples, field stop included.
+        Field on the object's samples, with the field stop applied.
     recorded
-        Planes, with `sigma`.
+        Measured planes with `sigma`.
     """
-    own, grid = scene.object_grid, scene.exit_grid
+    object_grid, grid = scene.object_grid, scene.exit_grid
     aperture = scene.lens.object.numerical_aperture
-    held = BAND_SHARE * 0.25e-3 * scene.wavelength_um / own.pitch_mm
-    if own.is_line or not LEAST < held / aperture < MOST:
+    passed_aperture = BAND_FRACTION * 0.25e-3 * scene.wavelength_um / object_grid.pitch_mm
+    if object_grid.is_line or not LEAST_APERTURE < passed_aperture / aperture < LARGEST_APERTURE:
         return None
-    half = _half(light)
-    narrow = replace(scene, lens=stopped_down(scene.lens, held), object_grid=half.grid)
-    points = _about(light)
+    half = _on_half_samples(light)
+    narrow = replace(scene, lens=stopped_down(scene.lens, passed_aperture), object_grid=half.grid)
+    points = _points_around(light)
     rims = [[_rim(narrow, point, plane) for point in points] for plane in recorded]
     margin_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(grid.z_mm))
-    reached = np.concatenate([rim for plane in rims for rim in plane])
+    border = np.concatenate([rim for plane in rims for rim in plane])
     rows, columns = (
         _window(axis, low - margin_mm, high + margin_mm)
         for axis, low, high in zip(
-            (grid.y_mm, grid.x_mm), reached.min(axis=0), reached.max(axis=0), strict=True
+            (grid.y_mm, grid.x_mm), border.min(axis=0), border.max(axis=0), strict=True
         )
     )
     y, x = grid.y_mm[rows], grid.x_mm[columns]
     window = Grid((len(y), len(x)), grid.pitch_mm, grid.z_mm, (0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])))
-    cut = [
-        _told(plane, rim, (y, x), (rows, columns), margin_mm)
+    planes = [
+        _windowed_plane(plane, rim, (y, x), (rows, columns), margin_mm)
         for plane, rim in zip(recorded, rims, strict=True)
     ]
-    known = [plane for plane in cut if plane.sigma is not None and np.isfinite(plane.sigma).any()]
+    known = [plane for plane in planes if plane.sigma is not None and np.isfinite(plane.sigma).any()]
     return CoarseProblem(replace(narrow, exit_grid=window), half, known) if known else None
 
 
 def _window(axis: Array, low: float, high: float) -> slice:
-    """Samples between two places, and some more for the sake of Fourier transforms."""
-    start, stop = (int(place) for place in np.searchsorted(axis, [low, high]))
+    """Return a slice between two positions, enlarged to a length that suits Fourier transforms."""
+    start, stop = (int(position) for position in np.searchsorted(axis, [low, high]))
     count = min(scipy.fft.next_fast_len(max(stop - start, 1)), len(axis))
     start = min(max(start - (count - stop + start) // 2, 0), len(axis) - count)
     return slice(start, start + count)
 
 
-def _half(light: Field) -> Field:
-    """The light on half of the samples along each side, each of which stands for two."""
+def _on_half_samples(light: Field) -> Field:
+    """Return the light on half of the samples along each side, as means over 2 x 2 samples."""
     grid = light.grid
     count = [2 * (n // 2) for n in grid.shape]
     values = light.values[: count[0], : count[1]]
@@ -107,45 +111,49 @@ def _half(light: Field) -> Field:
 
 
 def on_all_samples(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Values on half of the samples, linearly in between; beyond the last, as that."""
+    """Interpolate values on half of the samples linearly to all samples; they are constant beyond the
+    last.
+    """
     result = values
     for axis, count in enumerate(shape):
         last = len(result) - 1 if axis == 0 else result.shape[1] - 1
-        place = np.clip(0.5 * np.arange(count) - 0.25, 0.0, last)
-        low = np.minimum(place.astype(int), max(last - 1, 0))
-        part = (place - low).astype(values.real.dtype)
-        part = part[:, None] if axis == 0 else part
-        result = (1 - part) * result.take(low, axis) + part * result.take(np.minimum(low + 1, last), axis)
+        position = np.clip(0.5 * np.arange(count) - 0.25, 0.0, last)
+        low = np.minimum(position.astype(int), max(last - 1, 0))
+        fraction = (position - low).astype(values.real.dtype)
+        fraction = fraction[:, None] if axis == 0 else fraction
+        result = (1 - fraction) * result.take(low, axis) + fraction * result.take(
+            np.minimum(low + 1, last), axis
+        )
     return result
 
 
-def _about(light: Field) -> list[tuple[float, float]]:
-    """Points (x, y) whose polygon holds all but the outermost of what is lit."""
+def _points_around(light: Field) -> list[tuple[float, float]]:
+    """Return points (x, y) whose polygon contains nearly all of the lit area."""
     size = np.abs(light.values)
     lit = size > LIT * size.max(initial=0.0)
     rows, grid = np.flatnonzero(lit.any(axis=1)), light.grid
     ends = [lit[rows].argmax(axis=1), lit.shape[1] - 1 - lit[rows, ::-1].argmax(axis=1)]
     points = np.concatenate([np.column_stack([grid.x_mm[end], grid.y_mm[rows]]) for end in ends])
-    turn = 2.0 * np.pi * np.arange(POINTS) / POINTS
-    farthest = np.argmax(points @ np.stack([np.cos(turn), np.sin(turn)]), axis=0)
+    angle = 2.0 * np.pi * np.arange(POINTS) / POINTS
+    farthest = np.argmax(points @ np.stack([np.cos(angle), np.sin(angle)]), axis=0)
     return [(float(x), float(y)) for x, y in points[farthest]]
 
 
 def _rim(scene: Scene, point_mm: tuple[float, float], plane: Measurement) -> Array:
-    """Where an object point's light ends on a plane, (y, x) of the pixels' grid."""
+    """Return the border of an object point's light on a plane, as (y, x) on the pixels' grid."""
     z_mm = scene.exit_grid.z_mm + plane.distance_mm
     rim = border_of(scene, point_mm, open_pupil(scene, point_mm, z_mm, ARMS), z_mm)
     return np.asarray(rim - np.array(plane.shift_mm)[::-1])
 
 
-def _told(
+def _windowed_plane(
     plane: Measurement,
     rims: Sequence[Array],
     axes: tuple[Array, Array],
     window: tuple[slice, slice],
     margin_mm: float,
 ) -> Measurement:
-    """A plane's window; only pixels that no light of higher angles reaches tell anything."""
+    """Return a plane's window, with infinite sigma in pixels that light at larger angles reaches."""
     inner = [moved(rim, -margin_mm) for rim in rims]
     spans = np.stack([row_spans(rim, axes) for rim in inner])
     first, end = spans[:, :, 0].max(axis=0)[:, None], spans[:, :, 1].min(axis=0)[:, None]

@@ -1,11 +1,13 @@
-"""The proximal map of the total variation: keeps edges and takes noise out.
+"""The proximal map of the total variation, which preserves edges and suppresses noise.
 
-Source: A. Chambolle, "An algorithm for total variation minimization and applications", J. Math. Imaging Vis.
-20, 89 (2004).
+Chambolle's dual projection iterates a flow p with one component along each axis. The compiled loops process
+some rows on each thread. A sweep goes up the rows with two lines of div p - values / weight. The upper line
+is computed before any value that it needs is changed, so that the flow is updated in place.
 
-Compiled loops do some rows for each thread. The flow p has a part along each axis. A sweep goes up the rows
-with two lines of div p - values / weight, the line above computed before anything that it needs is changed:
-so the flow is changed in place.
+References
+----------
+A. Chambolle, "An algorithm for total variation minimization and applications", J. Math. Imaging Vis. 20, 89
+(2004).
 """
 
 # mypy: disable-error-code="misc"
@@ -29,7 +31,7 @@ PROX_STEP = 0.248
 ROWS = 64
 
 SAMPLES_PER_THREAD = 2**15
-"""At least: with fewer, threads wait for each other longer than they work."""
+"""Smallest number of samples on a thread. With fewer, threads wait for each other longer than they work."""
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
@@ -39,7 +41,7 @@ _jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 def _slope_line(
     values: NDArray, along_y: NDArray, along_x: NDArray, y: int, inverse: Any, line: NDArray
 ) -> None:
-    """div p - values / weight in a row."""
+    """Write div p - values / weight for a row."""
     width = values.shape[1]
     for x in range(width):
         line[x] = along_y[y, x] + along_x[y, x] - inverse * values[y, x]
@@ -61,7 +63,7 @@ def _project(
     step: Any,
     inverse: Any,
 ) -> None:
-    """One projection of rows, given the lines of the first and of the one after the last."""
+    """Project rows once, given the lines of the first row and of the row after the last."""
     start, stop = rows
     height, width = values.shape
     one = step / step
@@ -76,12 +78,12 @@ def _project(
         for x in range(width - 1):
             up, right = above[x] - line[x], line[x + 1] - line[x]
             size = up.real * up.real + up.imag * up.imag + right.real * right.real + right.imag * right.imag
-            share = one / (one + step * sqrt(size))
-            along_y[y, x] = share * (along_y[y, x] + step * up)
-            along_x[y, x] = share * (along_x[y, x] + step * right)
+            scale = one / (one + step * sqrt(size))
+            along_y[y, x] = scale * (along_y[y, x] + step * up)
+            along_x[y, x] = scale * (along_x[y, x] + step * right)
         up = above[width - 1] - line[width - 1]
-        share = one / (one + step * sqrt(up.real * up.real + up.imag * up.imag))
-        along_y[y, width - 1] = share * (along_y[y, width - 1] + step * up)
+        scale = one / (one + step * sqrt(up.real * up.real + up.imag * up.imag))
+        along_y[y, width - 1] = scale * (along_y[y, width - 1] + step * up)
         line, above = above, line
 
 
@@ -89,7 +91,7 @@ def _project(
 def _subtract(
     values: NDArray, along_y: NDArray, along_x: NDArray, weight: Any, inverse: Any, start: int, stop: int
 ) -> None:
-    """Rows of values less the weight times div p, in place."""
+    """Write rows of values less the weight times div p, in place."""
     line = empty(values.shape[1], values.dtype)
     for y in range(start, stop):
         _slope_line(values, along_y, along_x, y, inverse, line)
@@ -103,11 +105,25 @@ def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) ->
     Parameters
     ----------
     values
-        Real or complex, on a line or a plane; real and imaginary part are taken together.
+        Real or complex values, shape (n,) or (ny, nx). The gradients of real and imaginary part are coupled.
     weight
-        0 leaves the values as they are.
+        Weight of the total variation; 0 returns the values themselves.
     iterations
-        Of Chambolle's dual projection.
+        Number of iterations of Chambolle's dual projection.
+
+    Returns
+    -------
+    ndarray
+        The minimizer, of the shape and type of `values`.
+
+    Examples
+    --------
+    A step lower than its noise is flattened, a large one stays:
+
+    >>> import numpy as np
+    >>> from wavesim.reconstruction import prox_tv
+    >>> prox_tv(np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]), 0.3, 200).round(2).tolist()
+    [0.1, 0.1, 0.1, 0.9, 0.9, 0.9]
     """
     if weight == 0.0:
         return values
@@ -119,7 +135,7 @@ def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) ->
     threads = min(THREADS, max(1, result.size // SAMPLES_PER_THREAD))
     starts = list(range(0, height, max(1, -(-height // threads))))
     parts = list(zip(starts, [*starts[1:], height], strict=True))
-    # Of the rows at which threads meet; there is none after the last.
+    # Lines of the first rows of each thread; there is none after the last thread.
     meeting = np.empty((len(parts) + 1, result.shape[1]), result.dtype)
     for _ in range(iterations):
         for line, start in zip(meeting, starts, strict=False):

@@ -1,8 +1,8 @@
-"""Where arrays lie and are worked on: this computer's memory, or that of a graphics processor (GPU).
+"""Devices that hold and process arrays: the processor, or a graphics processor (GPU).
 
-Code for a device is written against its array module alone, so that the same lines run with NumPy and with
-CuPy. Nonuniform Fourier transforms come from FINUFFT, from cuFINUFFT or, of several terms on a plane in
-single precision, from :mod:`wavesim.runtime.fourier.terms`; all have the same methods.
+Code for a device uses only its array module, so that the same lines run with NumPy and with CuPy. Nonuniform
+Fourier transforms come from FINUFFT, from cuFINUFFT or, of several terms on a plane in single precision, from
+:mod:`wavesim.runtime.fourier.terms`; all have the same methods.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from lensdesign.errors import InputError
 DEVICES = ("cpu", "gpu")
 
 HOST_BYTES = 1_000_000_000
-"""That work may take where a device's memory is this computer's."""
+"""Memory that a step may use on the processor."""
 
 WORTH_THREADS = 3
-"""Of FINUFFT, that do no more than one of the transform of terms."""
+"""Threads of FINUFFT that are as fast as one thread of the transform of terms."""
 
 NEEDED = ("cupy", "cufinufft")
 INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gpu]')"
@@ -32,16 +32,16 @@ INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gp
 
 @dataclass(frozen=True)
 class Precision:
-    """How finely a part of a field is computed.
+    """Precision of the computation of a part of a field.
 
     Attributes
     ----------
     dtype : numpy dtype
         complex64 or complex128.
     transform_error : float
-        Of the nonuniform Fourier transform.
+        Relative error of the nonuniform Fourier transform.
     interpolation_error : float
-        Of the interpolation from a coarse grid.
+        Relative error of the interpolation from a coarse grid.
     """
 
     dtype: np.dtype[Any]
@@ -50,12 +50,12 @@ class Precision:
 
 
 MakePlan = Callable[[int, tuple[int, ...], Precision], Any]
-"""Makes a nonuniform Fourier transform of type 2 or 1; shape (transforms, modes along y, modes along x)."""
+"""Creates a nonuniform Fourier transform of type 2 or 1; shape (transforms, modes along y, modes along x)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """An array module, and what it needs beside.
+    """An array module with its Fourier transforms and its memory.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Device:
     xp : module
         NumPy or CuPy.
     plan : callable
-        Makes a nonuniform Fourier transform; points are given to it by `setpts`.
+        Creates a nonuniform Fourier transform, whose points are set by `setpts`.
     memory : callable
         Gives the free bytes and all bytes of the device's memory.
     """
@@ -75,21 +75,21 @@ class Device:
     memory: Callable[[], tuple[int, int]]
 
     def to_device(self, values: Any, dtype: Any = None) -> Any:
-        """An array of the device, C-contiguous; not copied where it is one already."""
+        """Return a C-contiguous array of the device, without a copy where it is one already."""
         return self.xp.ascontiguousarray(self.xp.asarray(values, dtype=dtype))
 
     def to_host(self, values: Any) -> NDArray[Any]:
-        """An array of this computer's memory."""
+        """Return an array in this computer's memory."""
         return np.asarray(values.get() if hasattr(values, "get") else values)
 
     @property
     def memory_bytes(self) -> int:
-        """That one step of work may take: half of what is free."""
+        """Memory that one step may use: half of the free memory."""
         return self.memory()[0] // 2
 
 
 def device_named(name: str) -> Device:
-    """A device that is there and works.
+    """Return a device, after a check that it works.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def device_named(name: str) -> Device:
     Raises
     ------
     InputError
-        If there is no device of this name, its packages are not installed, or no GPU answers.
+        If there is no device of this name, its packages are not installed, or no GPU responds.
     """
     if name == "cpu":
         return Device("cpu", np, plan_of_terms, lambda: (HOST_BYTES, HOST_BYTES))
@@ -130,13 +130,13 @@ def _module(name: str) -> Any:
 
 
 def _gpu_memory(cupy: Any) -> tuple[int, int]:
-    """Free bytes, those that CuPy keeps for its next arrays included, and all."""
+    """Return the free bytes, including those that CuPy keeps for its next arrays, and all bytes."""
     free, total = cupy.cuda.runtime.memGetInfo()
     return int(free) + int(cupy.get_default_memory_pool().free_bytes()), int(total)
 
 
 def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
-    """The quickest transform in so many threads, as :func:`fourier_plan`."""
+    """Return the fastest transform for a number of threads, as :func:`fourier_plan`."""
     if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
         return fourier_plan(kind, shape, precision, threads)
     from wavesim.runtime.fourier.terms import TermsTransform
@@ -145,16 +145,16 @@ def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threa
 
 
 def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
-    """A nonuniform transform of FINUFFT of type 2, or of type 1, its conjugate transpose.
+    """Return a nonuniform transform of FINUFFT of type 2, or of type 1, its conjugate transpose.
 
     Parameters
     ----------
     kind
-        2 or 1.
+        Type of the transform, 2 or 1.
     shape
         Number of transforms, then of modes along each axis.
     precision
-        How finely.
+        Data type and error of the transform.
     threads
         Number of threads.
     """
@@ -170,7 +170,7 @@ def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, thread
 
 
 def _described(kind: int, shape: tuple[int, ...], precision: Precision) -> tuple[Any, ...]:
-    """Type, modes, number of transforms, error and sign, as both libraries take them."""
+    """Return type, modes, number of transforms, error and sign, as both libraries expect them."""
     return kind, shape[1:], shape[0], precision.transform_error, -1 if kind == 2 else 1
 
 
@@ -196,7 +196,7 @@ def sum_of_terms(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) ->
     return (weights * plan.execute(modes if len(modes) > 1 else modes[0])).sum(axis=0)
 
 
-def terms_back(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) -> Any:
+def adjoint_of_terms(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) -> Any:
     """Conjugate transpose of :func:`sum_of_terms`, by a transform of type 1: modes from values at points."""
     if hasattr(plan, "weighted"):
         return plan.weighted(values, factors, weights)

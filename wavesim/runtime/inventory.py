@@ -1,4 +1,4 @@
-"""Arrays that a run holds, listed once: from the list follow what it takes, and what is allocated."""
+"""Inventory of a run's arrays, from which its memory and its allocations follow."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class ArrayGroup:
     Attributes
     ----------
     name : str
-        Of each, in messages.
+        Name of each array, in messages.
     shape : tuple of int
-        Of each.
+        Shape of each array.
     dtype : numpy dtype
-        Of each.
+        Data type of each array.
     during : enum.Flag
-        Phases of the run in which they are held.
+        Phases of the run in which the arrays exist.
     count : int
-        How many are held at one time.
+        Number of arrays that exist at a time.
     lies : str
-        In "memory"; where there is room, in memory or in a file ("scratch": :class:`wavesim.Scratch` gives
-        them); or in a "file" in any case.
+        Location: "memory"; "scratch" for memory or, where it is short, a file (:class:`wavesim.Scratch`); or
+        "file".
     """
 
     name: str
@@ -45,34 +45,34 @@ class ArrayGroup:
 
     @property
     def bytes_of_all(self) -> int:
-        """Of all `count` of them."""
+        """Size of all `count` arrays in bytes."""
         return self.count * math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
 
 def work(name: str, count_bytes: float, during: Flag) -> ArrayGroup:
-    """Memory that something works in which is known, or was measured, as a whole."""
+    """Return an entry for working memory whose total size is known or measured."""
     return ArrayGroup(name, (round(count_bytes),), np.uint8, during)
 
 
 Inventory = tuple[ArrayGroup, ...]
-"""All arrays of a run. Lines of one name, for several phases, are of arrays of one shape and type."""
+"""All arrays of a run. Entries of one name, for several phases, have one shape and type."""
 
 
 def need_during(arrays: Inventory, phase: Flag) -> Need:
-    """What is held in one phase."""
+    """Return the memory that one phase needs."""
     memory, scratch, file = (
-        sum(one.bytes_of_all for one in arrays if one.during & phase and one.lies == place)
-        for place in ("memory", "scratch", "file")
+        sum(one.bytes_of_all for one in arrays if one.during & phase and one.lies == location)
+        for location in ("memory", "scratch", "file")
     )
     return Need(memory + scratch, memory, file)
 
 
 def need_of(arrays: Inventory) -> Need:
-    """The most that any phase takes."""
+    """Return the largest need of all phases."""
     phases = {phase for one in arrays for phase in one.during}
     return reduce(operator.or_, (need_during(arrays, phase) for phase in phases), Need(0, 0))
 
 
 def named(arrays: Inventory, name: str) -> ArrayGroup:
-    """The first line of a name."""
+    """Return the first entry of a name."""
     return next(one for one in arrays if one.name == name)

@@ -1,4 +1,4 @@
-"""How much memory a run may take, and what it will take: told before it runs."""
+"""Prediction of the memory of a run, and its limit."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ COMPLEX64, COMPLEX128, FLOAT32, FLOAT64 = 8, 16, 4, 8
 """Bytes of a sample."""
 
 BASE_BYTES = 400_000_000
-"""Of the process itself, its libraries and compiled loops."""
+"""Memory of the process itself, with its libraries and compiled loops."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """What a run, or a part of one, will take.
+    """Memory that a run, or a part of one, needs.
 
-    Needs add up where arrays are held at the same time; of steps that follow each other, `a | b` is what
-    either takes at the most.
+    The sum `a + b` is for arrays that exist at the same time; `a | b` is the larger need of successive steps.
 
     Attributes
     ----------
     most_bytes : int
-        With all arrays in memory.
+        Memory with all arrays in memory.
     least_bytes : int
-        With all that can be moved in files.
+        Memory with all movable arrays in files.
     file_bytes : int
-        In files in any case.
+        Size of the files that are needed in any case.
     """
 
     most_bytes: int
@@ -53,7 +52,7 @@ class Need:
 
 
 def memory_limit(memory_gb: float | None) -> float:
-    """Bytes that a run may take: those given, or a share of what is free.
+    """Return the bytes that a run may use: the given limit, or a fraction of the free memory.
 
     Raises
     ------
@@ -68,37 +67,37 @@ def memory_limit(memory_gb: float | None) -> float:
 
 @dataclass(frozen=True)
 class Memory:
-    """What a run will take, and what it may."""
+    """Memory that a run needs, and its limit."""
 
     need: Need
     limit_bytes: float
 
     def room_for_arrays(self, what: str) -> float:
-        """Bytes of movable arrays that may lie in memory; `what` names the run in messages.
+        """Return the bytes of movable arrays that may stay in memory; `what` names the run in messages.
 
         Raises
         ------
         MemoryLimitError
-            If it takes more than it may even with all that can be moved in files.
+            If the run exceeds its limit even with all movable arrays in files.
         """
         least, limit = self.need.least_bytes, self.limit_bytes
         if least > limit:
             raise MemoryLimitError(
-                f"{what} needs {1e-9 * least:.3g} GB of memory at least, and may take {1e-9 * limit:.3g} GB: "
+                f"{what} needs {1e-9 * least:.3g} GB of memory at least (allowed: {1e-9 * limit:.3g} GB): "
                 f"take --memory-gb {math.ceil(1e-8 * least) / 10.0:g} or more, a smaller --patch-mm, or "
                 "coarser samples (--object-pitch-um)"
             )
         return math.inf if self.need.most_bytes <= limit else limit - least
 
     def line(self, folder: Path) -> str:
-        """Told before the run."""
-        told = self.as_dict()
-        taken, allowed, files = (1e-9 * told[f"{name}_bytes"] for name in ("predicted", "limit", "file"))
-        line = f"memory: about {taken:.2g} GB of {allowed:.3g} GB allowed"
+        """Return the line that a command prints before the run."""
+        sizes = self.as_dict()
+        needed, allowed, files = (1e-9 * sizes[f"{name}_bytes"] for name in ("predicted", "limit", "file"))
+        line = f"memory: about {needed:.2g} GB of {allowed:.3g} GB allowed"
         return line + (f", {files:.2g} GB in files under {folder}" if files >= 0.01 else "")
 
     def as_dict(self) -> dict[str, float]:
-        """Ready for JSON."""
+        """Return the sizes in bytes, by their names in JSON files."""
         beyond = max(self.need.most_bytes - self.limit_bytes, 0.0)
         return {
             "limit_bytes": self.limit_bytes,

@@ -1,4 +1,4 @@
-"""Room for large arrays: in memory up to a limit, and in files beyond it."""
+"""Allocation of large arrays: in memory up to a limit, and in files beyond it."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from lensdesign.errors import InputError
 from wavesim.runtime.inventory import ArrayGroup
 
 WRITTEN = 2**20
-"""Bytes at a time, where a system cannot reserve a file's room at once."""
+"""Bytes that are written at a time where a system cannot reserve the space of a file at once."""
 
 
 class Scratch:
-    """Gives arrays that lie in memory while all of them fit a limit, and otherwise in files.
+    """Allocates arrays in memory while all of them fit a limit, and otherwise in files.
 
-    Files have no name: nothing is left behind, however a run ends. Their room is reserved at once, for a disk
-    that is full only when an array is written would end the process. Room comes back where an array, with all
-    views on it, is no longer used.
+    The files have no name, so that none is left when a run ends. Their space is reserved at once, since a
+    disk that becomes full during a later write would kill the process. Space is freed when an array, with all
+    views of it, is no longer used.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class Scratch:
         self.bytes_in_files = 0
 
     def array(self, shape: tuple[int, ...], dtype: DTypeLike, what: str = "an array") -> NDArray[Any]:
-        """An array of zeros.
+        """Return an array of zeros.
 
         Parameters
         ----------
         shape, dtype
-            Of the array.
+            Shape and data type of the array.
         what
-            Named in messages.
+            Name of the array in messages.
 
         Raises
         ------
@@ -75,7 +75,7 @@ class Scratch:
         return flat.view(dtype).reshape(shape)
 
     def make(self, one: ArrayGroup) -> NDArray[Any]:
-        """One of the arrays listed, of zeros.
+        """Return an array of zeros for an entry of the inventory.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class Scratch:
         return self.array(one.shape, one.dtype, one.name)
 
     def moved(self, values: NDArray[Any], what: str = "an array") -> NDArray[Any]:
-        """A copy of an array; the memory of the original comes back where it is no longer used.
+        """Return a copy of an array; the memory of the original is freed where it is no longer used.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class Scratch:
         return result
 
     def held(self, values: NDArray[Any], what: str = "an array") -> NDArray[Any]:
-        """An array where large ones lie: itself, or moved there if not all of them fit into memory."""
+        """Return an array unchanged, or a copy in a file if not all arrays fit into memory."""
         return values if self.folder is None else self.moved(values, what)
 
     def _count(self, in_file: bool, size: int) -> None:
@@ -129,12 +129,12 @@ class Scratch:
 
 
 def scratch_in(folder: Path | None, memory_bytes: float) -> Scratch:
-    """Room in memory, and in files of a folder, which is made where they are needed; None: a temporary one.
+    """Return an allocator with a memory limit and a folder for its files. Default: a temporary folder.
 
     Raises
     ------
     InputError
-        If the folder cannot be made.
+        If the folder cannot be created.
     """
     if math.isinf(memory_bytes):
         return Scratch()
@@ -147,7 +147,7 @@ def scratch_in(folder: Path | None, memory_bytes: float) -> Scratch:
 
 
 def _reserve(file: BinaryIO, size: int) -> None:
-    """Fill a file with zeros that lie on the disk."""
+    """Fill a file with zeros, so that its space is reserved on the disk."""
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file.fileno(), 0, size)
         return

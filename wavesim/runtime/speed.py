@@ -1,4 +1,4 @@
-"""How fast this machine is, measured once in a process, for the predictions of the engines' cost."""
+"""Speed of this machine, measured once in a process, for the predicted costs of the engines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import scipy.fft
 REPEATS = 5
 SIDE, LINE = 256, 1 << 15
 FFT_CALL_SECONDS, CALL_SECONDS = 2e-5, 2e-6
-"""What one transform, and one other array operation, takes at the least."""
+"""Least time of one transform, and of one other array operation."""
 
 
 def _fastest(work: Callable[[], object]) -> float:
@@ -27,35 +27,35 @@ def _fastest(work: Callable[[], object]) -> float:
 
 @cache
 def _fft_unit(line: bool) -> float:
-    """Seconds per sample and doubling of the number of samples."""
+    """Return seconds per sample and doubling of the number of samples."""
     field = np.ones(LINE if line else (SIDE, SIDE), complex)
     return _fastest(lambda: scipy.fft.fftn(field, workers=-1)) / (field.size * math.log2(field.size))
 
 
 @cache
 def _pass_unit() -> float:
-    """Seconds per sample of a complex product."""
+    """Return seconds per sample of a complex product."""
     field = np.ones((2 * SIDE, 2 * SIDE), complex)
     return _fastest(lambda: field * field) / field.size
 
 
 @cache
 def _exponential_unit() -> float:
-    """Seconds per sample of cosine and sine of an array."""
+    """Return seconds per sample of cosine and sine of an array."""
     phase = np.linspace(0.0, 10.0, SIDE * SIDE)
     return _fastest(lambda: (np.cos(phase), np.sin(phase))) / phase.size
 
 
 def fft_seconds(samples: int, line: bool = False) -> float:
-    """One complex Fourier transform of so many samples in all; of one line, which has no use of two cores."""
+    """Return the time of a complex Fourier transform of a number of samples; a line uses only one core."""
     return FFT_CALL_SECONDS + _fft_unit(line) * samples * math.log2(max(samples, 2))
 
 
 def pass_seconds(samples: int) -> float:
-    """One complex product of arrays of so many samples."""
+    """Return the time of a complex product of arrays with a number of samples."""
     return CALL_SECONDS + _pass_unit() * samples
 
 
 def exponential_seconds(samples: int) -> float:
-    """One array of complex exponentials."""
+    """Return the time to compute an array of complex exponentials."""
     return CALL_SECONDS + _exponential_unit() * samples

@@ -1,4 +1,4 @@
-"""Threads: how many share the work, and work on a large array in parts."""
+"""Threads: their number, and processing of large arrays in blocks."""
 
 from __future__ import annotations
 
@@ -9,67 +9,64 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
-from itertools import pairwise
 from typing import Any, TypeVar
 
-import numpy as np
-
-Part = TypeVar("Part")
+Result = TypeVar("Result")
 
 MOST_THREADS = 16
 THREADS = min(
     MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 )
-"""That share the work: one for each core that may be used."""
+"""Number of threads: one for each core that the process may use."""
 
 BLOCK = 1024
-"""Rows that are worked on at one time: all of a whole field's, in double precision, would fill a memory."""
+"""Rows that are processed at a time, since a whole field in double precision might not fit into memory."""
 
 
 def row_blocks(count: int) -> Iterator[slice]:
-    """Parts of a range of rows or columns, `BLOCK` of them at most in each."""
+    """Return blocks of a range of rows or columns, of at most `BLOCK` each."""
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
 def for_blocks(
-    work: Callable[[int, int], Part], count: int, block: int, most_threads: int = THREADS
-) -> list[Part]:
-    """What work gives for every block from a start to a stop, in order.
+    work: Callable[[int, int], Result], count: int, block: int, most_threads: int = THREADS
+) -> list[Result]:
+    """Return the results of a function for all blocks of a range, in order.
 
     Parameters
     ----------
     work
-        Called with start and stop; must let go of Python's lock to gain from threads.
+        Function of start and stop. It gains from threads only if it releases Python's lock.
     count
-        Where the last block stops.
+        End of the range.
     block
-        Most between start and stop.
+        Size of a block.
     most_threads
-        That share the work.
+        Most threads.
     """
     starts = range(0, count, block)
     found: list[Any] = [None] * len(starts)
-    left = iter(enumerate(starts))  # the next goes to whoever is free: cores are not all as fast
+    remaining = iter(enumerate(starts))  # the next block goes to a free thread, since cores differ in speed
 
     def one_thread(_: int) -> None:
         try:
-            for number, start in left:
+            for number, start in remaining:
                 found[number] = work(start, min(start + block, count))
-        finally:  # where one failed, none begins another
-            deque(left, 0)
+        finally:  # after a failure no thread starts another block
+            deque(remaining, 0)
 
     _each(one_thread, max(1, min(most_threads, len(starts))))
     return found
 
 
-def _each(work: Callable[[int], Part], threads: int) -> list[Part]:
-    """What work gives for every number from 0 on, each in a thread; the first in this one."""
-    if threading.current_thread().name.startswith(_KEPT):  # no thread waits for others of its own pool
+def _each(work: Callable[[int], Result], threads: int) -> list[Result]:
+    """Return the results of a function for every index from 0 on, each in a thread, the first in this one."""
+    if threading.current_thread().name.startswith(_KEPT):  # a thread must not wait for others of its own pool
         return [work(number) for number in range(threads)]
     running = [_pool(threads - 1).submit(work, number) for number in range(1, threads)]
     try:
         return [work(0), *(one.result() for one in running)]
-    finally:  # what is amiss in one must not be told while others still write
+    finally:  # an exception must not reach the caller while other threads still write
         wait(running)
 
 
@@ -78,7 +75,7 @@ _KEPT = "transferlens-share"
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that are kept: to start them takes longer than the work on a small array."""
+    """Return a pool of threads that is kept, since starting threads takes longer than small arrays need."""
     return ThreadPoolExecutor(threads, _KEPT)
 
 
@@ -87,22 +84,16 @@ if hasattr(os, "register_at_fork"):
 
 
 def rows_in(bytes_of_row: int, most_bytes: int = 2**19) -> int:
-    """How many rows a block may have, so that it stays in a core's cache."""
+    """Return the number of rows of a block that fits into a core's cache."""
     return max(1, most_bytes // bytes_of_row)
-
-
-def share(work: Callable[[int, int], None], count: int, threads: int = THREADS) -> None:
-    """Do even parts of a range, from a start to a stop, in threads; the first part in this one."""
-    parts = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
-    _each(lambda number: work(*parts[number]), threads)
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Keep BLAS and LAPACK to one thread, where linear algebra comes in many small parts.
+    """Limit BLAS and LAPACK to one thread, for linear algebra in many small parts.
 
-    Its threads would wait for each other longer than they work, and where other processes run beside they
-    would wait ten times as long as the work takes. Fourier transforms and compiled loops keep theirs.
+    Their threads would wait for each other longer than they work, and ten times as long where other processes
+    run. Fourier transforms and compiled loops keep their threads.
     """
     with _controller().limit(limits=1, user_api="blas"):
         yield

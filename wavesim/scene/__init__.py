@@ -1,4 +1,4 @@
-"""What is carried where: lens, object grid, exit grid; and what every engine can be asked."""
+"""Scenes of wave simulations: lens, object grid, exit grid, bench deviations, settings, and engines."""
 
 import lazy_loader
 

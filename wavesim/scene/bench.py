@@ -1,6 +1,6 @@
-"""One bench: lens, light and camera as they are, and not as they should be.
+"""The bench: deviations of lens, light and camera from the design.
 
-The same model simulates frames and is found from them.
+The same model serves the simulation of frames and their calibration.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from wavesim.scene.placement import NOMINAL, Placement, placed
 from wavesim.scene.source import POINT, Source
 
 Orders = tuple[int, int]
-"""Of a product of Legendre polynomials P_i(x) P_j(y)."""
+"""Orders (i, j) of the Legendre product P_i(x) P_j(y)."""
 
 
 @dataclass(frozen=True)
 class LightErrors:
-    """How the light on the object differs from what it should be.
+    """Deviations of the light on the object from the stated light.
 
     Attributes
     ----------
     tilt_deg : (x, y)
-        Of its direction, as of :func:`wavesim.targets.illumination.plane_wave`.
+        Error of its direction, as defined by :func:`wavesim.targets.illumination.plane_wave`.
     amplitude : mapping
-        Change of the relative amplitude, 1 + sum of c P_i(x) P_j(y), by (i, j); x and y go from -1 to 1 over
-        the patch.
+        Coefficients c of the relative amplitude 1 + sum of c P_i(x) P_j(y), by (i, j). The coordinates x and
+        y run from -1 to 1 over the patch.
     phase_waves : mapping
-        The same for its phase, in waves.
+        Coefficients of the phase in the same polynomials, in waves.
 
     Raises
     ------
     InputError
-        If a number is not finite, a tilt not below 90 deg, or an order not whole or negative.
+        If a number is not finite, a tilt reaches 90 deg, or an order is negative.
     """
 
     tilt_deg: tuple[float, float] = (0.0, 0.0)
@@ -59,12 +59,12 @@ class LightErrors:
                     raise InputError(f"light {name}, orders {orders} = {value!r}: must be finite")
 
     def on(self, light: Field) -> Field:
-        """The light with these errors.
+        """Return the light with these errors applied.
 
         Raises
         ------
         InputError
-            If its amplitude falls below 0.
+            If the amplitude falls below 0 at some sample.
         """
         if not (any(self.tilt_deg) or any(self.amplitude.values()) or any(self.phase_waves.values())):
             return light
@@ -72,7 +72,7 @@ class LightErrors:
         relative = 1.0 + _sum_of_modes(self.amplitude, shape)
         if relative.min() < 0.0:
             raise InputError(
-                f"light amplitude: its modes make it {relative.min():.3g} somewhere: must be above 0"
+                f"light amplitude: the modes reduce it to {relative.min():.3g}; it must stay above 0"
             )
         phase = 2.0 * np.pi * _sum_of_modes(self.phase_waves, shape)
         slopes = [math.tan(math.radians(tilt)) for tilt in self.tilt_deg]
@@ -84,7 +84,7 @@ class LightErrors:
 
 
 def light_mode(orders: Orders, shape: tuple[int, ...]) -> Array:
-    """P_i(x) P_j(y) on the samples of a patch, x and y from -1 to 1 between its borders, shape (ny, nx)."""
+    """Return P_i(x) P_j(y) on the samples of a patch, shape (ny, nx); x and y run from -1 to 1."""
     x, y = ((2.0 * np.arange(n) + 1.0) / n - 1.0 for n in reversed(shape))
     across, down = (legval(values, np.eye(n + 1)[n]) for values, n in zip((x, y), orders, strict=True))
     return np.outer(down, across)
@@ -96,26 +96,26 @@ def _sum_of_modes(sizes: Mapping[Orders, float], shape: tuple[int, ...]) -> Arra
 
 @dataclass(frozen=True)
 class Bench:
-    """Lens, object, sensor, light and camera as deltas from the design.
+    """Deviations of lens, object, sensor, light and camera from the design.
 
     Attributes
     ----------
     placement : Placement
-        Where lens, object and sensor are, the lens's own errors, and the distances of the planes.
+        Poses of lens, object and sensor, perturbations of the lens's surfaces, and distances of the planes.
     light : LightErrors
-        Of the light on the object.
+        Errors of the light on the object.
     plane_shifts_um : tuple of (x, y)
-        How far the sensor's middle is on each plane from where it should be, beside the placement's shift;
-        planes beyond the list are not shifted.
+        Shift of the sensor's centre on each plane, in addition to the placement's shift. Planes beyond the
+        list have none.
     plane_backgrounds : tuple of float
-        Even light on each plane that is none of the object's, as a share of the plane's mean intensity.
+        Even background light on each plane, as a fraction of the plane's mean intensity.
     source : Source
-        Of the light.
+        Angular size and bandwidth of the light source.
 
     Raises
     ------
     InputError
-        If a shift or background is not usable.
+        If a shift is not a pair of finite numbers, or a background does not lie between 0 and 1.
     """
 
     placement: Placement = NOMINAL
@@ -130,35 +130,35 @@ class Bench:
                 raise InputError(
                     f"plane_shifts_um = {self.plane_shifts_um!r}: must be pairs of finite numbers"
                 )
-        for share in self.plane_backgrounds:
-            if not 0.0 <= share < 1.0:
+        for fraction in self.plane_backgrounds:
+            if not 0.0 <= fraction < 1.0:
                 raise InputError(f"plane_backgrounds = {self.plane_backgrounds!r}: must be from 0 to below 1")
 
-    def shift_mm(self, number: int) -> tuple[float, float]:
-        """Of the sensor's middle on a plane, by its number from 0."""
+    def shift_mm(self, index: int) -> tuple[float, float]:
+        """Return the shift (x, y) of the sensor's centre on a plane; `index` counts planes from 0."""
         x_mm, y_mm, _ = self.placement.sensor_shift_mm
-        x_um, y_um = _of(self.plane_shifts_um, number, (0.0, 0.0))
+        x_um, y_um = _value_at(self.plane_shifts_um, index, (0.0, 0.0))
         return x_mm + 1e-3 * x_um, y_mm + 1e-3 * y_um
 
-    def at_plane(self, number: int) -> Placement:
-        """The placement with the sensor where it is on a plane, by its number from 0."""
+    def at_plane(self, index: int) -> Placement:
+        """Return the placement with the sensor's position on a plane; `index` counts planes from 0."""
         return replace(
-            self.placement, sensor_shift_mm=(*self.shift_mm(number), self.placement.sensor_shift_mm[2])
+            self.placement, sensor_shift_mm=(*self.shift_mm(index), self.placement.sensor_shift_mm[2])
         )
 
-    def background(self, number: int) -> float:
-        """Share of a plane's mean intensity that is none of the object's light, by its number from 0."""
-        return _of(self.plane_backgrounds, number, 0.0)
+    def background(self, index: int) -> float:
+        """Return the background on a plane as a fraction of its mean intensity; `index` counts from 0."""
+        return _value_at(self.plane_backgrounds, index, 0.0)
 
 
 AS_DESIGNED = Bench()
-"""All as it should be."""
+"""Bench without deviations from the design."""
 
 
 def bench_of(given: Placement | Pose | Bench) -> Bench:
-    """A bench, of which the placement alone may be given."""
+    """Return a bench from a bench, a placement or a pose; what is not given is as designed."""
     return given if isinstance(given, Bench) else Bench(placed(given))
 
 
-def _of(values: Sequence[Any], number: int, otherwise: Any) -> Any:
-    return values[number] if number < len(values) else otherwise
+def _value_at(values: Sequence[Any], index: int, default: Any) -> Any:
+    return values[index] if index < len(values) else default

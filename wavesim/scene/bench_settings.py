@@ -1,4 +1,4 @@
-"""What of a bench may be other than it should be, as settings: each is an option of `wavesim image`."""
+"""Settings for deviations of the bench from the design. Each one is an option of `wavesim image`."""
 
 from __future__ import annotations
 
@@ -25,40 +25,48 @@ Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
 Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
 
 ZERNIKE = re.compile(r"zernike_(\d+)_um")
-"""Of a surface's figure: root mean square of a polynomial of the sag, over the clear semi-diameter."""
+"""Name of a Zernike term of a surface's figure: rms sag over the clear semi-diameter, in um."""
 
 
-OF_PIXELS = {"prnu", "dsnu_electrons", "hot_pixels", "dead_pixels", "exposure_error"}
-"""Settings of pixels and exposures, which no bench tells."""
+PIXEL_SETTINGS = {"prnu", "dsnu_electrons", "hot_pixels", "dead_pixels", "exposure_error"}
+"""Settings of pixels and exposures, which do not belong to the bench."""
 
 
 class BenchSettings(Section):
-    """How light, lens and camera differ from what frames say of them."""
+    """Deviations of light, lens and camera from what the frames state."""
 
-    light_error_deg: Pair = Field((0.0, 0.0), description="x,y: the light comes from elsewhere by this.")
+    light_error_deg: Pair = Field((0.0, 0.0), description="Error x,y of the light's direction.")
     light_amplitude: str | None = Field(
-        None, description="Legendre modes, order in x and in y: 10:-0.04,02:0.05; shares of the amplitude."
+        None,
+        description="Relative amplitude errors of the light as Legendre modes (order in x and in y): "
+        "10:-0.04,02:0.05.",
     )
-    light_phase_waves: str | None = Field(None, description="The same of the phase: 20:0.03,11:-0.02.")
-    source_deg: float = Field(0.0, description="Diameter of the light's source: partial coherence.")
-    bandwidth_nm: float = Field(0.0, description="Of the light, an even band.")
+    light_phase_waves: str | None = Field(
+        None, description="Phase errors of the light as Legendre modes, in waves: 20:0.03,11:-0.02."
+    )
+    source_deg: float = Field(0.0, description="Diameter of the light source (partial coherence).")
+    bandwidth_nm: float = Field(0.0, description="Full width of the light's even spectrum.")
     perturb: str | None = Field(
         None, description="The lens as made: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'."
     )
-    working_distance_error_mm: float = Field(0.0, description="How much farther the object is.")
-    sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Of the sensor about x,y.")
+    working_distance_error_mm: float = Field(0.0, description="Shift of the object away from the lens.")
+    sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Tilt of the sensor about x,y.")
     plane_shift_um: Annotated[tuple[Pair, ...], BeforeValidator(tuples)] = Field(
-        (), description="x,y of the sensor on the first plane; given again, on the next ones."
+        (), description="x,y shift of the sensor on the first plane; repeat the option for the next planes."
     )
     plane_background: Numbers = Field(
-        (0.0,), description="Even light of all planes, or of each, as a share of what they record."
+        (0.0,), description="Even background of all planes, or of each, as a fraction of the mean intensity."
     )
-    prnu: float = Field(0.0, description="Standard deviation of the pixels' gain (EMVA 1288), a share.")
-    dsnu_electrons: float = Field(0.0, description="Of the pixels' dark signal (EMVA 1288).")
-    hot_pixels: float = Field(0.0, description="Share of the pixels that shine without light.")
-    dead_pixels: float = Field(0.0, description="Share of the pixels that see nothing.")
+    prnu: float = Field(
+        0.0, description="Standard deviation of the pixels' gain (EMVA 1288), as a fraction of the mean gain."
+    )
+    dsnu_electrons: float = Field(
+        0.0, description="Standard deviation of the pixels' dark signal (EMVA 1288)."
+    )
+    hot_pixels: float = Field(0.0, description="Fraction of the pixels that are bright without light.")
+    dead_pixels: float = Field(0.0, description="Fraction of the pixels that do not respond to light.")
     exposure_error: Numbers = Field(
-        (0.0,), description="How much longer all exposures are than stated, or each, a share."
+        (0.0,), description="Relative error of the exposure time of all exposures, or of each."
     )
 
     @field_validator("light_amplitude", "light_phase_waves")
@@ -81,7 +89,7 @@ class BenchSettings(Section):
         return errors
 
     def bench(self, lens: Lens, pose: Pose, planes: int) -> Bench:
-        """The bench of so many planes on which a lens stands.
+        """Return the bench with these deviations, for a number of recording planes.
 
         Raises
         ------
@@ -90,8 +98,8 @@ class BenchSettings(Section):
         """
         backgrounds, shifts = self.plane_background, self.plane_shift_um
         if len(backgrounds) not in (1, planes):
-            said = ",".join(f"{share:g}" for share in backgrounds)
-            raise InputError(f"plane_background = {said!r}: must be 1 or {planes} numbers")
+            text = ",".join(f"{fraction:g}" for fraction in backgrounds)
+            raise InputError(f"plane_background = {text!r}: must be 1 or {planes} numbers")
         if len(shifts) > planes:
             raise InputError(f"plane_shift_um: is given {len(shifts)} times, and there are {planes} planes")
         placement = Placement(
@@ -103,11 +111,11 @@ class BenchSettings(Section):
         light = LightErrors(
             self.light_error_deg, modes_of(self.light_amplitude), modes_of(self.light_phase_waves)
         )
-        shares = backgrounds * planes if len(backgrounds) == 1 else backgrounds
-        return Bench(placement, light, shifts, shares, Source(self.source_deg, self.bandwidth_nm))
+        fractions = backgrounds * planes if len(backgrounds) == 1 else backgrounds
+        return Bench(placement, light, shifts, fractions, Source(self.source_deg, self.bandwidth_nm))
 
     def errors(self) -> dict[str, Any]:
-        """What is set otherwise than it should be, by name."""
+        """Return the settings that differ from their defaults, by name."""
         own = {name: getattr(self, name) for name in BenchSettings.model_fields}
         return {
             name: value for name, value in own.items() if value != BenchSettings.model_fields[name].default
@@ -115,17 +123,17 @@ class BenchSettings(Section):
 
     @property
     def differs(self) -> bool:
-        """Whether light, lens or sensor is not as it should be; pixels and exposures aside."""
-        return bool(self.errors().keys() - OF_PIXELS)
+        """Whether light, lens or sensor position deviate from the design, apart from pixels and exposures."""
+        return bool(self.errors().keys() - PIXEL_SETTINGS)
 
 
 def modes_of(text: str | None) -> dict[Orders, float]:
-    """Sizes of modes of the light by their orders, from text such as "10:-0.04,02:0.05".
+    """Parse the coefficients of Legendre modes of the light from text such as "10:-0.04,02:0.05".
 
     Raises
     ------
     ValueError
-        If it is none.
+        If the text has another form.
     """
     found: dict[Orders, float] = {}
     for part in (text or "").split(",") if text is not None else ():
@@ -140,12 +148,12 @@ def modes_of(text: str | None) -> dict[Orders, float]:
 
 
 def perturbed_surfaces(text: str | None) -> dict[int, dict[str, float]]:
-    """Deltas by their names, by the number of the surface from 1, from text.
+    """Parse surface perturbations from text, by the index of the surface from 1 and the name of the change.
 
     Raises
     ------
     ValueError
-        If a name or a number is none.
+        If a name is unknown, or a value is not a finite number.
     """
     allowed = (*SURFACE_DELTAS, *(name for name in parameters() if name not in SURFACE_DELTAS))
     found: dict[int, dict[str, float]] = {}
@@ -167,23 +175,23 @@ def perturbed_surfaces(text: str | None) -> dict[int, dict[str, float]]:
 
 
 def surface_perturbations(lens: Lens, text: str | None) -> dict[int, SurfacePerturbation]:
-    """Of a lens, by the number of the surface from 0.
+    """Return the perturbations of a lens's surfaces, by the index of the surface from 0.
 
     Raises
     ------
     InputError
-        If the lens has no such surface, or the surface no clear semi-diameter for a figure.
+        If the lens has no such surface, or a surface with a figure has no clear semi-diameter.
     """
     found = {}
-    for number, deltas in perturbed_surfaces(text).items():
-        if number > len(lens.surfaces):
-            raise InputError(f"perturb: surface {number}: the lens has {len(lens.surfaces)}")
-        found[number - 1] = _perturbation(deltas, lens.surfaces[number - 1].semi_diameter_mm, number)
+    for index, deltas in perturbed_surfaces(text).items():
+        if index > len(lens.surfaces):
+            raise InputError(f"perturb: surface {index}: the lens has {len(lens.surfaces)}")
+        found[index - 1] = _perturbation(deltas, lens.surfaces[index - 1].semi_diameter_mm, index)
     return found
 
 
 def _perturbation(
-    deltas: Mapping[str, float], semi_diameter_mm: float | None, number: int
+    deltas: Mapping[str, float], semi_diameter_mm: float | None, index: int
 ) -> SurfacePerturbation:
     plain = {name: value for name, value in deltas.items() if name in SURFACE_DELTAS}
     zernike = {int(match[1]): deltas[name] for name in deltas if (match := ZERNIKE.fullmatch(name))}
@@ -192,7 +200,9 @@ def _perturbation(
     if not zernike:
         return made
     if semi_diameter_mm is None:
-        raise InputError(f"perturb: surface {number}: has no semi_diameter_mm, over which a figure is given")
+        raise InputError(
+            f"perturb: surface {index}: a figure needs semi_diameter_mm, which the design does not state"
+        )
     return replace(made, figure=figure_from_zernike(zernike, semi_diameter_mm))
 
 

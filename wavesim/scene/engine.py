@@ -1,8 +1,8 @@
-"""What every way of carrying a field through a lens has in common.
+"""Interface of all engines, which propagate a field through a lens.
 
-An engine is a linear operator between an object grid in front of the lens and an exit grid behind it. Its
-`adjoint` is that of the inner product <f, g> = cell * sum(conj(f) g): with ideal coatings nearly the inverse,
-where the aperture takes in what the object sends out.
+An engine is a linear operator from an object grid in front of the lens to an exit grid behind it. Its
+`adjoint` belongs to the inner product <f, g> = cell * sum(conj(f) g), where `cell` is the area of a sample.
+With ideal coatings and an aperture that transmits all light of the object, the adjoint is nearly the inverse.
 """
 
 from __future__ import annotations
@@ -25,26 +25,27 @@ from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating]
 
-Way = Literal["forward", "adjoint"]
+Direction = Literal["forward", "adjoint"]
 
 SAFETY = 2.0
-"""Makes 19 of 20 estimates upper bounds; measured by `python -m benchmarks.chooser`."""
+"""Factor on the root sum square of the error terms. With it 19 of 20 predictions are upper bounds, as
+`python -m benchmarks.chooser` measures."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What an engine will take, told before it runs.
+    """Predicted time and memory of an engine.
 
     Attributes
     ----------
     seconds : float
-        For one `forward` or `adjoint` on this machine, after set-up.
+        Time of one `forward` or `adjoint` on this machine, without the set-up.
     setup_seconds : float
-        Once for each engine.
+        Time of the set-up, which each engine does once.
     peak_bytes : int
-        Most memory at one time, set-up included, arguments and result not; for values in double precision.
+        Peak memory in double precision. It includes the set-up, but neither the argument nor the result.
     single_bytes : int, optional
-        The same for values in single precision, if these take less.
+        Peak memory in single precision. Default: the same as `peak_bytes`.
     """
 
     seconds: float
@@ -54,42 +55,42 @@ class Cost:
 
     @property
     def peak_bytes_in_single(self) -> int:
-        """Most memory at one time where values are of complex64."""
+        """Peak memory for values of complex64."""
         return self.peak_bytes if self.single_bytes is None else self.single_bytes
 
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """Something that an engine leaves out, and how much that may matter.
+    """Neglected effect of an engine, and the error that it causes.
 
     Attributes
     ----------
-    what : str
-        In a few words.
+    description : str
+        Name of the effect in a few words.
     relative_error : float
-        Estimate of the exit field's relative L2 error from it, for an object that fills its grid evenly and
-        sends light in all directions; NaN where it is not known.
+        Estimated relative L2 error of the exit field. The estimate assumes an object that fills its grid
+        evenly and scatters light in all directions. It is NaN where no estimate exists.
     at_rim : bool
-        Whether it goes with the amplitude at the aperture's rim.
+        Whether the error is proportional to the amplitude at the aperture's rim.
     """
 
-    what: str
+    description: str
     relative_error: float
     at_rim: bool = False
 
 
-def upper_bound(parts: Iterable[ErrorTerm]) -> float:
-    """Of the exit field's relative L2 error, from all that is neglected; infinite where it is not known.
+def upper_bound(terms: Iterable[ErrorTerm]) -> float:
+    """Return an upper bound of the exit field's relative L2 error; infinite where a term is unknown.
 
-    Parts are taken as independent, so that squares add, and taken `SAFETY` times over, since estimates
-    scatter. Fields of equal energy differ by no more than twice their size.
+    The terms count as independent, so that their squares add. The factor `SAFETY` covers the scatter of the
+    estimates. The bound never exceeds 2, since two fields of equal energy differ by twice their norm at most.
     """
-    error = SAFETY * math.sqrt(sum(part.relative_error**2 for part in parts))
+    error = SAFETY * math.sqrt(sum(term.relative_error**2 for term in terms))
     return min(error, 2.0) if math.isfinite(error) else math.inf
 
 
 class Grids(Protocol):
-    """Between which grids light is carried."""
+    """The two grids that an operator connects."""
 
     @property
     def object_grid(self) -> Grid: ...
@@ -99,7 +100,7 @@ class Grids(Protocol):
 
 
 class Operator(Protocol):
-    """What a reconstruction asks of an engine: grids, the way there, and its adjoint."""
+    """The part of an engine that a reconstruction uses: its grids, `forward` and `adjoint`."""
 
     @property
     def scene(self) -> Grids: ...
@@ -115,118 +116,126 @@ class Engine(ABC):
     Parameters
     ----------
     scene : Scene
-        What is carried where.
+        Lens, grids and wavelength.
     """
 
     name: ClassVar[str]
 
     gain: ClassVar[float] = math.inf
-    """Of the error of the candidate before, what the next may have at most for further ones to be tried."""
+    """Largest ratio of the predicted errors of two successive candidates for which a third one is tried."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
-        """Settings worth trying where a relative error of the exit field is allowed, the cheapest first."""
+        """Yield the settings that are worth trying for an allowed relative error, the cheapest first."""
         yield {}
 
     @classmethod
     def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
-        """Settings over a range, by what they make of the engine: its curves in a comparison on a scene."""
+        """Return settings over a range of cost, by the label of their curve in a comparison of engines."""
         return {cls.name.replace("-", " "): [{}]}
 
     @abstractmethod
     def _forward(self, values: Any) -> Any:
-        """Values on the exit grid."""
+        """Return the values on the exit grid."""
 
     @abstractmethod
     def _adjoint(self, values: Any) -> Any:
-        """Values on the object grid."""
+        """Return the values on the object grid."""
 
     @abstractmethod
     def cost(self) -> Cost:
-        """What it will take; does no work of the size of the scene."""
+        """Predict time and memory, without work that grows with the size of the scene."""
 
     @abstractmethod
-    def neglected(self) -> tuple[ErrorTerm, ...]:
-        """What is left out, the worst first."""
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        """Return the neglected effects, the largest error first."""
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """The settings in use, as plain values."""
+        """Return the settings in use as plain values."""
 
     def key(self) -> str:
-        """A digest of engine, scene and settings: equal for equal operators, in other processes too."""
-        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # figures in full, to the last digit
-            told = f"{self.name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
-        return sha256(told.encode()).hexdigest()
+        """Return a digest of engine, scene and settings. Equal operators have equal keys in all processes."""
+        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full, to the last digit
+            text = f"{self.name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
+        return sha256(text.encode()).hexdigest()
 
     def edge_illumination(self, light: Light) -> float:
-        """Amplitude of light at the aperture's rim, over that of light which fills the aperture evenly.
+        """Return the light's amplitude at the aperture's rim, relative to light that fills the aperture
+        evenly.
 
-        Of engines that err at the rim; 1 for others.
+        Engines without an error at the rim return 1.
         """
         return 1.0
 
-    def neglected_of(self, light: Light | None = None) -> tuple[ErrorTerm, ...]:
-        """What is left out of the light of one object, the worst first; left out, of all directions alike.
-
-        Raises
-        ------
-        InputError
-            If the light is not that of the scene.
-        """
-        parts = self.neglected()
-        if light is None:
-            return parts
-        light.validate_same_scene(self.scene)
-        share = self.edge_illumination(light) if any(part.at_rim for part in parts) else 1.0
-        own = (replace(p, relative_error=share * p.relative_error) if p.at_rim else p for p in parts)
-        return tuple(sorted(own, key=lambda part: -part.relative_error))
-
-    def predicted_error(self, light: Light | None = None) -> float:
-        """Upper bound of the exit field's relative L2 error; infinite where it is not known.
+    def error_terms_of(self, light: Light | None = None) -> tuple[ErrorTerm, ...]:
+        """Return the neglected effects for the light of one object, the largest error first.
 
         Parameters
         ----------
         light
-            Behind the object; left out, it fills its grid evenly and goes in all directions.
+            Light behind the object. Default: light that fills the object grid evenly, in all directions.
 
         Raises
         ------
         InputError
-            As :meth:`neglected_of`.
+            If the light has another grid or wavelength than the scene.
         """
-        return upper_bound(self.neglected_of(light))
+        terms = self.error_terms()
+        if light is None:
+            return terms
+        light.validate_same_scene(self.scene)
+        at_edge = self.edge_illumination(light) if any(term.at_rim for term in terms) else 1.0
+        own = (replace(t, relative_error=at_edge * t.relative_error) if t.at_rim else t for t in terms)
+        return tuple(sorted(own, key=lambda term: -term.relative_error))
+
+    def predicted_error(self, light: Light | None = None) -> float:
+        """Return an upper bound of the exit field's relative L2 error; infinite where a term is unknown.
+
+        Parameters
+        ----------
+        light
+            Light behind the object. Default: light that fills the object grid evenly, in all directions.
+
+        Raises
+        ------
+        InputError
+            If the light has another grid or wavelength than the scene.
+        """
+        return upper_bound(self.error_terms_of(light))
 
     def forward(self, field: Field) -> Field:
-        """Carry a field from the object grid to the exit grid.
+        """Propagate a field from the object grid to the exit grid.
 
         Raises
         ------
         InputError
-            If the field does not lie on the object grid, has another wavelength, or is not finite.
+            If the field has another grid or wavelength than the scene, or values that are not finite.
         SamplingError
-            If the grids cannot hold the field on its way.
+            If the engine's internal grids cannot sample the field.
         """
-        self._refuse_stranger(field, self.scene.object_grid, "object")
-        behind = float(self.scene.system.index[0, -1])
-        return Field(self.scene.exit_grid, self._forward(field.values), field.wavelength_um, behind)
+        self._validate_field(field, self.scene.object_grid, "object")
+        index = float(self.scene.system.index[0, -1])
+        return Field(self.scene.exit_grid, self._forward(field.values), field.wavelength_um, index)
 
     def adjoint(self, field: Field) -> Field:
-        """Carry a field back from the exit grid to the object grid.
+        """Apply the adjoint operator to a field on the exit grid; the result lies on the object grid.
 
         Raises
         ------
-        InputError, SamplingError
-            As :meth:`forward`.
+        InputError
+            If the field has another grid or wavelength than the scene, or values that are not finite.
+        SamplingError
+            If the engine's internal grids cannot sample the field.
         """
-        self._refuse_stranger(field, self.scene.exit_grid, "exit")
-        before = float(self.scene.system.index[0, 0])
-        return Field(self.scene.object_grid, self._adjoint(field.values), field.wavelength_um, before)
+        self._validate_field(field, self.scene.exit_grid, "exit")
+        index = float(self.scene.system.index[0, 0])
+        return Field(self.scene.object_grid, self._adjoint(field.values), field.wavelength_um, index)
 
-    def _refuse_stranger(self, field: Field, grid: Grid, which: str) -> None:
+    def _validate_field(self, field: Field, grid: Grid, which: str) -> None:
         if field.grid != grid:
             raise InputError(f"the field's grid {field.grid} is not the scene's {which} grid {grid}")
         if field.wavelength_um != self.scene.wavelength_um:
@@ -235,74 +244,77 @@ class Engine(ABC):
                 f"{self.scene.wavelength_um:g} um"
             )
         if not math.isfinite(abs(complex(field.values.sum()))):
-            raise InputError("the field holds values that are not finite")
+            raise InputError("the field contains values that are not finite: remove NaN and infinities")
 
 
 class Tiled(Engine):
-    """An engine that does its work in parts of the object, on any plane alike.
+    """An engine that processes the object in tiles and works on planes of any size.
 
-    Parts can be kept, and told of as they are done.
+    Its tiles can be stored, and it reports its progress.
 
     Attributes
     ----------
-    report : callable or None
-        Told after every part how many are done and how many there are, as (done, all).
+    progress : callable or None
+        Progress callback after each tile: ``progress(completed, total)``.
     """
 
-    report: Callable[[int, int], None] | None = None
+    progress: Callable[[int, int], None] | None = None
 
     @property
     @abstractmethod
     def parts(self) -> int:
-        """How many parts there are."""
+        """Number of tiles."""
 
     @property
     @abstractmethod
     def sums_bytes(self) -> int:
-        """Of the fields of all parts on their own grids."""
+        """Memory of the fields of all tiles on their own grids, in bytes."""
 
     @abstractmethod
     def forward_in_bands(
         self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
     ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
-        """As :meth:`forward`, some rows of the exit grid at a time, so that it need not fit into memory.
+        """Propagate a field as :meth:`forward` does, and yield the exit grid in bands of rows.
+
+        The whole exit grid need not fit into memory.
 
         Parameters
         ----------
         field
-            On the object grid.
+            Field on the object grid.
         rows
-            In a band.
+            Number of rows in a band.
         sums
-            Where the fields of parts on their own grids are kept, by number; those that it holds are not
-            computed again. A dict keeps them in memory,
+            Store of the tiles' fields on their own grids, by the index of the tile. Fields that it contains
+            are not computed again. A dict keeps them in memory,
             :class:`wavesim.engines.whole_field.tile_store.TileStore` in files.
 
         Yields
         ------
         rows : slice
-            Of the exit grid.
+            Rows of the exit grid.
         values : ndarray of complex64
+            Field on these rows.
 
         Raises
         ------
         InputError
-            As :meth:`forward`.
+            If the field has another grid or wavelength than the scene, or values that are not finite.
         """
 
     @abstractmethod
-    def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
-        """As :meth:`adjoint`, on some parts of the object alone; 0 beside them.
+    def adjoint_on(self, field: Field, indices: Sequence[int]) -> Field:
+        """Apply the adjoint for some tiles of the object only; the field is 0 outside them.
 
         Parameters
         ----------
         field
-            On the exit grid.
-        numbers
-            Of the parts.
+            Field on the exit grid.
+        indices
+            Indices of the tiles.
 
         Raises
         ------
         InputError
-            As :meth:`adjoint`.
+            If the field has another grid or wavelength than the scene, or values that are not finite.
         """

@@ -1,4 +1,4 @@
-"""The light behind an object, of which engines predict their error."""
+"""The light behind an object, for which engines predict their errors."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from wavesim.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """What is known of the light behind an object.
+    """The known part of the light behind an object.
 
     Attributes
     ----------
     field : Field
-        On the object grid of the scene.
+        Field on the object grid of the scene.
     even : float
-        Share of the energy that fills the aperture evenly, whatever the field's spectrum: 0 where the field
-        is the light itself, more where an unknown object scatters it.
+        Fraction of the energy that fills the aperture evenly, whatever the field's spectrum. It is 0 where
+        the field is the light itself, and larger where an unknown object scatters the light.
 
     Raises
     ------
     InputError
-        If the share is not from 0 to 1.
+        If the fraction is not from 0 to 1.
     """
 
     field: Field
@@ -35,12 +35,12 @@ class Light:
             raise InputError(f"even = {self.even!r}: must be from 0 to 1")
 
     def on(self, scene: Scene) -> Light:
-        """The same light where a scene's object stands; its grid is a displaced one of equal shape."""
+        """Return the same light at the position of a scene's object, on a shifted grid of equal shape."""
         field = self.field
         return replace(self, field=Field(scene.object_grid, field.values, scene.wavelength_um, field.index))
 
     def validate_same_scene(self, scene: Scene) -> None:
-        """Refuse a scene whose light this is not.
+        """Check that a scene has the grid and the wavelength of this light.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Scenes of a design: a patch of its object, and all of its light on a plane behind the lens."""
+"""Scenes of a design: a patch of its object, and the light of the whole field on a plane behind the lens."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from wavesim.fields.field import Grid
 from wavesim.scene.scene import Scene, wavelength_of
 
 OBJECT_FINENESS, EXIT_FINENESS = 0.8, 0.9
-"""Pitch of a patch's grids, as shares of half the period of the finest fringes there."""
+"""Pitch of a patch's grids, as fractions of half the period of the finest fringes."""
 
 FIELD_MARGIN = 1.02
-"""Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
+"""Largest side of a patch over the design's field diameter. A field stop slightly exceeds the field."""
 
 MARGIN = 1.02
 
 MOST_SAMPLES = 400_000_000
-"""Of one grid; more would not fit a workstation's memory."""
+"""Most samples of one grid. More would not fit into a workstation's memory."""
 
 
 LONGEST_SIDE = 10_000_000
-"""Most samples along one side of an object: far more than memory holds, so that costs can be predicted."""
+"""Most samples along one side of an object. The limit exceeds any memory, so that costs can be predicted."""
 
 
 def patch_scene(
@@ -39,7 +39,9 @@ def patch_scene(
     meridional: bool = False,
     object_pitch_um: float | None = None,
 ) -> Scene:
-    """A square patch of the object, or its meridional line, and the footprint of the whole field behind.
+    """Return the scene of a square patch of the object, or of its meridional line.
+
+    The exit grid covers the footprint of the whole field.
 
     Parameters
     ----------
@@ -48,32 +50,46 @@ def patch_scene(
     patch_mm
         Side of the patch.
     field_mm
-        Height of its middle, along y.
+        Height of the patch's centre, along y.
     plane_distance_mm
-        From the exit vertex to the exit plane.
+        Distance from the exit vertex to the exit plane.
     wavelength_um
-        The design's first one if left out.
+        Vacuum wavelength. Default: the design's first wavelength.
     meridional
-        A line in place of a plane.
+        Whether the scene is a line along y instead of a plane.
     object_pitch_um
-        Of the object grid; left out, what holds light of the design's numerical aperture.
+        Pitch of the object grid. Default: the pitch that samples light of the design's numerical aperture.
+
+    Returns
+    -------
+    Scene
+        The scene of the nominal lens with ideal coatings.
 
     Raises
     ------
     InputError
-        If the patch is wider than the field, finer than two samples, or lies outside, or no light arrives.
+        If the patch is wider than the field, narrower than two samples, or lies outside the field, or if no
+        ray passes the lens.
     SamplingError
         If the patch has more than `LONGEST_SIDE` samples along a side.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design
+    >>> from wavesim.scene import patch_scene
+    >>> scene = patch_scene(load_design("designs/paper_singlet.toml"), 0.01, meridional=True)
+    >>> scene.object_grid.shape
+    (24,)
     """
     wavelength = wavelength_of(lens, wavelength_um)
-    _refuse(lens, patch_mm, field_mm)
+    _validate_patch(lens, patch_mm, field_mm)
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
     validate_positive("object_pitch_um", object_pitch_um)
     pitch = 1e-3 * object_pitch_um
     if not patch_mm >= 2.0 * pitch:
         raise InputError(
-            f"patch_mm = {patch_mm:g}: finer than 2 samples of the object's {object_pitch_um:g} um: give "
+            f"patch_mm = {patch_mm:g}: narrower than 2 samples of the object's {object_pitch_um:g} um: give "
             f"{2.0 * pitch:g} or more"
         )
     if patch_mm / pitch > LONGEST_SIDE:
@@ -92,43 +108,45 @@ def patch_scene(
 
 
 def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimensions: int) -> Grid:
-    """Samples that hold the light of the whole field on a plane behind the lens.
+    """Return a grid that samples the light of the whole field on a plane behind the lens.
 
     Parameters
     ----------
-    lens, wavelength_um
-        Lens and light.
+    lens
+        The nominal lens.
+    wavelength_um
+        Vacuum wavelength.
     plane_distance_mm
-        From the exit vertex.
+        Distance from the exit vertex.
     dimensions
         1 for a meridional line, 2 for a plane.
 
     Raises
     ------
     InputError
-        If no light arrives.
+        If no ray passes the lens.
     SamplingError
-        If the light is so wide that it needs more than `MOST_SAMPLES`.
+        If the grid needs more than `MOST_SAMPLES` samples.
     """
     half = MARGIN * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
     sine = math.sin(math.radians(largest_spread(lens, wavelength_um).spread_deg))
     pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
         raise SamplingError(
-            f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide, "
-            f"and needs samples of {1e3 * pitch:.3g} um; more than {MOST_SAMPLES:.3g} are not held"
+            f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide and "
+            f"needs samples of {1e3 * pitch:.3g} um; more than {MOST_SAMPLES:.3g} samples are not allowed"
         )
     count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)
 
 
 def validate_within_field(lens: Lens, patch_mm: float) -> None:
-    """Refuse a patch that the design's field does not hold.
+    """Check that the design's field contains a patch.
 
     Raises
     ------
     InputError
-        If its side is not above 0, or beyond `FIELD_MARGIN` times the field.
+        If the side is not above 0, or exceeds `FIELD_MARGIN` times the field diameter.
     """
     if not 0.0 < patch_mm <= FIELD_MARGIN * lens.object.field_diameter_mm:
         plausible = LensLengths.of(lens).plausible_mm("patch")
@@ -139,7 +157,7 @@ def validate_within_field(lens: Lens, patch_mm: float) -> None:
         )
 
 
-def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:
+def _validate_patch(lens: Lens, patch_mm: float, field_mm: float) -> None:
     validate_within_field(lens, patch_mm)
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(

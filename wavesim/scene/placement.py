@@ -1,4 +1,4 @@
-"""Where lens, object, sensor and light are, as deltas from the design."""
+"""Positions of lens, object, sensor and light, as deviations from the design."""
 
 from __future__ import annotations
 
@@ -11,36 +11,35 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 
 
-def _refuse(name: str, values: Any, count: int | None, wanted: str) -> None:
+def _validate_numbers(name: str, values: Any, count: int | None, allowed: str) -> None:
     if (count is not None and len(values) != count) or not all(map(math.isfinite, values)):
-        raise InputError(f"{name} = {values!r}: must be {wanted}")
+        raise InputError(f"{name} = {values!r}: must be {allowed}")
 
 
 @dataclass(frozen=True)
 class Placement:
-    """One lens on one bench: how it stands, and what else is not as designed.
+    """Deviations of one lens, its object and its sensor from their designed positions.
 
     Attributes
     ----------
     pose, surface_perturbations
-        The lens, as in :func:`lensdesign.trace`; no arrays of trials. Indices are those at the design's
-        wavelength: where another wavelength changes them, surface perturbations say so.
+        Displacement and manufacturing errors of the lens, as in :func:`lensdesign.trace`, for one lens. The
+        indices are those at the design's wavelength; perturbations state their change at another one.
     object_shift_mm, sensor_shift_mm : (x, y, z)
-        How far object and sensor stand from where they should. To shift both is to shift the lens the other
-        way.
+        Shifts of object and sensor. Equal shifts of both are equivalent to the opposite shift of the lens.
     plane_distances_mm : tuple of float
-        How much farther from the lens each plane is in which the sensor records; planes beyond the list are
-        where the sensor's shift along z takes them.
+        Change of the distance from the lens for each recording plane. Planes beyond the list use the z
+        component of `sensor_shift_mm`.
     sensor_tilt_deg : (x, y)
-        Right-handed rotation of the sensor about x, then about the y axis that turned with it, about the
-        middle of its plane.
+        Right-handed rotation of the sensor about x, then about the rotated y axis, through the centre of its
+        plane.
     wavelength_um : float or None
-        Vacuum wavelength of the light; None: the design's.
+        Vacuum wavelength of the light. Default: the wavelength of the nominal scene.
 
     Raises
     ------
     InputError
-        If a shift or a tilt is not of finite numbers, or not of as many as it takes.
+        If a shift or a tilt has the wrong number of components, or one that is not finite.
     """
 
     pose: Pose = Pose()
@@ -52,21 +51,21 @@ class Placement:
     wavelength_um: float | None = None
 
     def __post_init__(self) -> None:
-        _refuse("object_shift_mm", self.object_shift_mm, 3, "three finite numbers, x, y and z")
-        _refuse("sensor_shift_mm", self.sensor_shift_mm, 3, "three finite numbers, x, y and z")
-        _refuse("sensor_tilt_deg", self.sensor_tilt_deg, 2, "two finite numbers, about x and y")
-        _refuse("plane_distances_mm", self.plane_distances_mm, None, "finite numbers")
+        _validate_numbers("object_shift_mm", self.object_shift_mm, 3, "three finite numbers, x, y and z")
+        _validate_numbers("sensor_shift_mm", self.sensor_shift_mm, 3, "three finite numbers, x, y and z")
+        _validate_numbers("sensor_tilt_deg", self.sensor_tilt_deg, 2, "two finite numbers, about x and y")
+        _validate_numbers("plane_distances_mm", self.plane_distances_mm, None, "finite numbers")
 
-    def plane_distance_mm(self, number: int) -> float:
-        """How much farther from the lens a plane is, by its number from 0."""
-        told = number < len(self.plane_distances_mm)
-        return self.plane_distances_mm[number] if told else self.sensor_shift_mm[2]
+    def plane_distance_mm(self, index: int) -> float:
+        """Return the change of a plane's distance from the lens; `index` counts planes from 0."""
+        is_listed = index < len(self.plane_distances_mm)
+        return self.plane_distances_mm[index] if is_listed else self.sensor_shift_mm[2]
 
 
 NOMINAL = Placement()
-"""All as designed."""
+"""Placement without deviations from the design."""
 
 
 def placed(placement: Placement | Pose) -> Placement:
-    """A placement; where only a pose is given, that of a lens on an otherwise perfect bench."""
+    """Return a placement; a pose alone becomes the placement of that lens on a bench as designed."""
     return Placement(placement) if isinstance(placement, Pose) else placement

@@ -1,4 +1,4 @@
-"""What is carried where: a lens in its place, the grids before and behind it, and the light."""
+"""A scene: a lens in its position, the object grid, the exit grid, and the wavelength."""
 
 from __future__ import annotations
 
@@ -22,28 +22,30 @@ Coating = Literal["ideal", "bare"]
 
 @dataclass(frozen=True)
 class Scene:
-    """A lens, and the two grids between which a field is carried.
+    """A lens, and the two grids between which a field is propagated.
 
-    All is where and as it is; :func:`placed_scene` makes it of a nominal scene and the deltas of a placement.
+    All positions are actual ones; :func:`placed_scene` derives them from a nominal scene and a placement.
 
     Attributes
     ----------
     lens : Lens
         The nominal lens.
     object_grid, exit_grid : Grid
-        In front of the lens and behind it; both lines, or both planes.
+        Grids in front of the lens and behind it; both lines, or both planes.
     wavelength_um : float
         Vacuum wavelength.
     pose, surface_perturbations
-        As in :func:`lensdesign.trace`: one displaced or perturbed lens. The grids stay where they are.
+        Displacement and manufacturing errors of one lens, as in :func:`lensdesign.trace`. They do not move
+        the grids.
     coating : {"ideal", "bare"}
-        Whether surfaces transmit everything, or what Fresnel's formulas leave (TE on a line; the mean of
-        both polarizations on a plane).
+        "ideal" surfaces transmit all light. "bare" surfaces transmit by Fresnel's equations (TE on a
+        line, the mean of both polarizations on a plane).
 
     Raises
     ------
     InputError
-        If the grids do not fit each other, or the lens.
+        If one grid is a line and the other a plane, or a grid lies inside the lens, or the perturbations hold
+        several trials.
     """
 
     lens: Lens
@@ -70,16 +72,18 @@ class Scene:
             )
         validate_choice("coating", self.coating, ("ideal", "bare"))
         if self.system.trials is not None:
-            raise InputError("a scene is that of one lens: the perturbations hold many trials")
+            raise InputError(
+                "surface_perturbations: hold arrays of trials; a scene has one lens: give numbers"
+            )
 
     @cached_property
     def system(self) -> CompiledSystem:
-        """The lens as arrays, in place."""
+        """The displaced and perturbed lens as arrays, ready for tracing."""
         return compile_system(self.lens, self.wavelength_um, self.pose, self.surface_perturbations)
 
     @property
     def steepest_sine(self) -> float:
-        """Of the angle to the axis behind the lens, beyond which light is left out."""
+        """Sine of the largest angle to the axis behind the lens; steeper light is omitted."""
         return math.inf
 
     @property
@@ -89,7 +93,7 @@ class Scene:
 
 
 def placed_scene(nominal: Scene, placement: Placement) -> Scene:
-    """The scene with lens, object and light as they are; the exit grid stays where it is."""
+    """Return the scene with lens, object and wavelength as placed; the exit grid does not move."""
     wavelength = placement.wavelength_um or nominal.wavelength_um
     same = wavelength == nominal.wavelength_um
     return replace(
@@ -103,14 +107,14 @@ def placed_scene(nominal: Scene, placement: Placement) -> Scene:
 
 
 def placed_object(nominal: Grid, placement: Placement) -> Grid:
-    """The object's samples where they are."""
+    """Return the object grid at its actual position."""
     x, y, z = placement.object_shift_mm
     centre = nominal.centre_mm[0] + x, nominal.centre_mm[1] + y
     return replace(nominal, z_mm=nominal.z_mm + z, centre_mm=centre)
 
 
 def _with_indices_of(lens: Lens, wavelength_um: float) -> Lens:
-    """A lens whose indices are those of one wavelength at all: its placement says how they change."""
+    """Return the lens with its indices at one wavelength. Their change with wavelength is a perturbation."""
     indices = lens.indices(wavelength_um)[1:].tolist()
     surfaces = (
         surface if surface.material is None else surface.replaced(material=index)
@@ -120,7 +124,7 @@ def _with_indices_of(lens: Lens, wavelength_um: float) -> Lens:
 
 
 def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
-    """The wavelength asked for, or the design's first one.
+    """Return the given wavelength, or the design's first one where none is given.
 
     Raises
     ------

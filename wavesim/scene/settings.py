@@ -1,6 +1,6 @@
-"""All that may be set of an image, a reconstruction and a calibration.
+"""Settings of simulations, reconstructions and calibrations.
 
-Every field of a model here is an option of the commands, too: its name, its default, and its description as
+Every field of a model is also an option of the commands, with its name, its default, and its description as
 help.
 """
 
@@ -30,13 +30,13 @@ from lensdesign.lens.poses import Pose
 from wavesim.scene.bench_settings import BenchSettings
 
 STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
-"""Of each way of reconstruction; the first is the one that is taken."""
+"""Starts of each reconstruction method; the first is the default."""
 
 ITERATIONS = {"paper": 500, "object": 80}
 PAPER_REFOCUS_MM = (-0.01, 0.01)
 
 DEFAULT_ERROR = 0.05
-"""Relative L2 error of the exit field that the cheapest engine may have, where nothing else is said."""
+"""Default limit of the exit field's relative L2 error, for the choice of an engine."""
 
 
 class SettingError(InputError):
@@ -45,7 +45,8 @@ class SettingError(InputError):
     Parameters
     ----------
     text
-        The message, in which names of settings stand in braces, so that a command can name its options.
+        The message. It contains names of settings in braces, so that a command can replace them by its
+        options.
     """
 
     def __init__(self, text: str) -> None:
@@ -53,12 +54,12 @@ class SettingError(InputError):
         super().__init__(self.naming(str))
 
     def naming(self, name: Callable[[str], str]) -> str:
-        """The message, with names of settings as they are called somewhere."""
+        """Return the message with each name of a setting replaced by `name(setting)`."""
         return re.sub(r"{(\w+)}", lambda found: name(found[1]), self.text)
 
 
 class Settings(Section):
-    """A section whose numbers are of a size with which can be computed."""
+    """A section of settings whose numbers have a magnitude that computations can handle."""
 
     @field_validator("*")
     @classmethod
@@ -72,14 +73,14 @@ class Settings(Section):
     @classmethod
     def _in_micrometres(cls, value: float | None, info: ValidationInfo) -> float | None:
         plausible = WAVELENGTH_UM if info.field_name == "wavelength_um" else PIXEL_PITCH_UM
-        doubt = None if value is None else plausible.doubt(value, "um")
+        doubt = None if value is None else plausible.objection(value, "um")
         if doubt is not None:
             raise ValueError(doubt)
         return value
 
 
 def _floats(value: Any) -> Iterator[float]:
-    """The numbers of a setting."""
+    """Yield the numbers of a setting."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):
@@ -98,7 +99,7 @@ LONGEST_EXPOSURE = 1e9
 
 
 def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
-    """In order."""
+    """Return exposures in ascending order, once they have been checked."""
     if not exposures or min(exposures) <= 0.0:
         raise ValueError("must be greater than 0")
     if max(exposures) > LONGEST_EXPOSURE or min(exposures) < 1.0 / LONGEST_EXPOSURE:
@@ -113,7 +114,7 @@ Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
 Points = Annotated[
     tuple[Pair, ...],
     BeforeValidator(tuples),
-    Field(description="usaf: x,y of fine groups beside those in the middle; may be given again."),
+    Field(description="usaf: x,y of fine groups in addition to those in the middle; may be repeated."),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
 Kind = Literal["complex", "amplitude"]
@@ -140,18 +141,20 @@ def _pixels(value: Any) -> Any:
 
 
 class PatchSettings(Settings):
-    """The square of the object plane that is looked at, its field stop, and the light on it."""
+    """The square of the object plane that is imaged, its field stop, and the light on it."""
 
-    patch_mm: float | None = Field(None, description="Side of the object patch; left out, the whole field.")
-    field_stop_mm: float | None = Field(None, description="Diameter of the field stop; left out: the patch.")
+    patch_mm: float | None = Field(None, description="Side of the object patch; default: the whole field.")
+    field_stop_mm: float | None = Field(None, description="Diameter of the field stop; default: the patch.")
     field_stop_at_mm: Pair | None = Field(
-        None, description="x,y of the field stop's middle; left out: on the axis."
+        None, description="x,y of the field stop's centre; default: on the axis."
     )
-    object_pitch_um: float | None = Field(None, description="Samples of the object; left out: by NA.")
+    object_pitch_um: float | None = Field(
+        None, description="Pitch of the object's samples; default: by the numerical aperture."
+    )
     illumination: str = Field("plane", description="plane, tilted, gaussian, or FILE of a measured field.")
     light_tilt_deg: Pair = Field((0.0, 0.0), description="tilted: angles x,y of the light.")
     waist_mm: float | None = Field(None, description="gaussian: radius of the waist.")
-    light_pitch_um: float | None = Field(None, description="FILE: its pitch, if it does not say.")
+    light_pitch_um: float | None = Field(None, description="FILE: its pitch, if the file does not state it.")
 
     @field_validator("light_tilt_deg", "waist_mm")
     @classmethod
@@ -163,7 +166,7 @@ class PatchSettings(Settings):
 
 
 class PoseSettings(Settings):
-    """The lens as mounted, as of :class:`lensdesign.Pose`."""
+    """Pose of the lens as mounted, as in :class:`lensdesign.Pose`."""
 
     decenter_x_mm: float = Field(0.0, description="Shift of the lens as mounted, along x.")
     decenter_y_mm: float = Field(0.0, description="Shift of the lens as mounted, along y.")
@@ -174,14 +177,16 @@ class PoseSettings(Settings):
 
     @property
     def pose(self) -> Pose:
-        """Of the lens."""
+        """Pose of the lens."""
         return Pose(**{name: getattr(self, name) for name in PoseSettings.model_fields})
 
 
 class EngineDetails(Settings):
-    """What engines let one set; None leaves it to the engine."""
+    """Settings of single engines; None leaves the value to the engine."""
 
-    tile_width_mm: Size | None = Field(None, description="eikonal, two-level: width of a tile of the object.")
+    tile_width_mm: Size | None = Field(
+        None, description="eikonal, hierarchical: width of a tile of the object."
+    )
     slices: Count | None = Field(None, description="slices: number of slices.")
     compensation: str | None = Field(None, description="slices: vertical or oblique.")
     interface: str | None = Field(None, description="wpm: substep or staircase.")
@@ -189,7 +194,7 @@ class EngineDetails(Settings):
     pitch_um: Size | None = Field(None, description="slices, wpm, thin-lens: pitch of the working grid.")
 
     def details(self) -> dict[str, Any]:
-        """Those that are set, in the engines' own words."""
+        """Return the settings that are given, by their names in the engines."""
         names = (*EngineDetails.model_fields, "spacing", "device")
         given = {name: getattr(self, name, None) for name in names}
         if self.pitch_um is not None:
@@ -198,26 +203,26 @@ class EngineDetails(Settings):
 
 
 class SingleEngineDetails(EngineDetails):
-    """Those of an engine that is tried alone."""
+    """Settings of an engine that is run by its name."""
 
     spacing: str | None = Field(None, description="slices: equal, paper or equal-phase.")
 
 
 class EngineSettings(EngineDetails):
-    """Which engine carries light, and how exactly."""
+    """The engine, and the error that it may have."""
 
-    engine: str = Field("auto", description="Engine, or auto: the cheapest that holds.")
-    error: float | None = Field(None, description="Relative error that the engine may have; left out: 0.05.")
+    engine: str = Field("auto", description="Engine, or auto: the cheapest that meets the error limit.")
+    error: float | None = Field(None, description="Allowed relative error of the engine; default: 0.05.")
 
 
 class MachineSettings(Settings):
-    """What a run may take, and where its parts are done."""
+    """Memory and hardware of a run."""
 
-    memory_gb: Size | None = Field(None, description="Most memory; left out, 80 % of what is free.")
+    memory_gb: Size | None = Field(None, description="Memory limit; default: 80 % of what is free.")
     cluster: str | None = Field(
-        None, description="two-level: Dask scheduler (ADDRESS) whose workers do the tiles."
+        None, description="hierarchical: Dask scheduler (ADDRESS) whose workers compute the tiles."
     )
-    device: str | None = Field(None, description="two-level: cpu or gpu.")
+    device: str | None = Field(None, description="hierarchical: cpu or gpu.")
 
 
 class CameraSettings(Settings):
@@ -225,15 +230,21 @@ class CameraSettings(Settings):
 
     model_config = ConfigDict(loc_by_alias=False)
 
-    planes_mm: Numbers | None = Field(None, description="From the exit vertex; left out: the design's.")
+    planes_mm: Numbers | None = Field(
+        None, description="Distances of the planes from the exit vertex; default: the design's."
+    )
     pixels: Annotated[Pixels | None, BeforeValidator(_pixels)] = Field(
-        None, description="Of a side, or 9344x7000, or all; left out, what holds the light."
+        None, description="Pixels along a side, or 9344x7000, or all; default: as many as the light covers."
     )
     noise: bool = Field(True, description="Shot noise and read noise.")
-    seed: int = Field(0, ge=0, description="Of noise, and of tissue.")
-    full_well_electrons: float = Field(10_000.0, alias="full_well", ge=1.0, le=1e9, description="Electrons.")
-    read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, le=1e9, description="Electrons.")
-    bits: int = Field(12, ge=1, le=16, description="Of a count.")
+    seed: int = Field(0, ge=0, description="Seed of the noise, and of the object tissue.")
+    full_well_electrons: float = Field(
+        10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
+    )
+    read_noise_electrons: float = Field(
+        2.0, alias="read_noise", ge=0.0, le=1e9, description="Read noise in electrons."
+    )
+    bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
     peak_fill: float = Field(
         0.8,
         validation_alias=AliasChoices("peak_fill", "brightest_share"),
@@ -247,8 +258,8 @@ class CameraSettings(Settings):
         validation_alias=AliasChoices("fill_factor", "active_width"),
         description="Linear fill factor of a pixel (0 to 1).",
     )
-    stage_error_mm: Numbers = Field((0.0,), description="Of all planes, or of each.")
-    shift_um: Pair = Field((0.0, 0.0), description="x,y of the sensor from plane to plane.")
+    stage_error_mm: Numbers = Field((0.0,), description="Position error of all planes, or of each.")
+    shift_um: Pair = Field((0.0, 0.0), description="x,y shift of the sensor from plane to plane.")
 
     @field_validator("planes_mm")
     @classmethod
@@ -256,7 +267,7 @@ class CameraSettings(Settings):
         if planes is None:
             return None
         if not planes or min(planes) <= 0.0 or len(set(planes)) < len(planes):
-            raise ValueError("must be greater than 0, and differ")
+            raise ValueError("must be distinct and greater than 0")
         return tuple(sorted(planes))
 
     _lit = field_validator("exposures")(_bracket)
@@ -265,14 +276,21 @@ class CameraSettings(Settings):
 class ObjectSettings(Settings):
     """An object on the patch, and the wavelength of its light."""
 
-    wavelength_um: float | None = Field(None, description="Left out: the design's first.")
-    ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark.")
+    wavelength_um: float | None = Field(None, description="Wavelength; default: the design's first.")
+    ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: background, bright or dark.")
     chart_at_mm: Points = ()
     ghost: float = Field(
-        0.0, ge=0.0, le=1.0, description="Of the light, what both outer surfaces reflect: the lens's ghost."
+        0.0,
+        ge=0.0,
+        le=1.0,
+        description="Product of the reflectances of both outer surfaces: the lens's ghost.",
     )
-    picture_pixel_um: Size | None = Field(None, description="FILE: side of its pixels; left out, it fits.")
-    picture_width_mm: Size | None = Field(None, description="FILE: its width; left out, it fits the stop.")
+    picture_pixel_um: Size | None = Field(
+        None, description="FILE: side of its pixels; default: fitted to the field stop."
+    )
+    picture_width_mm: Size | None = Field(
+        None, description="FILE: its width; default: fitted to the field stop."
+    )
 
 
 class ImageSettings(
@@ -288,35 +306,38 @@ class ImageSettings(
 
 
 class ChoiceSettings(PatchSettings, ObjectSettings):
-    """The object whose light `wavesim choose` predicts engines' errors of."""
+    """The object for whose light `wavesim choose` predicts the errors of the engines."""
 
     patch_mm: float = Field(0.1, description="Side of the object patch.")
 
 
 class FrameSetSettings(Settings):
-    """What frames should say of themselves and do not; all of them alike, or one for each."""
+    """Properties of frames that their files do not state; one value for all frames, or one for each."""
 
-    plane_distance_mm: Numbers | None = Field(None, description="Of each frame, as its file should say.")
-    exposure: Numbers | None = Field(None, description="Of each frame; any unit.")
-    pixel_pitch_um: float | None = Field(None, description="Of the frames.")
-    wavelength_um: float | None = Field(None, description="Of the frames.")
-    bits: int | None = Field(None, description="Of a count.")
+    plane_distance_mm: Numbers | None = Field(None, description="Distance of each frame's plane.")
+    exposure: Numbers | None = Field(None, description="Exposure of each frame, in any unit.")
+    pixel_pitch_um: float | None = Field(None, description="Pixel pitch of the frames.")
+    wavelength_um: float | None = Field(None, description="Wavelength of the frames.")
+    bits: int | None = Field(None, description="Bits of a count.")
     offset_counts: float | None = Field(None, description="Count of a dark pixel.")
-    gain_electrons_per_count: float | None = Field(None, description="Of the sensor.")
-    read_noise_electrons: float | None = Field(None, description="Of the sensor.")
+    gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
+    read_noise_electrons: float | None = Field(None, description="Read noise of the sensor.")
     flat: Path | None = Field(None, description="FILE of even light, in counts: TIFF, PNG or .npy.")
     dark: Path | None = Field(None, description="FILE without light, in counts: TIFF, PNG or .npy.")
-    bad_pixels: Path | None = Field(None, description="FILE in which pixels that tell nothing are not 0.")
+    bad_pixels: Path | None = Field(None, description="FILE in which unusable pixels are not 0.")
 
 
 class FramedSettings(EngineSettings, PatchSettings):
-    """What a reconstruction and a calibration have in common."""
+    """Settings that reconstructions and calibrations share."""
 
     kind: Kind = Field("complex", description="object: complex or amplitude.")
     field_stop: Literal["stated", "find"] = Field(
-        "stated", description="stated, or find: position and diameter from the frames; what is given stays."
+        "stated",
+        description="stated, or find: position and diameter from the frames, unless they are given.",
     )
-    scale: float | None = Field(None, description="object: recorded amplitude of 1; left out: fitted.")
+    scale: float | None = Field(
+        None, description="object: recorded amplitude of a transmission of 1; default: fitted."
+    )
     fill_factor: float = Field(
         1.0,
         validation_alias=AliasChoices("fill_factor", "active_width"),
@@ -331,19 +352,19 @@ class FramedSettings(EngineSettings, PatchSettings):
         both = all(info.data.get(name) is not None for name in ("field_stop_mm", "field_stop_at_mm"))
         if stop == "find" and both:
             raise SettingError(
-                "{field_stop} find: {field_stop_mm} and {field_stop_at_mm} leave nothing to be found: leave "
-                "out one of them"
+                "{field_stop} find: {field_stop_mm} and {field_stop_at_mm} are both given, and nothing is "
+                "left to find: omit one of them"
             )
         return stop
 
     def with_stop(self, field_stop_mm: float, field_stop_at_mm: Pair) -> Self:
-        """The same settings with a field stop that is stated."""
+        """Return the same settings with a stated field stop."""
         stop = {"field_stop_mm": field_stop_mm, "field_stop_at_mm": field_stop_at_mm}
         return self.replaced(field_stop="stated", **stop)
 
     @property
     def field_stop_from(self) -> StopOrigin:
-        """Where position and diameter of the field stop come from."""
+        """Origin of the field stop's position and diameter."""
         if self.field_stop == "find":
             return "frames"
         is_default = self.field_stop_mm is None and self.field_stop_at_mm is None
@@ -354,23 +375,25 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     """All settings of :func:`wavesim.reconstruct_frames`."""
 
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
-    iterations: int | None = Field(None, ge=1, description="At most; left out: object 80, paper 500.")
+    iterations: int | None = Field(
+        None, ge=1, description="Most iterations; default: 80 for object, 500 for paper."
+    )
     tv_weight: float | Literal["auto"] = Field(
-        "auto", description="object: total variation, or auto: by the noise."
+        "auto", description="object: weight of the total variation, or auto: by the noise."
     )
     start: str | None = Field(None, description="paper: model, uniform, random; object: even, amplitude.")
-    refocus_mm: Pair | None = Field(None, description="low,high: where to look for the focus.")
+    refocus_mm: Pair | None = Field(None, description="low,high: range in which the focus is searched.")
     usaf: Literal["bright", "dark"] | None = Field(
-        None, description="The object is a USAF chart: bright or dark."
+        None, description="The object is a USAF chart with a bright or dark background."
     )
     chart_at_mm: Points = ()
     hold_out_plane: int | None = Field(
-        None, description="object: number of a plane that is not used, but compared with the result."
+        None, description="object: plane that is not used, but compared with the result, counted from 1."
     )
-    starts: int = Field(1, ge=1, description="object: how many starts must come to one object.")
+    starts: int = Field(1, ge=1, description="object: number of starts whose results must agree.")
     source_deg: float | Literal["find"] = Field(
         0.0,
-        description="object: diameter of the light's source (partial coherence), or find.",
+        description="object: diameter of the light source (partial coherence), or find.",
     )
     region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(tuples)] | None = Field(
         None, description="x,y,width,height: the part of the object that is judged and written."
@@ -409,22 +432,22 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 
     @property
     def most_iterations(self) -> int:
-        """At most; of the method where it was left out."""
+        """Most iterations; default: the method's."""
         return self.iterations or ITERATIONS[self.method]
 
     @property
     def first(self) -> str:
-        """The start; of the method where it was left out."""
+        """Start of the iteration; default: the method's first one."""
         return self.start or STARTS[self.method][0]
 
     @property
     def focus_mm(self) -> Pair | None:
-        """Where to look for the focus; of the method where it was left out."""
+        """Range in which the focus is searched; default: the method's."""
         return self.refocus_mm or (PAPER_REFOCUS_MM if self.method == "paper" else None)
 
 
 class FreeSpaceSettings(Settings):
-    """Frames that no lens stands before, and what is written of planes that have none."""
+    """Frames that were recorded without a lens, and planes that are predicted from them."""
 
     free_space: bool = Field(False, description="No lens: the object on z = 0, with the frames' pitch.")
     calibrate: bool = Field(
@@ -432,9 +455,9 @@ class FreeSpaceSettings(Settings):
         description="Find the bench from the frames first; in free space distances, drift and exposures.",
     )
     numerical_aperture: Size | None = Field(
-        None, description="free space: of the light; left out, found from the frames' spectra."
+        None, description="free space: numerical aperture of the light; default: from the frames' spectra."
     )
-    predict_mm: Numbers | None = Field(None, description="free space: planes to predict, Z1,Z2,...")
+    predict_mm: Numbers | None = Field(None, description="free space: distances of planes to predict.")
 
     @field_validator("numerical_aperture", "predict_mm")
     @classmethod
@@ -449,19 +472,23 @@ class PlanSettings(Settings):
 
     model_config = ConfigDict(loc_by_alias=False)
 
-    kind: Literal["complex", "amplitude"] = Field("complex", description="Of the object.")
-    patch_mm: Size | None = Field(None, description="Side of the object patch; left out, the whole field.")
-    wavelength_um: Size | None = Field(None, description="Left out: the design's first.")
-    planes_mm: Pair | None = Field(None, description="Nearest, farthest; left out: the design's.")
-    most_planes: int = Field(4, ge=1, le=8, description="That are tried, evenly spread.")
+    kind: Literal["complex", "amplitude"] = Field("complex", description="Kind of the object.")
+    patch_mm: Size | None = Field(None, description="Side of the object patch; default: the whole field.")
+    wavelength_um: Size | None = Field(None, description="Wavelength; default: the design's first.")
+    planes_mm: Pair | None = Field(None, description="Nearest and farthest plane; default: the design's.")
+    most_planes: int = Field(4, ge=1, le=8, description="Most planes that are tried, evenly spaced.")
     exposures: Numbers = Field(
-        (1.0, 30.0, 1000.0), description="A bracket, to be compared with its first alone."
+        (1.0, 30.0, 1000.0), description="Exposure bracket, which is compared with its first exposure alone."
     )
-    correlation: float = Field(0.99, gt=0.0, lt=1.0, description="That is asked of the object.")
-    full_well_electrons: Size = Field(10_000.0, alias="full_well", ge=1.0, le=1e9, description="Electrons.")
-    read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, le=1e9, description="Electrons.")
-    bits: int = Field(12, ge=1, le=16, description="Of a count.")
-    seed: int = Field(0, ge=0, description="Of object and noise.")
+    correlation: float = Field(0.99, gt=0.0, lt=1.0, description="Required correlation of the object.")
+    full_well_electrons: Size = Field(
+        10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
+    )
+    read_noise_electrons: float = Field(
+        2.0, alias="read_noise", ge=0.0, le=1e9, description="Read noise in electrons."
+    )
+    bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
+    seed: int = Field(0, ge=0, description="Seed of object and noise.")
 
     @field_validator("planes_mm")
     @classmethod
@@ -476,10 +503,10 @@ class PlanSettings(Settings):
 class CalibrationSettings(FramedSettings):
     """All settings of :func:`wavesim.calibrate_frames`."""
 
-    engine: str = Field("eikonal", description="Engine, or auto: the cheapest that holds.")
-    iterations: int = Field(5, ge=1, description="Of each reconstruction on the way.")
-    most_mountings: int = Field(80, ge=1, description="Benches that are tried.")
+    engine: str = Field("eikonal", description="Engine, or auto: the cheapest that meets the error limit.")
+    iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")
+    most_mountings: int = Field(80, ge=1, description="Most benches that are tried.")
     parameters: str = Field(
-        "all", description="What is unknown: all, light, lens, mounting, camera, rigid, or names, by commas."
+        "all", description="Unknowns: all, light, lens, mounting, camera, rigid, or names, by commas."
     )
     pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")

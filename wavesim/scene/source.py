@@ -1,4 +1,4 @@
-"""The source of the light: how wide and how coloured it is, as a few modes that do not interfere."""
+"""The light source: its angular size and bandwidth, represented by a few mutually incoherent modes."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ import numpy as np
 from lensdesign.errors import InputError
 
 RINGS, ANGLES, COLOURS = 2, 8, 5
-"""Directions on a disc, and wavelengths, by which light is added up: polynomials of the direction are right
-up to the degree 7, of the wavelength up to 9."""
+"""Nodes of the quadrature over the disc of directions and the band of wavelengths. It is exact for
+polynomials of the direction up to degree 7 and of the wavelength up to degree 9."""
 
 
 class SourceMode(NamedTuple):
-    """Light of one direction and wavelength, and its share of the energy."""
+    """Light of one direction and wavelength, and its fraction of the energy."""
 
-    share: float
+    weight: float
     tilt_deg: tuple[float, float]
     wavelength_um: float
 
 
 @dataclass(frozen=True)
 class Source:
-    """An even disc of directions, and an even band of wavelengths about that of the light.
+    """An even disc of directions, and an even band of wavelengths about the light's wavelength.
 
     Attributes
     ----------
     width_deg : float
-        Diameter of the source, as the object sees it.
+        Angular diameter of the source, seen from the object.
     bandwidth_nm : float
-        Of its light, from end to end.
+        Full width of its spectrum.
 
     Raises
     ------
     InputError
-        If one is negative or too large.
+        If a value is negative or too large.
     """
 
     width_deg: float = 0.0
@@ -50,19 +50,21 @@ class Source:
             raise InputError(f"source bandwidth_nm = {self.bandwidth_nm!r}: must be finite, and not negative")
 
     def modes(self, wavelength_um: float, rings: int = RINGS, angles: int = ANGLES) -> list[SourceMode]:
-        """Directions and wavelengths whose intensities add up, with shares whose sum is 1.
+        """Return directions and wavelengths whose intensities add up; their weights sum to 1.
 
         Parameters
         ----------
         wavelength_um
-            In the middle of the band.
-        rings, angles
-            Gauss-Legendre nodes of the squared radius, and directions on each of them.
+            Centre of the band.
+        rings
+            Number of Gauss-Legendre nodes of the squared radius.
+        angles
+            Number of directions on each ring.
 
         Raises
         ------
         InputError
-            If the band reaches down to 0.
+            If the band reaches wavelengths of 0 or below.
         """
         half_um = 0.5e-3 * self.bandwidth_nm
         if half_um >= wavelength_um:
@@ -76,24 +78,24 @@ class Source:
             ]
         directions = self._directions(rings, angles)
         return [
-            SourceMode(share * part, tilt, colour) for part, colour in colours for share, tilt in directions
+            SourceMode(weight * part, tilt, colour) for part, colour in colours for weight, tilt in directions
         ]
 
     def few_modes(self, wavelength_um: float) -> list[SourceMode]:
-        """Seven directions of one wavelength, right for polynomials of the direction up to the degree 5.
+        """Return seven directions of one wavelength, exact for polynomials of the direction up to degree 5.
 
-        The middle and a hexagon: A. H. Stroud, "Approximate calculation of multiple integrals" (1971),
-        S2 5-1. A point source is one mode.
+        The nodes are the centre and a hexagon: A. H. Stroud, "Approximate calculation of multiple integrals"
+        (1971), S2 5-1. A point source has one mode.
 
         Parameters
         ----------
         wavelength_um
-            Of the light.
+            Wavelength of the light.
         """
         if not self.width_deg:
             return [SourceMode(1.0, (0.0, 0.0), wavelength_um)]
         radius = 0.5 * self.width_deg * math.sqrt(2.0 / 3.0)
-        angles = [math.pi * place / 3.0 for place in range(6)]
+        angles = [math.pi * corner / 3.0 for corner in range(6)]
         ring = [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
         return [SourceMode(0.25, (0.0, 0.0), wavelength_um)] + [
             SourceMode(0.125, tilt, wavelength_um) for tilt in ring
@@ -106,11 +108,11 @@ class Source:
         found = []
         for ring, (node, weight) in enumerate(zip(nodes.tolist(), weights.tolist(), strict=True)):
             radius = 0.5 * self.width_deg * math.sqrt(0.5 * (1.0 + node))
-            for place in range(angles):
-                angle = 2.0 * math.pi * (place + 0.5 * (ring % 2)) / angles
+            for step in range(angles):
+                angle = 2.0 * math.pi * (step + 0.5 * (ring % 2)) / angles
                 found.append((0.5 * weight / angles, (radius * math.cos(angle), radius * math.sin(angle))))
         return found
 
 
 POINT = Source()
-"""Coherent light."""
+"""Coherent light of one direction and wavelength."""

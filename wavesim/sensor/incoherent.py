@@ -33,7 +33,7 @@ def added_modes(
     """Light of modes that do not interfere, on each plane: their intensities add up."""
     total: list[tuple[Array, float]] = []
     for number, mode in enumerate(modes):
-        parts = [(mode.share * one, mode.share * beyond) for one, beyond in through(mode, f"mode_{number}")]
+        parts = [(mode.weight * one, mode.weight * beyond) for one, beyond in through(mode, f"mode_{number}")]
         if total:
             parts = [(a + b, c + d) for (a, c), (b, d) in zip(total, parts, strict=True)]
         total = parts

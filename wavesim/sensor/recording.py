@@ -213,7 +213,7 @@ def _light_through_free_space(
         tell(f"plane {number + 1}", number, len(windows))
         if number == 0:
             limit = 500.0 / sensor.pixel_pitch_um
-            share = spectrum_support(field.values, field.grid.pitch_mm, limit).share_beyond
+            share = spectrum_support(field.values, field.grid.pitch_mm, limit).fraction_beyond
         intensity = light_on_pixels(field, sensor, fill_factor=width, oversampling=OVERSAMPLING)
         del field  # the next plane's takes as much
         yield intensity, share
@@ -310,7 +310,7 @@ def _light_in_bands(
     rows, columns = part
     spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
     steps = engine.parts + math.ceil(grid.shape[0] / BAND_ROWS)
-    engine.report = lambda done, _: tell(done, steps)
+    engine.progress = lambda done, _: tell(done, steps)
     try:
         bands = engine.forward_in_bands(behind_object, BAND_ROWS, sums)
         for step, (band, values) in enumerate(bands, start=engine.parts + 1):
@@ -322,9 +322,9 @@ def _light_in_bands(
                 inside = values[start - band.start : stop - band.start, columns]
                 light.add(slice(start - rows.start, stop - rows.start), inside)
     finally:
-        engine.report = None
+        engine.progress = None
     warn_of_footprint(light.caught, total, sensor)
-    return light.means(), spectrum.share_beyond(500.0 / sensor.pixel_pitch_um)
+    return light.means(), spectrum.fraction_beyond(500.0 / sensor.pixel_pitch_um)
 
 
 def _parts(

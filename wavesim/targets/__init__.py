@@ -1,4 +1,4 @@
-"""What stands in front of the lens: charts, phantoms, pictures, and the light on them."""
+"""Object planes: resolution charts, phantoms, pictures, and their illumination."""
 
 import lazy_loader
 

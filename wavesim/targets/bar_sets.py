@@ -1,4 +1,4 @@
-"""Contrast of a set of three bars where the chart has them."""
+"""Contrast of a set of three bars at its position on the chart."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from wavesim.fields.coverage import Rectangle, bar_rectangles, rectangle_coverage
 from wavesim.fields.field import Grid, Orientation, axis_of
-from wavesim.targets.patterns import Ground
+from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import BARS, UsafElement
 
 MIDDLE_ACROSS, MIDDLE_ALONG = 0.5, 3.0
-"""Part of each bar and gap that is averaged, in line widths: the middle, away from edges and ends."""
-
-PROFILE = 9.0
-"""Length of a profile across a set, in line widths: the set and two widths on each side."""
+"""Size of the averaged area of each bar and gap (line widths): its middle, away from edges and ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +24,12 @@ class SetContrast:
     Attributes
     ----------
     contrast : float
-        (bright - dark) / (bright + dark) of the mean intensities of bars and gaps; negative where they show
-        reversed, NaN without light.
+        (bright - dark) / (bright + dark) of the mean intensities of bars and gaps; negative if the contrast
+        is reversed, NaN without light.
     weakest_contrast : float
-        The same of the dimmest part that ought to be bright and the brightest one that ought to be dark.
+        Contrast of the dimmest area that should be bright and the brightest area that should be dark.
     across_um, intensity : ndarray, shape (n,)
-        Profile on the samples: coordinate across the bars from the set's middle, and mean along them.
+        Profile on the samples: coordinate across the bars from the set's centre, and mean along the bars.
     """
 
     contrast: float
@@ -42,12 +39,12 @@ class SetContrast:
 
 
 def set_contrast(
-    intensity: Array, grid: Grid, element: UsafElement, orientation: Orientation, ground: Ground
+    intensity: Array, grid: Grid, element: UsafElement, orientation: Orientation, polarity: Polarity
 ) -> SetContrast:
-    """Contrast of the set of an element whose bars follow each other along an axis.
+    """Return the contrast of the set of an element whose bars are repeated along an axis.
 
-    Intensity is averaged over the middle of each bar and gap: half a line width across, three along, cells
-    weighted by the part of them that lies within.
+    Intensity is averaged over the middle of each bar and gap, half a line width across and three along. Cells
+    are weighted by their covered fraction.
 
     Raises
     ------
@@ -56,10 +53,10 @@ def set_contrast(
     """
     width, centre = 1e-3 * element.line_width_um, element.set_centre_mm(orientation)
     bars, gaps = (
-        [_mean(intensity, grid, part) for part in _middles(width, centre, orientation, count)]
+        [_mean(intensity, grid, area) for area in _middles(width, centre, orientation, count)]
         for count in (BARS, BARS - 1)
     )
-    bright, dark = (bars, gaps) if ground == "dark" else (gaps, bars)
+    bright, dark = (bars, gaps) if polarity == "dark" else (gaps, bars)
     across, profile = _profile(intensity, grid, width, centre, orientation)
     return SetContrast(
         _michelson(float(np.mean(bright)), float(np.mean(dark))),
@@ -72,7 +69,7 @@ def set_contrast(
 def _middles(
     width: float, centre: tuple[float, float], orientation: Orientation, count: int
 ) -> list[Rectangle]:
-    """Middles of so many bars, or of the gaps between one more."""
+    """Return the averaged areas of `count` bars, or of the gaps between one bar more."""
     axis = axis_of(orientation)
     shrink = 0.5 * (1.0 - MIDDLE_ACROSS) * width
     made = []
@@ -82,8 +79,8 @@ def _middles(
     return made
 
 
-def _mean(intensity: Array, grid: Grid, part: Rectangle) -> float:
-    weights = rectangle_coverage(grid, [part])
+def _mean(intensity: Array, grid: Grid, area: Rectangle) -> float:
+    weights = rectangle_coverage(grid, [area])
     chosen = weights > 0.0
     return float(np.average(intensity[chosen], weights=weights[chosen]))
 
@@ -91,13 +88,13 @@ def _mean(intensity: Array, grid: Grid, part: Rectangle) -> float:
 def _profile(
     intensity: Array, grid: Grid, width: float, centre: tuple[float, float], orientation: Orientation
 ) -> tuple[Array, Array]:
-    """Mean along the bars of each row or column of samples across them."""
+    """Return the mean along the bars for each sample across them, from the set and two widths around it."""
     axis = axis_of(orientation)
     coordinates = (grid.x_mm, grid.y_mm)
     across = coordinates[axis] - centre[axis]
     along = np.abs(coordinates[1 - axis] - centre[1 - axis])
     weights = np.clip((0.5 * MIDDLE_ALONG * width - along) / grid.pitch_mm + 0.5, 0.0, 1.0)
-    chosen = np.abs(across) <= 0.5 * PROFILE * width
+    chosen = np.abs(across) <= 0.5 * 9.0 * width
     lines = intensity[:, chosen].T if axis == 0 else intensity[chosen]
     return 1e3 * across[chosen], np.asarray(lines[:, weights > 0.0] @ weights[weights > 0.0] / weights.sum())
 

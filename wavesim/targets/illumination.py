@@ -26,7 +26,7 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.guards import tell
+from wavesim.fields.guards import report_loss
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.arrays import fftn
 from wavesim.targets.patterns import ComplexArray
@@ -37,7 +37,7 @@ SMALLEST_WAIST = 2.0
 """Waist radius in wavelengths below which the paraxial Gaussian beam does not hold: about 9 degrees."""
 
 INTERPOLATED_BAND = 0.5
-"""Part of the Nyquist band in which a cubic spline between samples is good."""
+"""Fraction of the Nyquist band in which cubic spline interpolation is accurate."""
 
 
 def plane_wave(
@@ -266,7 +266,7 @@ def _soft(distance: Array, half: float, edge: float) -> Array:
 
 
 def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
-    """The complex array, and the numbers stated beside it."""
+    """Return the complex array of a file, and the numbers stored with it."""
     held = read_arrays(path, named="the measured field", only=("values", "pitch_um", "wavelength_um"))
     if "values" not in held:
         names = sorted(array_names(path))
@@ -309,7 +309,7 @@ def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
     cycles = fft_frequencies(source.shape, source.pitch_mm, np)
     limit = min(INTERPOLATED_BAND * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)
     fine = (abs(cycles[0]) > limit) | (abs(cycles[1]) > limit)
-    tell(
+    report_loss(
         float(np.sum(power[fine])) / total,
         f"lies above {limit:.4g} cycles/mm, too fine to be carried from samples of "
         f"{1e3 * source.pitch_mm:.4g} um to a pitch of {1e3 * grid.pitch_mm:.4g} um",

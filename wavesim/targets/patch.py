@@ -32,7 +32,7 @@ from wavesim.targets.illumination import (
     plane_wave,
 )
 from wavesim.targets.patterns import (
-    Ground,
+    Polarity,
     phase_target,
     picture_pixel,
     picture_target,
@@ -112,15 +112,15 @@ class Target:
     transmission : Field
         Complex transmission on the patch.
     elements : tuple of UsafElement
-        Of USAF charts, those of the middle first; empty for other objects.
-    ground : {"bright", "dark"}
-        What surrounds the shapes of a chart.
+        Elements of the USAF charts, those of the central chart first; empty for other objects.
+    polarity : {"bright", "dark"}
+        Transmission of the field around the shapes of a chart.
     """
 
     name: str
     transmission: Field
     elements: tuple[UsafElement, ...]
-    ground: Ground
+    polarity: Polarity
 
 
 def object_patch(
@@ -225,14 +225,14 @@ def usaf_charts_of(
 
 
 def _about_stop(patch: Patch) -> Grid:
-    """A grid of the same pitch about the middle of the field stop, which reaches as far as the patch."""
+    """Return a grid of the same pitch and shape, centred on the field stop."""
     return replace(patch.grid, centre_mm=patch.field_stop_at_mm)
 
 
 def make_target(
     patch: Patch,
     name: str,
-    ground: Ground = "bright",
+    polarity: Polarity = "bright",
     *,
     numerical_aperture: float,
     seed: int = 0,
@@ -240,28 +240,33 @@ def make_target(
     picture_width_mm: float | None = None,
     chart_at_mm: Sequence[tuple[float, float]] = (),
 ) -> Target:
-    """An object on a patch: a chart, a star, a phase target, tissue, a picture, or none.
+    """Return an object on a patch: a chart, a star, a phase target, tissue, a picture, or an empty field.
 
-    Its middle is that of the field stop, but for tissue, which fills the patch; of a star, a phase target
-    and a picture it is the nearest sample.
+    The object is centred on the field stop; a star, a phase target and a picture on the sample nearest to the
+    stop's centre. Tissue fills the patch.
 
     Parameters
     ----------
     patch
-        Where it lies.
+        Patch of the object plane.
     name
-        "usaf", "star", "phase", "tissue", "empty", or the path of a picture, whose grey values stand for
+        "usaf", "star", "phase", "tissue", "empty", or the path of a picture whose grey values represent
         intensity.
-    ground
-        Bright or dark field, of charts and stars.
+    polarity
+        Bright or dark field of charts and stars.
     numerical_aperture, seed
-        Of the tissue's band limit, and of its random shapes.
+        Numerical aperture of the tissue's band limit, and seed of its random shapes.
     picture_pixel_um, picture_width_mm
-        Side of a picture's pixel on the object, or width of all of it; without both its corners touch the
-        field stop. Where only its pixels are given they must be no finer than the samples; else they are
-        averaged.
+        Side of a picture's pixel on the object, or width of the picture. Default: its corners touch the field
+        stop. Pixels finer than the samples are averaged, unless `picture_pixel_um` is given; then they are an
+        error.
     chart_at_mm
-        Points (x, y) about which fine groups of the USAF chart stand beside the chart in the middle.
+        Centres (x, y) of additional charts with the fine groups of the USAF chart.
+
+    Returns
+    -------
+    Target
+        The object with its transmission.
 
     Raises
     ------
@@ -277,10 +282,10 @@ def make_target(
         raise InputError(f"object = {name!r}: only usaf has charts beside the one in the middle")
     if name == "usaf":
         elements = tuple(one for chart in usaf_charts_of(patch, chart_at_mm) for one in chart)
-        values = usaf_chart(grid, elements, ground)
+        values = usaf_chart(grid, elements, polarity)
     elif name in MAKERS:
         fills = name in ("tissue", "empty")
-        made = MAKERS[name](patch if fills else wider, ground, numerical_aperture, seed)
+        made = MAKERS[name](patch if fills else wider, polarity, numerical_aperture, seed)
         values = made if fills else made[cut]
     elif not (Path(name).suffix or Path(name).exists()):
         known = ("usaf", *MAKERS)
@@ -294,13 +299,13 @@ def make_target(
         finer: Literal["refuse", "average"] = "average" if picture_pixel_um is None else "refuse"
         values = picture_target(name, wider.grid, pixel_um, finer=finer)[cut]
     transmission = Field(grid, np.asarray(values, np.complex64), patch.wavelength_um)
-    return Target(name, transmission, elements, ground)
+    return Target(name, transmission, elements, polarity)
 
 
 def _wider_about_stop(patch: Patch) -> tuple[Patch, tuple[slice, slice]]:
-    """A patch about the sample nearest to the field stop's middle, and where the own one lies in it."""
+    """Return a patch centred on the sample nearest to the stop's centre, and `patch` as slices of it."""
     rows, columns = patch.grid.shape
-    across, down = (round(place / patch.grid.pitch_mm) for place in patch.field_stop_at_mm)
+    across, down = (round(offset / patch.grid.pitch_mm) for offset in patch.field_stop_at_mm)
     shape = rows + 2 * abs(down), columns + 2 * abs(across)
     cut = (
         slice(abs(down) - down, abs(down) - down + rows),
@@ -309,25 +314,25 @@ def _wider_about_stop(patch: Patch) -> tuple[Patch, tuple[slice, slice]]:
     return replace(patch, grid=replace(patch.grid, shape=shape), field_stop_at_mm=(0.0, 0.0)), cut
 
 
-def _star(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Any:
-    # The inner ends of the spokes are as narrow as the samples show.
+def _star(patch: Patch, polarity: Polarity, _aperture: float, _seed: int) -> Any:
+    # The inner ends of the spokes are as narrow as the samples can resolve.
     inner_mm = 1.05 * patch.grid.pitch_mm / math.sin(0.5 * math.pi / SPOKES)
-    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, ground)
+    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, polarity)
 
 
-def _phase(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+def _phase(patch: Patch, _polarity: Polarity, _aperture: float, _seed: int) -> Any:
     return phase_target(patch.grid, 1e3 * PAD_SHARE * patch.field_stop_mm, PAD_PHASE_RAD, PADS)
 
 
-def _tissue(patch: Patch, _ground: Ground, aperture: float, seed: int) -> Any:
+def _tissue(patch: Patch, _polarity: Polarity, aperture: float, seed: int) -> Any:
     return tissue_phantom(patch.grid, seed, patch.wavelength_um, aperture)
 
 
-def _empty(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+def _empty(patch: Patch, _polarity: Polarity, _aperture: float, _seed: int) -> Any:
     return np.ones(patch.grid.shape)
 
 
-MAKERS: dict[str, Callable[[Patch, Ground, float, int], Any]] = {
+MAKERS: dict[str, Callable[[Patch, Polarity, float, int], Any]] = {
     "star": _star,
     "phase": _phase,
     "tissue": _tissue,

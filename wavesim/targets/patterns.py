@@ -1,8 +1,8 @@
-"""Test objects on a grid: bars, a Siemens star, phase pads, a picture from a file; and their band limit.
+"""Test objects on a grid: bars, a Siemens star, phase pads, pictures from files, and their band limit.
 
-An object is its complex transmission, one value for each cell of a plane grid: the mean over the cell, so
-that an edge across a cell leaves a value between those on its two sides. Rows lie along y, ascending, columns
-along x.
+An object is given by its complex transmission with one value for each cell of a plane grid, the mean over the
+cell. A cell that an edge crosses therefore has a value between those on its two sides. Rows lie along y,
+ascending, and columns along x.
 """
 
 from __future__ import annotations
@@ -42,40 +42,57 @@ from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.threads import row_blocks
 
 ComplexArray = NDArray[np.complex128]
-Ground = Literal["bright", "dark"]
+Polarity = Literal["bright", "dark"]
 
 LUMA_MODES = ("1", "LA", "P", "RGB", "RGBA")
-"""Pillow's names for kinds of picture whose luma keeps what they show."""
+"""Modes of Pillow for pictures that are converted to luma."""
 
 
-def on_ground(coverage: Array, ground: Ground) -> ComplexArray:
-    """Transmission of opaque shapes on a bright ground, or of clear ones on a dark ground."""
-    validate_choice("ground", ground, ("bright", "dark"))
-    return np.asarray(coverage if ground == "dark" else 1.0 - coverage, complex)
+def with_polarity(coverage: Array, polarity: Polarity) -> ComplexArray:
+    """Return the transmission of opaque shapes on a bright field, or of clear shapes on a dark field.
+
+    Parameters
+    ----------
+    coverage
+        Covered fraction of each cell, 0 to 1.
+    polarity
+        "bright" for opaque shapes on a bright field, "dark" for clear shapes on a dark field.
+    """
+    validate_choice("polarity", polarity, ("bright", "dark"))
+    return np.asarray(coverage if polarity == "dark" else 1.0 - coverage, complex)
 
 
 def line_pairs(
-    grid: Grid, line_width_um: float, orientation: Orientation = "x", bars: int = 5, ground: Ground = "dark"
+    grid: Grid,
+    line_width_um: float,
+    orientation: Orientation = "x",
+    bars: int = 5,
+    polarity: Polarity = "dark",
 ) -> ComplexArray:
-    """A square of bars about the grid's centre, as long as they are wide together with their gaps.
+    """Return a square of bars at the grid's centre. Bars are as long as all bars and gaps are wide.
 
     Parameters
     ----------
     grid
-        A plane.
+        Grid of the object plane.
     line_width_um
-        Of a bar and of a gap; the period is twice that.
+        Width of a bar and of a gap (um); the period is twice this width.
     orientation
-        Axis along which the bars follow each other.
+        Axis along which the bars are repeated.
     bars
-        Their number, at least 2.
-    ground
-        "dark": bright bars on a dark ground; "bright": the other way round.
+        Number of bars, at least 2.
+    polarity
+        "dark" for clear bars on a dark field, "bright" for opaque bars on a bright field.
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Complex transmission of each cell.
 
     Raises
     ------
     InputError
-        If a value is not usable, or the bars reach beyond the grid.
+        If a value is out of range, or the bars reach beyond the grid.
     SamplingError
         If the bars are narrower than two samples.
     """
@@ -84,34 +101,39 @@ def line_pairs(
     validate_whole_number("bars", bars, 2)
     width = 1e-3 * line_width_um
     shapes = bar_rectangles(width, bars, orientation, grid.centre_mm, (2 * bars - 1) * width)
-    return on_ground(rectangle_coverage(grid, shapes), ground)
+    return with_polarity(rectangle_coverage(grid, shapes), polarity)
 
 
 def siemens_star(
-    grid: Grid, spokes: int, radius_mm: float, inner_radius_mm: float, ground: Ground = "dark"
+    grid: Grid, spokes: int, radius_mm: float, inner_radius_mm: float, polarity: Polarity = "dark"
 ) -> ComplexArray:
-    """Spokes as wide as the gaps between them, in a ring about the grid's centre; the first lies along x.
+    """Return a ring of spokes at the grid's centre. Spokes are as wide as the gaps; the first lies along x.
 
-    Straight edges are integrated exactly over each cell, and so are the rims; where a spoke's edge meets a
-    rim, the product of both stands for the cell.
+    Straight edges and circles are integrated exactly over each cell. In a cell where a spoke's edge meets a
+    circle, the product of both coverages is used.
 
     Parameters
     ----------
     grid
-        A plane.
+        Grid of the object plane.
     spokes
-        Number of bright spokes, at least 2.
+        Number of spokes, at least 2.
     radius_mm, inner_radius_mm
-        Of the ring. At its inner rim, spokes are pi inner_radius / spokes wide.
-    ground
-        As of :func:`line_pairs`.
+        Outer and inner radius of the ring. At the inner radius, spokes are pi inner_radius / spokes wide.
+    polarity
+        "dark" for clear spokes on a dark field, "bright" for opaque spokes on a bright field.
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Complex transmission of each cell.
 
     Raises
     ------
     InputError
-        If a value is not usable, or the star reaches beyond the grid.
+        If a value is out of range, or the star reaches beyond the grid.
     SamplingError
-        If the spokes' inner ends are narrower than two samples.
+        If the inner ends of the spokes are narrower than two samples.
     """
     validate_two_dimensional(grid)
     validate_whole_number("spokes", spokes, 2)
@@ -121,7 +143,7 @@ def siemens_star(
             f"radius_mm = {radius_mm!r}: must be finite and above inner_radius_mm = {inner_radius_mm!r}"
         )
     validate_inside(grid, rectangle(grid.centre_mm, 2.0 * radius_mm, 2.0 * radius_mm))
-    # The chord is what a straight line across a spoke's end measures.
+    # The width of a spoke's inner end is the chord across it.
     validate_sampling(
         grid, 2e3 * inner_radius_mm * math.sin(0.5 * math.pi / spokes), "the spokes' inner ends"
     )
@@ -131,12 +153,12 @@ def siemens_star(
     star -= disc_coverage(grid, inner_radius_mm)
     for rows in row_blocks(len(y)):
         star[rows] *= _spokes(x, y[rows], math.pi / spokes, grid.pitch_mm)
-    return on_ground(star, ground)
+    return with_polarity(star, polarity)
 
 
 def _spokes(x: Array, y: Array, step: float, pitch_mm: float) -> Array:
-    """Share of each cell that spokes cover, each `step` wide and as far apart."""
-    # Of the edges, two to a spoke, the nearest is at half a step from a multiple of the step.
+    """Return the covered fraction of each cell for spokes of angular width `step` and equal gaps (rad)."""
+    # Each spoke has two edges. The nearest one is half a step from a multiple of the step.
     nearest = np.floor(np.arctan2(y, x) / step)
     edge = (nearest + 0.5) * step
     distance = y * np.cos(edge) - x * np.sin(edge)
@@ -147,7 +169,7 @@ def _spokes(x: Array, y: Array, step: float, pitch_mm: float) -> Array:
 def phase_pads(
     pad_um: float, phase_rad: float, levels: int, centre_mm: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[tuple[Rectangle, float], ...]:
-    """Places and phases (rad) of the pads of :func:`phase_target`."""
+    """Return rectangles and phases (rad) of the pads of :func:`phase_target`."""
     validate_positive("pad_um", pad_um)
     if not math.isfinite(phase_rad):
         raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
@@ -163,29 +185,36 @@ def phase_target(
     levels: int = 4,
     profile: Literal["binary", "smooth"] = "binary",
 ) -> ComplexArray:
-    """Clear square pads in a row along x, with gaps of their own width, that delay the light in equal steps.
+    """Return clear square pads in a row along x that delay the light in equal steps.
+
+    Gaps are as wide as the pads.
 
     Parameters
     ----------
     grid
-        A plane; the row's middle is its centre.
+        Grid of the object plane; the row is centred on it.
     pad_um
-        Side of a pad.
+        Side of a pad (um).
     phase_rad
-        Of the last pad; pad m of `levels` has m / levels of it, the ground has 0.
+        Phase of the last pad (rad). Pad m of `levels` has m / levels of it, and the field around has 0.
     levels
         Number of pads.
     profile
-        "binary": steps at the pads' borders; "smooth": cos^2 along x and y, with the phase in the pad's
-        middle, taken at the samples.
+        "binary" for steps at the borders of the pads. "smooth" for a profile cos^2 along x and y, which has
+        the phase at the centre of the pad and is sampled at the cell centres.
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Complex transmission of each cell.
 
     Raises
     ------
     InputError
-        If a value is not usable, or the pads reach beyond the grid.
+        If a value is out of range, or the pads reach beyond the grid.
     SamplingError
-        If a pad is narrower than two samples, or the phase of a smooth one changes by more
-        than pi from sample to sample.
+        If a pad is narrower than two samples, or the phase of a smooth pad changes by more than pi between
+        samples.
     """
     validate_choice("profile", profile, ("binary", "smooth"))
     pads = phase_pads(pad_um, phase_rad, levels, grid.centre_mm)
@@ -220,31 +249,36 @@ def picture_target(
     phase_rad: float = math.pi,
     finer: Literal["refuse", "average"] = "refuse",
 ) -> ComplexArray:
-    """Transmission from a picture about the grid's centre; its pixels are integrated over the cells.
+    """Return the transmission of a picture at the grid's centre, with its pixels integrated over the cells.
 
-    The first row lies at the smallest y. Beyond the picture the object is opaque, or clear for a phase.
+    The first row lies at the smallest y. Outside of the picture the object is opaque, or clear for a phase.
 
     Parameters
     ----------
     path
-        PNG, TIFF or another format that Pillow reads (:func:`read_grey`).
+        Path of a PNG, TIFF or other file that Pillow reads; see :func:`read_grey`.
     grid
-        A plane.
+        Grid of the object plane.
     pixel_um
-        Side of a pixel on the object.
+        Side of a pixel on the object (um).
     quantity
-        What grey values stand for, as parts of full scale (255 or 65535).
+        Quantity that the grey values represent, as fractions of full scale (255 or 65535).
     phase_rad
-        Of full scale, where they stand for a phase.
+        Phase of full scale (rad), for ``quantity="phase"``.
     finer
-        What becomes of pixels finer than the pitch, whose detail is averaged away.
+        Treatment of pixels that are finer than the pitch: "refuse" raises an error, "average" loses detail.
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Complex transmission of each cell.
 
     Raises
     ------
     InputError
-        If the file is no such picture, or a value is not usable, or the picture is larger than the grid.
+        If the file is no such picture, a value is out of range, or the picture is larger than the grid.
     SamplingError
-        If pixels are smaller than the pitch, and are not to be averaged.
+        If pixels are smaller than the pitch and `finer` is "refuse".
     """
     validate_two_dimensional(grid)
     validate_positive("pixel_um", pixel_um)
@@ -272,26 +306,26 @@ def picture_target(
 def picture_pixel(
     shape: tuple[int, int], stop_mm: float, pixel_um: float | None = None, width_mm: float | None = None
 ) -> float:
-    """Side of a picture's pixel on the object in um: as given, or so that the picture fits a field stop.
+    """Return the side of a picture's pixel on the object (um), so that the picture fits a field stop.
 
     Parameters
     ----------
     shape
-        Rows and columns.
+        Number of rows and columns.
     stop_mm
         Diameter of the round field stop.
     pixel_um, width_mm
-        Side of a pixel, or width of the picture; left out, its corners touch the stop.
+        Side of a pixel, or width of the picture. Default: the corners of the picture touch the stop.
 
     Raises
     ------
     InputError
-        If both are given, one is not usable, or the picture is larger than the stop.
+        If both are given, one is not positive, or the picture is larger than the stop.
     """
     rows, columns = shape
     largest_um = 1e3 * stop_mm / math.hypot(rows, columns)
     if pixel_um is not None and width_mm is not None:
-        raise InputError("picture_pixel_um, picture_width_mm: give one of them")
+        raise InputError("picture_pixel_um, picture_width_mm: give only one of them")
     if width_mm is not None:
         name, given, um = "picture_width_mm", width_mm, 1e3 / columns
     elif pixel_um is not None:
@@ -302,28 +336,28 @@ def picture_pixel(
     if given * um > largest_um * (1.0 + 1e-9):
         raise InputError(
             f"{name} = {given:g}: the picture's {columns} x {rows} pixels reach beyond the field stop of "
-            f"{stop_mm:g} mm; give {largest_um / um:.4g} at most, which it is if left out"
+            f"{stop_mm:g} mm; give at most {largest_um / um:.4g}, which is the default"
         )
     return given * um
 
 
 def read_grey(path: str | os.PathLike[str]) -> Array:
-    """Grey values of a picture as parts of full scale (0: black), of shape (rows, columns).
+    """Return grey values of a picture as fractions of full scale (0 is black), shape (rows, columns).
 
-    One channel of 8 or 16 bits is taken as it is; of colours, palettes and black and white the luma of ITU-R
-    BT.601, of 8 bits. The picture is turned upright by the orientation that its file states, and looks as in
-    a viewer where white is zero.
+    A single channel of 8 or 16 bits is used unchanged. Colours, palettes and black-and-white pictures are
+    converted to luma (ITU-R BT.601, 8 bits). The picture is rotated by the orientation in its file, and
+    inverted if the file states that white is zero.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or does not hold one picture of such kinds without transparency.
+        If the file cannot be read, or does not hold a single opaque picture of these kinds.
     """
-    place = Path(path)
-    picture = PictureFile(place, "the picture").only()
+    file = Path(path)
+    picture = PictureFile(file, "the picture").only()
     if picture.mode not in (*COUNT_MODES, *LUMA_MODES) or not picture.is_opaque:
         raise InputError(
-            f"picture {place}: has mode {picture.mode}; give grey of 8 or 16 bits, or opaque colours of 8"
+            f"picture {file}: has mode {picture.mode}; give grey of 8 or 16 bits, or opaque colours of 8"
         )
     values = picture.values
     if values.dtype == np.bool_:
@@ -339,22 +373,36 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
 def band_limit(
     values: ComplexArray, grid: Grid, wavelength_um: float, numerical_aperture: float
 ) -> ComplexArray:
-    """What light within a numerical aperture can tell of an object lit along the axis.
+    """Return an object, lit along the axis, band-limited to a numerical aperture.
 
-    Cycles per mm above numerical_aperture / wavelength are taken out, in a circle, by the discrete Fourier
-    transform; the grid is taken to repeat.
+    Spatial frequencies outside the circle of radius numerical_aperture / wavelength are removed by a discrete
+    Fourier transform, which treats the grid as periodic (Goodman, Introduction to Fourier Optics, chapter 6).
+
+    Parameters
+    ----------
+    values : ndarray, shape (ny, nx)
+        Complex transmission.
+    grid
+        Grid of the object plane.
+    wavelength_um, numerical_aperture
+        Wavelength (um) and numerical aperture of the band limit.
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Band-limited transmission.
 
     Raises
     ------
     InputError
-        If a value is not usable, or `values` are not of the grid's shape.
+        If a value is out of range, or `values` does not have the grid's shape.
     SamplingError
         If the grid is too coarse for the aperture.
     """
     validate_positive("wavelength_um", wavelength_um)
     validate_positive("numerical_aperture", numerical_aperture)
     if values.shape != grid.shape:
-        raise InputError(f"values have shape {values.shape}: the grid's is {grid.shape}")
+        raise InputError(f"values have shape {values.shape}: must have that of the grid, {grid.shape}")
     limit = 1e3 * numerical_aperture / wavelength_um
     if grid.pitch_mm * ROUNDING > 0.5 / limit:
         raise SamplingError(
@@ -366,7 +414,7 @@ def band_limit(
 
 
 def _overlaps(count: int, grid: Grid, pixel_mm: float, pixels: int) -> Array:
-    """Part of each cell (row) that each pixel (column) covers, both centred."""
+    """Return the fraction of each cell (row) that each pixel (column) covers; both are centred."""
     cells = grid.pitch_mm * (np.arange(count + 1) - 0.5 * count)
     borders = pixel_mm * (np.arange(pixels + 1) - 0.5 * pixels)
     low = np.maximum(cells[:-1, None], borders[None, :-1])

@@ -1,4 +1,4 @@
-"""Parts of an object plane: a region that is asked for, room about it, and a soft rim for that room."""
+"""Regions of an object plane, margins around them, and windows with soft edges."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from wavesim.fields.coverage import Rectangle
 from wavesim.fields.field import Field, Grid
 
 LEAST_SAMPLES = 16
-"""Along each side of a region; structural similarity and refocusing need some."""
+"""Fewest samples along a side of a region; structural similarity and refocusing need them."""
 
 SLACK = 1e-6
-"""Of a sample: by less than this nothing reaches into the next one."""
+"""Tolerance for rounding, as a fraction of a sample."""
 
-Part = tuple[slice, slice]
+Slices = tuple[slice, slice]
 
 
 def region_grid(grid: Grid, region_mm: Sequence[float], named: str = "region_mm") -> Grid:
-    """The samples of an object plane that hold a region.
+    """Return the grid of the samples that hold a region of an object plane.
 
     Parameters
     ----------
     grid
-        A plane about the axis.
+        Grid of the object plane.
     region_mm
-        x and y of the region's centre, width and height.
+        x and y of the region's centre, its width and its height (mm).
     named
-        What messages call it.
+        Name of the region in messages.
 
     Raises
     ------
     InputError
-        If the region reaches beyond the samples, or holds less than `LEAST_SAMPLES` along a side.
+        If the region reaches beyond the samples, or has fewer than `LEAST_SAMPLES` along a side.
     """
     values = np.broadcast_to(np.False_, grid.shape)
     found, (x_um, y_um) = cut_out(values, 1e3 * grid.pitch_mm, region_mm, named)
@@ -46,26 +46,26 @@ def region_grid(grid: Grid, region_mm: Sequence[float], named: str = "region_mm"
     if min(rows, columns) < LEAST_SAMPLES:
         raise InputError(
             f"{named} = {','.join(f'{n:g}' for n in region_mm)}: holds {columns} x {rows} samples of "
-            f"{1e3 * grid.pitch_mm:.4g} um; must be {LEAST_SAMPLES} x {LEAST_SAMPLES} at least"
+            f"{1e3 * grid.pitch_mm:.4g} um; must be at least {LEAST_SAMPLES} x {LEAST_SAMPLES}"
         )
     return replace(grid, shape=(rows, columns), centre_mm=(1e-3 * x_um, 1e-3 * y_um))
 
 
-def part_of(inner: Grid, wider: Grid) -> Part:
-    """Where the samples of a part lie among those of a plane that holds it."""
-    part = inner.at(wider.z_mm).samples_among(wider)
-    assert part is not None
-    return part
+def part_of(inner: Grid, wider: Grid) -> Slices:
+    """Return the slices (rows, columns) of a grid within a wider grid."""
+    slices = inner.at(wider.z_mm).samples_among(wider)
+    assert slices is not None
+    return slices
 
 
 def cut_field(field: Field, inner: Grid) -> Field:
-    """A field on a part of its samples; a view."""
+    """Return a view of a field on a smaller grid within its own."""
     values = field.values[part_of(inner, field.grid)]
     return Field(inner.at(field.grid.z_mm), values, field.wavelength_um, field.index)
 
 
 def widened(inner: Grid, grid: Grid, margin_mm: float) -> Grid:
-    """A part with so much more on each side, as far as the plane has it."""
+    """Return a grid with a margin on each side, as far as the outer grid reaches."""
     more = math.ceil(margin_mm / grid.pitch_mm)
     rows, columns = part_of(inner, grid)
     return _between(
@@ -78,7 +78,7 @@ def widened(inner: Grid, grid: Grid, margin_mm: float) -> Grid:
 
 
 def around(rectangle: Rectangle, grid: Grid) -> Grid:
-    """The samples of a plane whose cells a rectangle within it touches."""
+    """Return the grid of the samples whose cells a rectangle touches."""
     spans = ((rectangle.low_mm, rectangle.high_mm), (rectangle.left_mm, rectangle.right_mm))
     found = []
     for (low, high), first, count in zip(spans, (grid.y_mm[0], grid.x_mm[0]), grid.shape, strict=True):
@@ -88,7 +88,7 @@ def around(rectangle: Rectangle, grid: Grid) -> Grid:
 
 
 def holds(grid: Grid, rectangle: Rectangle) -> bool:
-    """Whether a rectangle lies within the cells of a plane."""
+    """Return whether a rectangle lies within the cells of a grid."""
     (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
     slack = 2.0 * SLACK * grid.pitch_mm
     return (
@@ -100,7 +100,7 @@ def holds(grid: Grid, rectangle: Rectangle) -> bool:
 
 
 def soft_rim(inner: Grid, wider: Grid) -> NDArray[np.float32]:
-    """1 on a part and half the way to the border of what surrounds it, and falling to 0 on the other half."""
+    """Return a window that is 1 on the inner grid and half of the margin, and falls to 0 beyond."""
     down, across = (
         _ramps(side, count) for side, count in zip(part_of(inner, wider), wider.shape, strict=True)
     )
@@ -109,9 +109,9 @@ def soft_rim(inner: Grid, wider: Grid) -> NDArray[np.float32]:
 
 def _ramps(side: slice, count: int) -> NDArray[np.float32]:
     weights = np.ones(count, np.float32)
-    for margin, place in ((side.start, slice(None)), (count - side.stop, slice(None, None, -1))):
+    for margin, direction in ((side.start, slice(None)), (count - side.stop, slice(None, None, -1))):
         fall = margin // 2
-        weights[place][:fall] = np.sin(0.5 * np.pi * (np.arange(fall) + 0.5) / max(fall, 1)) ** 2
+        weights[direction][:fall] = np.sin(0.5 * np.pi * (np.arange(fall) + 0.5) / max(fall, 1)) ** 2
     return weights
 
 
@@ -132,35 +132,35 @@ def cut_out(
     named: str = "region_mm",
     centre_um: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Any, tuple[float, float]]:
-    """Samples within a region, and the middle of these.
+    """Return the samples within a region, and their centre.
 
     Parameters
     ----------
     values
-        Shape (ny, nx), y increasing with the row.
+        Samples of shape (ny, nx), with y increasing along the rows.
     pitch_um
-        Of the samples.
+        Sample pitch (um).
     region_mm
-        x and y of its centre, width and height.
+        x and y of the region's centre, its width and its height (mm).
     named
-        What messages call the region.
+        Name of the region in messages.
     centre_um
-        Middle of the values (x, y).
+        Centre (x, y) of the values (um).
 
     Returns
     -------
     ndarray, (x, y)
-        A view of the values, and its middle in um.
+        View of the values, and its centre (um).
 
     Raises
     ------
     InputError
         If the region has no size, or reaches beyond the samples.
     """
-    said = f"{named} = {','.join(f'{n:g}' for n in region_mm)}"
+    region_text = f"{named} = {','.join(f'{n:g}' for n in region_mm)}"
     x_mm, y_mm, width_mm, height_mm = region_mm
     if not (all(map(math.isfinite, region_mm)) and min(width_mm, height_mm) > 0.0):
-        raise InputError(f"{said}: must be finite, and the sides greater than 0")
+        raise InputError(f"{region_text}: must be finite, and the sides greater than 0")
     found, middles_um = [], []
     for axis, count, middle_um, middle, side in (
         ("x", values.shape[1], centre_um[0], x_mm, width_mm),
@@ -169,7 +169,8 @@ def cut_out(
         half, own = 0.5e-3 * count * pitch_um, 1e-3 * middle_um
         if abs(middle - own) + 0.5 * side > half + 1e-3 * pitch_um:
             raise InputError(
-                f"{said}: along {axis} there are samples from {own - half:.4g} to {own + half:.4g} mm alone"
+                f"{region_text}: reaches beyond the samples, along {axis} from {own - half:.4g} to "
+                f"{own + half:.4g} mm"
             )
         first = max(math.floor((middle - own - 0.5 * side + half) * 1e3 / pitch_um + SLACK), 0)
         last = min(math.ceil((middle - own + 0.5 * side + half) * 1e3 / pitch_um - SLACK), count)

@@ -1,4 +1,4 @@
-"""The USAF 1951 resolution chart: where its elements are, how wide their lines, and the chart on a grid.
+"""The USAF 1951 resolution chart: positions and line widths of its elements, and the chart on a grid.
 
 Element e of group g has 2^(g + (e - 1)/6) line pairs per mm, lines of 500 / 2^(g + (e - 1)/6) um, and two
 sets of three bars, five line widths long (MIL-STD-150A). An even group and the next odd one share a square:
@@ -23,24 +23,19 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Grid, Orientation, axis_of
-from wavesim.targets.patterns import ComplexArray, Ground, on_ground
+from wavesim.targets.patterns import ComplexArray, Polarity, with_polarity
 
 GROUPS = range(4, 11)
 ELEMENTS = range(1, 7)
-BESIDE = 8
-"""Coarsest group of charts beside the one in the middle."""
 BARS = 3
 LENGTH = 5.0
-"""Of a bar, and side of a set, in line widths."""
+"""Length of a bar, and side of a set, in line widths."""
 GAP = 2.0
-"""Between sets and between elements, in line widths."""
-
-_SIDE = 26.0
-"""Of the square of two groups, in line widths of its coarsest element."""
+"""Distance between sets and between elements, in line widths."""
 
 
 def usaf_line_width_um(group: int, element: int) -> float:
-    """Width of an element's lines.
+    """Return the line width of an element (um).
 
     Raises
     ------
@@ -56,14 +51,14 @@ def usaf_line_width_um(group: int, element: int) -> float:
 
 @dataclass(frozen=True)
 class UsafElement:
-    """One element of the chart, in place.
+    """One element of the chart with its position.
 
     Attributes
     ----------
     group, element : int
-        Its number.
+        Group and element number.
     centre_mm : (x, y)
-        Middle between its two sets.
+        Centre between its two sets.
     """
 
     group: int
@@ -72,7 +67,7 @@ class UsafElement:
 
     @property
     def line_width_um(self) -> float:
-        """Width of a bar and of a gap."""
+        """Width of a bar and of a gap (um)."""
         return usaf_line_width_um(self.group, self.element)
 
     @property
@@ -83,17 +78,17 @@ class UsafElement:
         return Rectangle(x - across, x + across, y - down, y + down)
 
     def set_centre_mm(self, orientation: Orientation) -> tuple[float, float]:
-        """Middle (x, y) of the set whose bars follow each other along an axis."""
+        """Return the centre (x, y) of the set whose bars are repeated along an axis."""
         offset = 0.5e-3 * self.line_width_um * (LENGTH + GAP)
         x, y = self.centre_mm
         return (x + offset if axis_of(orientation) else x - offset), y
 
     def bars(self, orientation: Orientation) -> tuple[Rectangle, ...]:
-        """The three bars of the set whose bars follow each other along an axis."""
+        """Return the three bars of the set whose bars are repeated along an axis."""
         return self._rectangles(orientation, BARS)
 
     def gaps(self, orientation: Orientation) -> tuple[Rectangle, ...]:
-        """The two gaps between them."""
+        """Return the two gaps between the bars of a set."""
         return self._rectangles(orientation, BARS - 1)
 
     def _rectangles(self, orientation: Orientation, count: int) -> tuple[Rectangle, ...]:
@@ -104,33 +99,40 @@ class UsafElement:
 def usaf_elements(
     groups: Sequence[int] = GROUPS, centre_mm: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[UsafElement, ...]:
-    """All six elements of each of some groups in the nested layout, the coarsest first.
+    """Return all six elements of each group in the nested layout, the coarsest first.
 
     Parameters
     ----------
     groups
-        From 4 to 10, without gaps between them.
+        Consecutive groups from 4 to 10.
     centre_mm
-        Middle (x, y) of the rectangle around them.
+        Centre (x, y) of the rectangle around all elements.
+
+    Returns
+    -------
+    tuple of UsafElement
+        Elements with their positions.
 
     Raises
     ------
     InputError
-        If there are no groups, or they do not follow each other, or are not between 4 and 10.
+        If there are no groups, they are not consecutive, or a group is not between 4 and 10.
     """
     chosen = sorted(set(groups))
     if not chosen or any(group not in GROUPS for group in chosen) or chosen[-1] - chosen[0] >= len(chosen):
-        raise InputError(f"USAF groups = {list(groups)}: give neighbours from 4 to 10, such as 6, 7, 8")
-    placed = [
-        _place(group, element, _middle_of_square(group - group % 2, chosen[0] - chosen[0] % 2))
+        raise InputError(
+            f"USAF groups = {list(groups)}: must be consecutive groups from 4 to 10, such as 6, 7, 8"
+        )
+    elements = [
+        _positioned(group, element, _square_centre_mm(group - group % 2, chosen[0] - chosen[0] % 2))
         for group in chosen
         for element in ELEMENTS
     ]
-    return _about(placed, centre_mm)
+    return _centred_at(elements, centre_mm)
 
 
-def _about(elements: Sequence[UsafElement], centre_mm: tuple[float, float]) -> tuple[UsafElement, ...]:
-    """Elements moved such that the middle of the rectangle around them lies at a point."""
+def _centred_at(elements: Sequence[UsafElement], centre_mm: tuple[float, float]) -> tuple[UsafElement, ...]:
+    """Move elements so that the rectangle around them is centred at a point."""
     around = chart_outline(elements)
     dx = centre_mm[0] - 0.5 * (around.left_mm + around.right_mm)
     dy = centre_mm[1] - 0.5 * (around.low_mm + around.high_mm)
@@ -138,7 +140,7 @@ def _about(elements: Sequence[UsafElement], centre_mm: tuple[float, float]) -> t
 
 
 def chart_outline(elements: Sequence[UsafElement]) -> Rectangle:
-    """Smallest rectangle around some elements."""
+    """Return the smallest rectangle around all elements."""
     outlines = [one.outline for one in elements]
     return Rectangle(
         min(one.left_mm for one in outlines),
@@ -149,19 +151,24 @@ def chart_outline(elements: Sequence[UsafElement]) -> Rectangle:
 
 
 def usaf_elements_within(grid: Grid, side_mm: float) -> tuple[UsafElement, ...]:
-    """The groups that fit a square about the grid's centre, down to the finest element that the grid shows.
+    """Return the groups that fit a square at the grid's centre, down to the finest element on the grid.
 
     Parameters
     ----------
     grid
-        A plane.
+        Grid of the object plane.
     side_mm
-        Of the square; the square inside a disc has 1 / sqrt(2) of its diameter.
+        Side of the square. The square inside a disc has 1 / sqrt(2) of its diameter.
+
+    Returns
+    -------
+    tuple of UsafElement
+        Elements with their positions.
 
     Raises
     ------
     InputError
-        If the side is not usable, or no group fits.
+        If the side is not positive and finite, or no group fits.
     SamplingError
         If the grid is too coarse for every element that fits.
     """
@@ -174,7 +181,7 @@ def usaf_elements_within(grid: Grid, side_mm: float) -> tuple[UsafElement, ...]:
             break
     else:
         raise InputError(f"side_mm = {side_mm:g}: too small for group {GROUPS[-1]}, the finest of the chart")
-    return _shown(elements, grid, f"fit {side_mm:g} mm")
+    return _resolved_by_grid(elements, grid, f"fit {side_mm:g} mm")
 
 
 def usaf_elements_beside(
@@ -183,23 +190,28 @@ def usaf_elements_beside(
     field_stop_mm: float,
     charts: Sequence[Sequence[UsafElement]],
 ) -> tuple[UsafElement, ...]:
-    """Fine groups about a point beside other charts: 8 to 10, or fewer where there is no room for all.
+    """Return groups 8 to 10 around a point beside other charts, or fewer if the space does not suffice.
 
     Parameters
     ----------
     grid
-        A plane.
+        Grid of the object plane.
     centre_mm
-        Middle (x, y) of the chart, from the grid's centre.
+        Centre (x, y) of the chart, from the grid's centre.
     field_stop_mm
-        Diameter of the round field stop about the grid's centre, in which the chart must lie.
+        Diameter of the round field stop at the grid's centre, in which the chart must lie.
     charts
-        Elements of each chart that is there already.
+        Elements of each existing chart.
+
+    Returns
+    -------
+    tuple of UsafElement
+        Elements with their positions.
 
     Raises
     ------
     InputError
-        If not even the finest group fits between the others and the field stop's edge.
+        If not even the finest group fits between the other charts and the edge of the field stop.
     SamplingError
         If the grid is too coarse for every element that fits.
     """
@@ -209,22 +221,25 @@ def usaf_elements_beside(
         raise InputError(f"chart at {x!r}, {y!r} mm: must be finite")
     middle = (grid.centre_mm[0] + x, grid.centre_mm[1] + y)
     others = [chart_outline(chart) for chart in charts]
-    finest = _shown(usaf_elements(range(BESIDE, GROUPS.stop)), grid, f"stand {x:g}, {y:g} mm off the middle")
-    said = ""
-    for coarsest in range(BESIDE, finest[-1].group + 1):
-        elements = _about([one for one in finest if one.group >= coarsest], middle)
+    first_group = 8
+    finest = _resolved_by_grid(
+        usaf_elements(range(first_group, GROUPS.stop)), grid, f"are {x:g}, {y:g} mm from the centre"
+    )
+    reason = ""
+    for coarsest in range(first_group, finest[-1].group + 1):
+        elements = _centred_at([one for one in finest if one.group >= coarsest], middle)
         around = chart_outline(elements)
-        said = _no_room(around, grid.centre_mm, 0.5 * field_stop_mm, others)
-        if not said:
+        reason = _misfit_reason(around, grid.centre_mm, 0.5 * field_stop_mm, others)
+        if not reason:
             return elements
     sides = f"{around.right_mm - around.left_mm:.3g} mm x {around.high_mm - around.low_mm:.3g} mm"
-    raise InputError(f"chart at {x:g}, {y:g} mm: even of group {coarsest} alone, {sides}, it {said}")
+    raise InputError(f"chart at {x:g}, {y:g} mm: even with group {coarsest} alone, {sides}, it {reason}")
 
 
-def _no_room(
+def _misfit_reason(
     around: Rectangle, centre_mm: tuple[float, float], radius_mm: float, others: list[Rectangle]
 ) -> str:
-    """Why a chart cannot stand in a rectangle; nothing if it can."""
+    """Return why a chart does not fit in a rectangle; empty if it fits."""
     corners = [(x, y) for x in (around.left_mm, around.right_mm) for y in (around.low_mm, around.high_mm)]
     if any(math.dist(corner, centre_mm) > radius_mm for corner in corners):
         return f"reaches beyond the field stop of {2.0 * radius_mm:g} mm"
@@ -238,30 +253,35 @@ def _no_room(
     return "" if all(apart) else "overlaps another chart"
 
 
-def _shown(elements: Sequence[UsafElement], grid: Grid, where: str) -> tuple[UsafElement, ...]:
-    """Elements whose lines a grid shows."""
+def _resolved_by_grid(elements: Sequence[UsafElement], grid: Grid, condition: str) -> tuple[UsafElement, ...]:
+    """Return the elements whose lines the grid resolves. `condition` describes them in the message."""
     narrowest = SAMPLES_PER_FEATURE * 1e3 * grid.pitch_mm
     shown = tuple(one for one in elements if one.line_width_um >= narrowest)
     if not shown:
         raise SamplingError(
             f"the grid's pitch of {1e3 * grid.pitch_mm:.4g} um: too coarse for lines of "
-            f"{elements[0].line_width_um:.4g} um, the widest that {where}; give "
+            f"{elements[0].line_width_um:.4g} um, the widest that {condition}; give "
             f"{elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} um or less"
         )
     return shown
 
 
-def usaf_chart(grid: Grid, elements: Sequence[UsafElement], ground: Ground = "bright") -> ComplexArray:
-    """Transmission of some elements on a plane grid; edges are integrated exactly over the cells.
+def usaf_chart(grid: Grid, elements: Sequence[UsafElement], polarity: Polarity = "bright") -> ComplexArray:
+    """Return the transmission of elements on a grid. Edges are integrated exactly over the cells.
 
     Parameters
     ----------
     grid
-        A plane.
+        Grid of the object plane.
     elements
-        From :func:`usaf_elements` or :func:`usaf_elements_within`.
-    ground
-        "bright": opaque bars, bright field; "dark": clear bars, dark field.
+        Elements from :func:`usaf_elements` or :func:`usaf_elements_within`.
+    polarity
+        "bright" for opaque bars on a bright field, "dark" for clear bars on a dark field.
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Complex transmission of each cell.
 
     Raises
     ------
@@ -274,32 +294,30 @@ def usaf_chart(grid: Grid, elements: Sequence[UsafElement], ground: Ground = "br
         raise InputError("a USAF chart needs one element at least")
     finest = min(elements, key=lambda one: one.line_width_um)
     validate_sampling(grid, finest.line_width_um, f"lines (group {finest.group}, element {finest.element})")
-    bars = [bar for one in elements for way in _ORIENTATIONS for bar in one.bars(way)]
-    return on_ground(rectangle_coverage(grid, bars), ground)
+    orientations: tuple[Orientation, Orientation] = ("x", "y")
+    bars = [bar for one in elements for orientation in orientations for bar in one.bars(orientation)]
+    return with_polarity(rectangle_coverage(grid, bars), polarity)
 
 
-_ORIENTATIONS: tuple[Orientation, Orientation] = ("x", "y")
+def _square_centre_mm(even: int, outermost: int) -> tuple[float, float]:
+    """Return the centre of the square of two groups, relative to that of the outermost square.
 
-
-def _middle_of_square(even: int, outermost: int) -> tuple[float, float]:
-    """Middle of the square of two groups, from that of the outermost square.
-
-    Each lies halfway between the columns around it.
+    Each square lies halfway between the columns around it.
     """
     x = 0.0
     for group in range(outermost, even, 2):
         width = 1e-3 * usaf_line_width_um(group, 1)
-        left, right = ((2.0 * LENGTH + GAP) * width * part for part in (2.0 ** (-1.0 / 6.0), 0.5))
+        left, right = ((2.0 * LENGTH + GAP) * width * factor for factor in (2.0 ** (-1.0 / 6.0), 0.5))
         x += 0.5 * (left - right)
     return x, 0.0
 
 
-def _place(group: int, element: int, middle_mm: tuple[float, float]) -> UsafElement:
-    """An element in the square about a middle."""
+def _positioned(group: int, element: int, square_centre_mm: tuple[float, float]) -> UsafElement:
+    """Return an element at its position in the square of its two groups."""
     width = 1e-3 * usaf_line_width_um(group, element)
-    side = _SIDE * 1e-3 * usaf_line_width_um(group - group % 2, 1)
+    side = 26.0 * 1e-3 * usaf_line_width_um(group - group % 2, 1)  # 26 line widths of the coarsest element.
     half_across, half_down = 0.5 * (2.0 * LENGTH + GAP) * width, 0.5 * LENGTH * width
-    x, y = middle_mm
+    x, y = square_centre_mm
     if group % 2 == 0 and element == 1:
         return UsafElement(group, element, (x + 0.5 * side - half_across, y - 0.5 * side + half_down))
     # Columns start at the top; the even group's with element 2.

@@ -1,1 +1,1 @@
-"""Where glasses come from: catalogue files, the refractiveindex.info database; what heat does to them."""
+"""Sources of glass data: catalogue files, the refractiveindex.info database, and thermal data."""

@@ -15,23 +15,21 @@ from lensdesign.errors import MaterialError
 
 Coefficients = Sequence[float]
 
-LONGEST_NAME = 100
 
 LINE_F_UM = 0.4861327
 LINE_D_UM = 0.5875618
 LINE_C_UM = 0.6562725
+"""Wavelengths in air of the hydrogen F, helium d and hydrogen C lines, which define the Abbe number."""
 
 ND_NOTED = 2e-4
-"""Difference between a stated nd and the one by the coefficients, beyond rounding, from which a note says so.
-In makers' catalogues none does but a placeholder."""
+"""Difference between the stated nd and that of the coefficients, beyond rounding, that causes a note.
+In makers' catalogues only placeholders differ by so much."""
 
 ND_REFUSED = 3e-3
-"""The same difference, from which a glass is refused: no melt or temperature explains it."""
+"""Difference between the stated nd and that of the coefficients from which a glass is refused.
+Neither melt nor temperature explains so much."""
 
-VD_NOTED = 0.02
-"""Relative difference between the stated Abbe number and the one by the coefficients that is noted."""
-
-ALIKE = 1e-6
+SAME_INDEX = 1e-6
 """Two entries of one name are the same glass if their indices differ by no more than this."""
 
 
@@ -42,26 +40,26 @@ class AgfGlass:
     Parameters
     ----------
     name
-        As the NM record spells it.
+        Name as in the NM record.
     formula
         Number of the dispersion formula, a key of `DISPERSION_FORMULAS`.
     coefficients
-        The CD record, in its own order, as many as the formula has.
+        Coefficients of the CD record, in its order, as many as the formula has.
     wavelength_range_um
-        The LD record: shortest and longest wavelength of the fit.
+        Shortest and longest wavelength of the fit (LD record).
     comment
-        The GC record.
+        Text of the GC record.
     reference_temperature_c
-        Last value of the TD record: the temperature at which the index holds; None if not given.
+        Temperature of the index data (last value of the TD record); None if not given.
     schott
-        First six values of the TD record: the constants of Schott's formula; None if they are not given.
+        Constants of Schott's formula (first six values of the TD record); None if not given.
     expansion_per_k
-        First value of the ED record; None if not given.
+        Linear expansion coefficient (first value of the ED record); None if not given.
     notes
-        What a user of the glass should know: an entry that stands twice, an nd that differs slightly.
+        Remarks for a user of the glass, for example on a duplicate entry or a slightly different nd.
     fault
-        Why the glass cannot be used, in a sentence with file and line; empty for a usable glass. The other
-        glasses of the catalogue are not affected.
+        Reason why the glass cannot be used, with file and line; empty for a usable glass. The other glasses
+        of the catalogue are not affected.
     """
 
     name: str
@@ -76,9 +74,9 @@ class AgfGlass:
     fault: str = ""
 
     def __call__(self, wavelength_um: float) -> float:
-        """Refractive index relative to air by the glass's formula; NaN where that has no real value.
+        """Return the index relative to air by the glass's formula; NaN where it has no real value.
 
-        The range is not checked here: `lensdesign.lens.glass.Material.index` does that.
+        The range is not checked here; `lensdesign.lens.glass.Material.index` checks it.
         """
         try:
             return DISPERSION_FORMULAS[self.formula].index(self.coefficients, wavelength_um)
@@ -88,7 +86,7 @@ class AgfGlass:
 
 @dataclass(frozen=True)
 class DispersionFormula:
-    """A dispersion formula: its name, its number of coefficients, and n(coefficients, wavelength_um)."""
+    """A dispersion formula: name, number of coefficients, and index n(coefficients, wavelength_um)."""
 
     name: str
     coefficient_count: int
@@ -96,7 +94,7 @@ class DispersionFormula:
 
 
 def _poles(c: Coefficients, w: float) -> float:
-    """Sum of K w^2 / (w^2 - L) over the pairs (K, L)."""
+    """Return the sum of K w^2 / (w^2 - L) over the pairs (K, L)."""
     return sum(k * w * w / (w * w - pole) for k, pole in zip(c[::2], c[1::2], strict=True))
 
 
@@ -117,7 +115,7 @@ def _herzberger(c: Coefficients, w: float) -> float:
 
 
 def _sellmeier_2(c: Coefficients, w: float) -> float:
-    # The second pole has no w^2 above it, and both are wavelengths, not their squares.
+    # The second pole has no w^2 in the numerator, and both poles are wavelengths, not their squares.
     return math.sqrt(1.0 + c[0] + c[1] * w * w / (w * w - c[2] ** 2) + c[3] / (w * w - c[4] ** 2))
 
 
@@ -153,11 +151,11 @@ DISPERSION_FORMULAS: dict[int, DispersionFormula] = {
     13: DispersionFormula("Extended 3", 9, _power_series(0, 2, 4, -2, -4, -6, -8, -10, -12)),
 }
 """The formulas of the AGF format by number, wavelengths in um (Zemax OpticStudio user guide, "The Glass
-Dispersion Formulas"). Coefficients stand in the order of the CD record."""
+Dispersion Formulas"). Coefficients are in the order of the CD record."""
 
 
 def read_agf(path: str | os.PathLike[str]) -> tuple[AgfGlass, ...]:
-    """Read a glass catalogue; a file that has not changed since is not read again.
+    """Read a glass catalogue; an unchanged file is read only once.
 
     Parameters
     ----------
@@ -167,7 +165,7 @@ def read_agf(path: str | os.PathLike[str]) -> tuple[AgfGlass, ...]:
     Returns
     -------
     tuple of AgfGlass
-        In the order of the file.
+        The glasses in the order of the file.
 
     Raises
     ------
@@ -191,57 +189,63 @@ def _load(file: Path, _mtime_ns: int, _size: int) -> tuple[AgfGlass, ...]:
     return parse_agf(_decode(data, str(file)), str(file))
 
 
-def _decode(data: bytes, where: str) -> str:
+def _decode(data: bytes, location: str) -> str:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         try:
             return data.decode("utf-16")
         except UnicodeDecodeError as error:
-            raise MaterialError(f"{where}: not valid UTF-16 text, which its first bytes promise") from error
+            raise MaterialError(
+                f"{location}: not valid UTF-16 text, although its byte order mark says so"
+            ) from error
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
 
 
-def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
-    """Glasses of an AGF text.
+def parse_agf(text: str, location: str) -> tuple[AgfGlass, ...]:
+    """Return the glasses of an AGF text.
 
-    The records NM (name, formula, nd, Abbe number), CD (coefficients), LD (wavelength range), GC (comment),
-    TD (Schott's formula for the index in heat, and the reference temperature) and ED (whose first value is
-    the expansion about room temperature, in 1e-6/K) are read; the others say nothing about index or size and
-    are passed over. A line that starts with a number continues the CD or TD record before it. Coefficients
-    left out at the end of a CD record are zero; constants that are all zero in a TD record, or an expansion
-    of zero, are not given.
+    These records are read: NM (name, formula, nd, Abbe number), CD (coefficients), LD (wavelength range), GC
+    (comment), TD (Schott's formula for the change of index with temperature, and the reference temperature)
+    and ED (its first value is the expansion around room temperature, in 1e-6/K). All other records are
+    ignored, since they concern neither index nor size. A line that starts with a number continues the CD or
+    TD record before it. Missing coefficients at the end of a CD record are zero. Constants of a TD record
+    that are all zero, and an expansion of zero, count as not given.
 
-    A name that stands twice is one glass with a note if both entries have the same index (within `ALIKE`),
-    and otherwise a glass with a `fault`. So is a glass whose nd contradicts its coefficients by more than
-    `ND_REFUSED`; from `ND_NOTED` on it has a note. Half a unit of the last decimal that nd is given with
-    counts as rounding, and an nd of 1 or less, or a d line outside the wavelength range, is not compared.
+    A duplicate name is one glass with a note if both entries have the same index (within `SAME_INDEX`), and
+    otherwise a glass with a `fault`. A glass whose nd contradicts its coefficients by more than `ND_REFUSED`
+    has a `fault` too; from `ND_NOTED` on it has a note. Half a unit of the last given decimal of nd counts as
+    rounding. An nd of 1 or less, or a d line outside the wavelength range, is not compared.
 
     Parameters
     ----------
     text
         Content of the file.
-    where
-        What messages call the text, normally its path.
+    location
+        Name of the text in messages, normally its path.
+
+    Returns
+    -------
+    tuple of AgfGlass
 
     Raises
     ------
     MaterialError
-        For a record that does not parse, an unknown formula, a glass without CD or LD, or a text without any
-        glass. The message names `where` and the line.
+        If a record does not parse, a formula is unknown, a glass has no CD or LD record, or the text has no
+        glass. The message names the file and the line.
     """
     drafts: list[_Draft] = []
     first_lines: dict[str, str] = {}
     last_record = ""
     for number, line in enumerate(text.splitlines(), start=1):
         record, rest = (*line.split(maxsplit=1), "", "")[:2]
-        here = f"{where}, line {number}"
+        here = f"{location}, line {number}"
         if last_record in _CONTINUED and _is_number(record):
             drafts[-1].continued += f" {line}"
             continue
         if drafts and drafts[-1].continued:
-            drafts[-1].take_continued()
+            drafts[-1].read_continued()
         last_record = record
         if record == "NM":
             if drafts:
@@ -256,8 +260,8 @@ def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
             else:
                 _READERS[record](drafts[-1], rest, here)
     if not drafts:
-        raise MaterialError(f"{where}: no glass found; an AGF catalogue has an NM record for each glass")
-    drafts[-1].take_continued()
+        raise MaterialError(f"{location}: no glass found; an AGF catalogue has an NM record for each glass")
+    drafts[-1].read_continued()
     drafts[-1].check_complete(first_lines)
     return _without_doubles([(draft, draft.finish()) for draft in drafts])
 
@@ -273,7 +277,7 @@ def _is_number(word: str) -> bool:
 
 
 def _without_doubles(entries: Sequence[tuple[_Draft, AgfGlass]]) -> tuple[AgfGlass, ...]:
-    """One glass for each name: the first entry, with a note or a fault where there are more."""
+    """Return one glass for each name: the first entry, with a note or a fault if there are more."""
     found: dict[str, tuple[_Draft, AgfGlass]] = {}
     for draft, glass in entries:
         key = glass.name.casefold()
@@ -282,30 +286,28 @@ def _without_doubles(entries: Sequence[tuple[_Draft, AgfGlass]]) -> tuple[AgfGla
             continue
         first_draft, first = found[key]
         difference = _largest_difference(first, glass)
-        if difference <= ALIKE:
-            heat = "" if _heat(first) == _heat(glass) else "; their data of heat (TD, ED) differ"
+        if difference <= SAME_INDEX:
+            thermal = "" if _thermal(first) == _thermal(glass) else "; their thermal data (TD, ED) differ"
             note = (
-                f"glass {glass.name} stands twice with the same index ({first_draft.where} and line "
-                f"{draft.line}); the first entry is taken{heat}"
+                f"glass {glass.name} is given twice with the same index ({first_draft.location} and line "
+                f"{draft.line}); the first entry is used{thermal}"
             )
             found[key] = (first_draft, replace(first, notes=(*first.notes, note)))
         else:
             fault = (
-                f"{draft.where}: glass {glass.name} stands already on line {first_draft.line} with another "
-                "index "
-                f"({_spread(difference)}); a glass of this name can be used when one of the two is removed "
-                "or renamed"
+                f"{draft.location}: glass {glass.name} is already given on line {first_draft.line} with "
+                f"another index ({_spread(difference)}); remove or rename one of the two entries"
             )
             found[key] = (first_draft, replace(first, fault=first.fault or fault))
     return tuple(glass for _, glass in found.values())
 
 
-def _heat(glass: AgfGlass) -> tuple[object, ...]:
+def _thermal(glass: AgfGlass) -> tuple[object, ...]:
     return (glass.schott, glass.reference_temperature_c, glass.expansion_per_k)
 
 
 def _largest_difference(one: AgfGlass, other: AgfGlass) -> float:
-    """Largest difference of the indices over the wavelengths that both have; inf where one has none."""
+    """Return the largest index difference over the common wavelengths; inf if there are none."""
     shortest = max(one.wavelength_range_um[0], other.wavelength_range_um[0])
     longest = min(one.wavelength_range_um[1], other.wavelength_range_um[1])
     if shortest > longest:
@@ -328,7 +330,7 @@ class _Draft:
 
     name: str
     formula: int
-    where: str
+    location: str
     nd: str = ""
     vd: str = ""
     coefficients: tuple[float, ...] | None = None
@@ -343,10 +345,10 @@ class _Draft:
     @property
     def line(self) -> str:
         """Number of the line of the NM record."""
-        return self.where.rpartition("line ")[2]
+        return self.location.rpartition("line ")[2]
 
-    def take_continued(self) -> None:
-        """Read the record that may have gone on over several lines."""
+    def read_continued(self) -> None:
+        """Read a record that may extend over several lines."""
         if self.continued:
             record, _, rest = self.continued.partition(" ")
             self.continued = ""
@@ -355,14 +357,16 @@ class _Draft:
     def check_complete(self, first_lines: dict[str, str]) -> None:
         """Refuse a glass without coefficients or without a range."""
         first = first_lines[self.name.casefold()]
-        again = "" if first == self.line else f" stands already on line {first}, and here it"
+        again = "" if first == self.line else f" is already given on line {first}, and here it"
         if self.coefficients is None:
-            raise MaterialError(f"{self.where}: glass {self.name}{again} has no CD record (coefficients)")
+            raise MaterialError(f"{self.location}: glass {self.name}{again} has no CD record (coefficients)")
         if self.wavelength_range_um is None:
-            raise MaterialError(f"{self.where}: glass {self.name}{again} has no LD record (wavelength range)")
+            raise MaterialError(
+                f"{self.location}: glass {self.name}{again} has no LD record (wavelength range)"
+            )
 
     def finish(self) -> AgfGlass:
-        assert self.coefficients is not None  # check_complete looked
+        assert self.coefficients is not None  # check_complete requires both
         assert self.wavelength_range_um is not None
         glass = AgfGlass(
             self.name,
@@ -378,12 +382,12 @@ class _Draft:
 
 
 def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
-    """The glass with a note or a fault where its NM record contradicts its coefficients."""
+    """Return the glass, with a note or a fault if its NM record contradicts its coefficients."""
     nd = _stated(draft.nd)
     if nd is None and any(c.isdigit() for c in draft.nd):
         note = (
-            f"{draft.where}: the NM record of glass {draft.name} gives nd as {_shown(draft.nd)}, which is no "
-            "number; it was not compared with the coefficients"
+            f"{draft.location}: the NM record of glass {draft.name} gives nd as {_shown(draft.nd)}, which is "
+            "not a number; it was not compared with the coefficients"
         )
         return replace(glass, notes=(*glass.notes, note))
     shortest, longest = glass.wavelength_range_um
@@ -393,15 +397,15 @@ def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
     difference = abs(found - nd) - _rounding(draft.nd)
     if math.isnan(found) or difference > ND_REFUSED:
         fault = (
-            f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its coefficients "
-            f"(CD) give {found:.6g}; allowed is a difference of {ND_REFUSED:g}. Correct the record that is "
-            "wrong: the order of the coefficients, the number of the formula, or nd"
+            f"{draft.location}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its "
+            f"coefficients (CD) give {found:.6g}; allowed is a difference of {ND_REFUSED:g}. Correct the "
+            "record that is wrong: the order of the coefficients, the number of the formula, or nd"
         )
         return replace(glass, fault=fault)
     if difference > ND_NOTED:
         note = (
-            f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its "
-            f"coefficients give {found:.6g}; the coefficients are taken"
+            f"{draft.location}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its "
+            f"coefficients give {found:.6g}; the coefficients are used"
         )
         return replace(glass, notes=(*glass.notes, note))
     vd = _stated(draft.vd)
@@ -409,10 +413,10 @@ def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
         return glass
     dispersion = glass(LINE_F_UM) - glass(LINE_C_UM)
     abbe = (found - 1.0) / dispersion if dispersion else math.inf
-    if abs(abbe - vd) - _rounding(draft.vd) > VD_NOTED * vd:
+    if abs(abbe - vd) - _rounding(draft.vd) > 0.02 * vd:
         note = (
-            f"{draft.where}: the NM record of glass {draft.name} gives an Abbe number of {draft.vd}, and its "
-            f"coefficients give {abbe:.4g}; the coefficients are taken"
+            f"{draft.location}: the NM record of glass {draft.name} gives an Abbe number of {draft.vd}, and "
+            f"its coefficients give {abbe:.4g}; the coefficients are used"
         )
         return replace(glass, notes=(*glass.notes, note))
     return glass
@@ -423,26 +427,27 @@ def _stated(word: str) -> float | None:
 
 
 def _rounding(word: str) -> float:
-    """Half a unit of the last decimal that a number is written with."""
+    """Return half a unit of the last written decimal of a number."""
     mantissa, _, exponent = word.lower().partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
     return float(0.5 * 10.0 ** -min(max(decimals, 0), 17))
 
 
-def _start(words: list[str], where: str) -> _Draft:
+def _start(words: list[str], location: str) -> _Draft:
     if len(words) < 2:
-        said = _shown(" ".join(words))
-        raise MaterialError(f"{where}: NM record needs a name and a formula number, got {said}")
-    if len(words[0]) > LONGEST_NAME:
-        raise MaterialError(f"{where}: a glass name of {len(words[0])} characters; at most {LONGEST_NAME}")
-    formula = _number(words[1], where, "NM")
+        given = _shown(" ".join(words))
+        raise MaterialError(f"{location}: NM record needs a name and a formula number, got {given}")
+    longest = 100
+    if len(words[0]) > longest:
+        raise MaterialError(f"{location}: a glass name of {len(words[0])} characters; at most {longest}")
+    formula = _number(words[1], location, "NM")
     if formula not in DISPERSION_FORMULAS:
         raise MaterialError(
-            f"{where}: glass {words[0]} has dispersion formula {_short(words[1])}; "
+            f"{location}: glass {words[0]} has dispersion formula {_short(words[1])}; "
             f"known are 1 to {max(DISPERSION_FORMULAS)}"
         )
     nd, vd = (*words[3:5], "", "")[:2]
-    return _Draft(words[0], int(formula), where, nd, vd)
+    return _Draft(words[0], int(formula), location, nd, vd)
 
 
 def _shown(text: str) -> str:
@@ -453,46 +458,46 @@ def _short(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _number(word: str, where: str, record: str) -> float:
+def _number(word: str, location: str, record: str) -> float:
     try:
         value = float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise MaterialError(f"{where}: {record} record has {_shown(word)} where a finite number must stand")
+        raise MaterialError(f"{location}: {record} record has {_shown(word)}; must be a finite number")
     return value
 
 
-def _read_coefficients(draft: _Draft, rest: str, where: str) -> None:
-    values = [_number(word, where, "CD") for word in rest.split()]
+def _read_coefficients(draft: _Draft, rest: str, location: str) -> None:
+    values = [_number(word, location, "CD") for word in rest.split()]
     formula = DISPERSION_FORMULAS[draft.formula]
     count = formula.coefficient_count
     if not any(values[:count]):
-        raise MaterialError(f"{where}: CD record of glass {draft.name} has no coefficient other than zero")
+        raise MaterialError(f"{location}: CD record of glass {draft.name} has no coefficient other than zero")
     if any(values[count:]):
         raise MaterialError(
-            f"{where}: CD record of glass {draft.name} has {len(values)} values, and formula {draft.formula} "
-            f"({formula.name}) takes {count}; what follows them must be zero"
+            f"{location}: CD record of glass {draft.name} has {len(values)} values, and formula "
+            f"{draft.formula} ({formula.name}) takes {count}; what follows them must be zero"
         )
     draft.coefficients = (*values[:count], *[0.0] * (count - len(values)))
 
 
-def _read_range(draft: _Draft, rest: str, where: str) -> None:
-    values = [_number(word, where, "LD") for word in rest.split()]
+def _read_range(draft: _Draft, rest: str, location: str) -> None:
+    values = [_number(word, location, "LD") for word in rest.split()]
     if len(values) < 2 or not 0.0 < values[0] < values[1]:
         raise MaterialError(
-            f"{where}: LD record of glass {draft.name} is {_shown(rest.strip())}; it must hold the shortest "
-            "and the longest wavelength in um, 0 < shortest < longest"
+            f"{location}: LD record of glass {draft.name} is {_shown(rest.strip())}; it must give the "
+            "shortest and the longest wavelength in um, 0 < shortest < longest"
         )
     draft.wavelength_range_um = (values[0], values[1])
 
 
-def _read_comment(draft: _Draft, rest: str, _where: str) -> None:
+def _read_comment(draft: _Draft, rest: str, _location: str) -> None:
     draft.comment = rest.strip()
 
 
-def _read_thermal(draft: _Draft, rest: str, where: str) -> None:
-    values = [_number(word, where, "TD") for word in rest.split()]
+def _read_thermal(draft: _Draft, rest: str, location: str) -> None:
+    values = [_number(word, location, "TD") for word in rest.split()]
     if len(values) >= 7:
         draft.reference_temperature_c = values[6]
         if any(values[:5]):
@@ -500,9 +505,9 @@ def _read_thermal(draft: _Draft, rest: str, where: str) -> None:
             draft.schott = (d0, d1, d2, e0, e1, pole)
 
 
-def _read_extra(draft: _Draft, rest: str, where: str) -> None:
+def _read_extra(draft: _Draft, rest: str, location: str) -> None:
     words = rest.split()
-    expansion = _number(words[0], where, "ED") if words else 0.0
+    expansion = _number(words[0], location, "ED") if words else 0.0
     draft.expansion_per_k = 1e-6 * expansion if expansion else None
 
 

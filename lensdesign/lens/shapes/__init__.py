@@ -1,5 +1,5 @@
-"""What shapes a surface may have: one module for each, and a line in the registry.
+"""Surface shapes: one module and one registry line for each.
 
-:class:`lensdesign.lens.shapes.base.Shape` says what a module has to give; tracing, optimizing, meshes,
-solids, drawings and files take all they know of a surface from there.
+:class:`lensdesign.lens.shapes.base.Shape` is the interface of a shape. Ray tracing, optimization, meshes,
+solids, drawings and file formats use surfaces through this interface alone.
 """

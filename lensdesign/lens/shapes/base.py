@@ -1,7 +1,7 @@
-"""What a shape of surface is: its sag over (x, y), with derivatives, and how files write it.
+"""The interface of a surface shape: sag over (x, y), its derivatives, and its form in lens files.
 
-The formulas stand once. They are plain functions of numbers, in which NumPy's functions are the only ones
-called, so that they take arrays, complex numbers (for derivatives by complex step) and Numba's scalars alike.
+Each formula is written once, as a plain function of numbers that calls NumPy's functions only. The same
+function accepts arrays, complex numbers (for complex-step derivatives) and Numba's scalars.
 """
 
 from __future__ import annotations
@@ -23,64 +23,66 @@ Point = tuple[Any, Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class Shape(ABC):
-    """A surface's shape about its vertex, z along the axis.
+    """Shape of a surface around its vertex, with z along the axis.
 
     Attributes
     ----------
     terms : ndarray, shape (n,) or (trials, n)
-        Numbers of the formula, in the order of `TERMS`, which may be longer. The first two are the curvature
-        in 1/mm and the conic constant of the meridian y-z. With a leading axis, those of many copies.
+        Parameters of the formula, in the order of `TERMS`, which may be longer. The first two are the
+        curvature in 1/mm and the conic constant of the y-z meridian. A leading axis holds many perturbed
+        copies.
     """
 
     terms: Array
 
     NAME: ClassVar[str]
-    """As `shape` in a design file."""
+    """Value of `shape` in a design file."""
 
     KEYS: ClassVar[tuple[str, ...]]
-    """Keys of a design file from which the terms come; fields of :class:`lensdesign.Surface`."""
+    """Keys of a design file that define the terms; fields of :class:`lensdesign.Surface`."""
 
     TERMS: ClassVar[tuple[str, ...]]
+    """Names of the terms."""
 
     PARAMETERS: ClassVar[tuple[str, ...]]
-    """What an optimizer may vary, by its design file's name."""
+    """Parameters that an optimizer may vary, by their names in a design file."""
 
     ROTATIONAL: ClassVar[bool] = True
-    """Whether the surface is one of revolution."""
+    """Whether the surface is rotationally symmetric."""
 
     ZEMAX_LOST: ClassVar[Mapping[int, str]] = {}
-    """What a Zemax surface's parameters are that a design does not have, by number."""
+    """Parameters of the Zemax surface that this shape cannot represent: description by number."""
 
     @classmethod
     @abstractmethod
     def of_keys(cls, values: Mapping[str, Any]) -> Self:
-        """The shape for the values of a design file's `KEYS`."""
+        """Return the shape with the given values of `KEYS`."""
 
     @staticmethod
     @abstractmethod
     def height(terms: Any, x: Any, y: Any) -> Point:
-        """Sag in mm over (x, y) in mm, and its slopes along x and y; NaN where the surface has ended."""
+        """Return the sag in mm at (x, y) in mm and its slopes along x and y; NaN beyond the edge."""
 
     @staticmethod
     @abstractmethod
     def bend(terms: Any, x: Any, y: Any) -> Point:
-        """Second derivatives of the sag, along x twice, x and y, y twice; in 1/mm."""
+        """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
 
     @staticmethod
     @abstractmethod
     def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
-        """Derivatives of what `height` gives by term j."""
+        """Return the derivatives of the three values of `height` with respect to term j."""
 
     @staticmethod
     def start(terms: Any) -> tuple[Any, Any]:
-        """Curvature and conic constant of a conic from which rays find the surface by Newton's method."""
+        """Return curvature and conic constant of the conic at which Newton's method starts."""
         return terms[0], terms[1]
 
     @abstractmethod
     def ends(self) -> Array:
-        """One over the square of each radial height in mm at which some part ends, shape (..., parts).
+        """Return 1 / r^2 for each radial height r in mm at which a section of the surface ends.
 
-        Not above 0 for a part that never does.
+        The shape is (..., sections). A value of 0 or less means that the section has no edge.
         """
 
     @property
@@ -89,53 +91,54 @@ class Shape(ABC):
         """Name of the simplest shape that has this form."""
 
     def section(self, azimuth_rad: float) -> Shape:
-        """The surface of revolution that has this one's meridian along an azimuth, from +x towards +y."""
+        """Return the surface of revolution with this surface's meridian at an azimuth, from +x towards +y."""
         return self
 
     def zemax(self) -> tuple[str, dict[int, float]]:
-        """Type and parameters by number (PARM) of Zemax OpticStudio's surface, beside CURV and CONI."""
+        """Return type and numbered parameters (PARM) of the Zemax surface, besides CURV and CONI."""
         raise InputError(f"a .zmx file cannot hold a surface of shape {self.NAME}")
 
     @classmethod
     def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
-        """Keys beside radius_mm and conic for a surface type and its PARM; None for a type not its own."""
+        """Return the keys besides radius_mm and conic for a Zemax surface; None if the type does not "
+        "match."""
         return None
 
     def codev(self) -> tuple[str, dict[str, float]]:
-        """Surface type and letters of its terms in CODE V, beside radius and K."""
+        """Return the CODE V surface type and the values of its terms by letter, besides radius and K."""
         raise InputError(f"a .seq file cannot hold a surface of shape {self.NAME}")
 
     def drawn(self) -> tuple[float, ...]:
-        """Coefficients of r^4, r^6, ... that the formula of ISO 10110-12 has beside its conic."""
+        """Return the coefficients of r^4, r^6, ... of the formula of ISO 10110-12, besides its conic."""
         raise InputError(f"a drawing cannot describe a surface of shape {self.NAME}")
 
     @property
     def curvature(self) -> float:
-        """In 1/mm, at the vertex in the meridian y-z."""
+        """Curvature at the vertex in the y-z meridian, in 1/mm."""
         return float(self.terms[..., 0])
 
     @property
     def edge_radius_mm(self) -> float:
-        """Radial height at which the surface ends (its tangent stands upright); inf if it never does."""
+        """Radial height at which the surface ends (tangent parallel to the axis); inf if it has no edge."""
         with np.errstate(over="ignore"):
             largest = float(np.max(self.ends(), initial=0.0))
         return 1.0 / math.sqrt(largest) if largest > 0.0 else math.inf
 
     def sag(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Sag in mm over (x, y); of many copies, with these as a leading axis. NaN beyond the edge."""
+        """Return the sag in mm at (x, y), with a leading axis for many copies; NaN beyond the edge."""
         return self.sag_and_slopes(x, y)[0]
 
     def sag_and_slopes(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        """Sag in mm, and its slopes along x and y."""
+        """Return the sag in mm and its slopes along x and y."""
         return self._evaluated(self.height, x, y)
 
     def second_derivatives(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        """Of the sag, along x twice, x and y, y twice; in 1/mm."""
+        """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
         return self._evaluated(self.bend, x, y)
 
     def derivatives_by(self, term: str, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        """Of the sag and its slopes, by a term."""
-        j = self.place(term)
+        """Return the derivatives of the sag and of its slopes with respect to a term."""
+        j = self.term_index(term)
         return self._evaluated(lambda terms, x, y: self.by_term(terms, j, x, y), x, y)
 
     def _evaluated(self, function: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
@@ -143,69 +146,66 @@ class Shape(ABC):
         across, down = np.asarray(x), np.asarray(y)
         with np.errstate(invalid="ignore", divide="ignore"):
             found = function(terms[..., None] if terms.ndim > 1 else terms, across, down)
-        alike = across.shape == down.shape
-        shape = across.shape if alike else np.broadcast_shapes(across.shape, down.shape)
-        wide = terms.shape[1:] + shape if terms.ndim > 1 else shape
-        a, b, c = (part if np.shape(part) == wide else np.broadcast_to(part, wide) for part in found)
+        same = across.shape == down.shape
+        points = across.shape if same else np.broadcast_shapes(across.shape, down.shape)
+        full = terms.shape[1:] + points if terms.ndim > 1 else points
+        a, b, c = (value if np.shape(value) == full else np.broadcast_to(value, full) for value in found)
         return a, b, c
 
-    def place(self, term: str) -> int:
-        """Where a term stands.
+    def term_index(self, term: str) -> int:
+        """Return the index of a term in `terms`.
 
         Raises
         ------
         InputError
             If this shape has no such term.
         """
-        held = self.TERMS[: self.terms.shape[-1]]
-        if term not in held:
-            raise InputError(f"{term} is no term of this surface ({self.NAME}); it has {', '.join(held)}")
-        return held.index(term)
+        known = self.TERMS[: self.terms.shape[-1]]
+        if term not in known:
+            raise InputError(f"{term} is no term of this surface ({self.NAME}); it has {', '.join(known)}")
+        return known.index(term)
 
     def term(self, name: str) -> float:
-        """Value of a term; 0 where the surface has no such term."""
-        held = self.TERMS[: self.terms.shape[-1]]
-        return float(self.terms[held.index(name)]) if name in held else 0.0
+        """Return the value of a term; 0 if the surface has no such term."""
+        known = self.TERMS[: self.terms.shape[-1]]
+        return float(self.terms[known.index(name)]) if name in known else 0.0
 
     def moved(self, term: str, change: Any) -> Self:
-        """The same shape with a change, real or complex, of one term."""
+        """Return the shape with a change, real or complex, of one term."""
         step = np.zeros(self.terms.shape[-1], np.result_type(self.terms, type(change)))
-        step[self.place(term)] = change
+        step[self.term_index(term)] = change
         return type(self)(self.terms + step)
 
-    def trial(self, number: int) -> Self:
-        """The shape of one copy; a single shape is that of every copy."""
-        return self if self.terms.ndim == 1 else type(self)(self.terms[min(number, len(self.terms) - 1)])
+    def trial(self, index: int) -> Self:
+        """Return the shape of one copy; a single shape applies to every copy."""
+        return self if self.terms.ndim == 1 else type(self)(self.terms[min(index, len(self.terms) - 1)])
 
     @classmethod
     def changed_keys(cls, values: Mapping[str, Any], term: str, value: float) -> dict[str, Any]:
-        """The key of a design file by which a term takes a value, with what it holds then."""
+        """Return the key of a design file, with its new value, that sets a term to a value."""
         if term.startswith("curvature"):
             return {parameter_of(term): None if value == 0.0 else float(1.0 / value)}
         return {term: float(value)}
 
     @classmethod
     def scaled_keys(cls, values: Mapping[str, Any], factor: float) -> dict[str, Any]:
-        """The values of `KEYS` for the shape with all lengths scaled."""
+        """Return the values of `KEYS` for the shape with all lengths scaled."""
         return {
             key: factor * value if key.endswith("_mm") and value is not None else value
             for key, value in values.items()
         }
 
 
-DIRECTIONS = 64
-"""In which a surface is looked at that is none of revolution."""
-
-
 def azimuths_rad(*shapes: Shape) -> Array:
-    """Azimuths that stand for all of some surfaces: that of the meridian y-z for those of revolution."""
+    """Return the azimuths at which surfaces are examined: 64, or 90 degrees alone if all are rotational."""
     if all(shape.ROTATIONAL for shape in shapes):
         return np.array([0.5 * math.pi])
-    return 0.5 * math.pi + 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    count = 64
+    return 0.5 * math.pi + 2.0 * math.pi * np.arange(count) / count
 
 
 def directions(*shapes: Shape) -> tuple[Array, Array]:
-    """x and y of unit vectors along :func:`azimuths_rad`."""
+    """Return x and y of the unit vectors along :func:`azimuths_rad`."""
     if all(shape.ROTATIONAL for shape in shapes):
         return np.zeros(1), np.ones(1)
     angles = azimuths_rad(*shapes)
@@ -213,23 +213,23 @@ def directions(*shapes: Shape) -> tuple[Array, Array]:
 
 
 def parameter_of(term: str) -> str:
-    """A term as design files name it: they hold radii for curvatures."""
+    """Return the name of a term in design files, which give radii in place of curvatures."""
     return term.replace("curvature", "radius") + "_mm" if term.startswith("curvature") else term
 
 
 def term_of(parameter: str) -> str:
-    """The term that a design file's parameter stands for."""
+    """Return the term that a parameter of a design file sets."""
     radius = parameter.removesuffix("_mm")
     return radius.replace("radius", "curvature") if parameter.startswith("radius") else parameter
 
 
 def radius_of(curvature: float) -> float:
-    """The radius in mm from which :func:`curvature_of` has this very curvature, other than 0."""
+    """Return the radius in mm for which :func:`curvature_of` gives exactly this curvature, other than 0."""
     near = 1.0 / curvature
     candidates = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
     return next((radius for radius in candidates if 1.0 / radius == curvature), near)
 
 
 def curvature_of(radius_mm: float | None) -> float:
-    """1/radius in 1/mm; 0 for a plane."""
+    """Return 1/radius in 1/mm; 0 for a plane."""
     return 0.0 if radius_mm is None else 1.0 / radius_mm

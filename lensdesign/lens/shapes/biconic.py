@@ -1,4 +1,4 @@
-"""Biconic: a conic of its own along x and along y (Zemax OpticStudio's BICONICX)::
+"""Biconic: different conics along x and y (Zemax OpticStudio's BICONICX)::
 
     z = (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2))
 
@@ -38,11 +38,11 @@ class Biconic(Shape):
         top = cx * x * x + cy * y * y
         root = np.sqrt(1.0 - (1.0 + kx) * cx * cx * x * x - (1.0 + ky) * cy * cy * y * y)
         over = 1.0 / (1.0 + root)
-        pull = top * over * over / root
+        factor = top * over * over / root
         return (
             top * over,
-            (2.0 * over + (1.0 + kx) * cx * pull) * cx * x,
-            (2.0 * over + (1.0 + ky) * cy * pull) * cy * y,
+            (2.0 * over + (1.0 + kx) * cx * factor) * cx * x,
+            (2.0 * over + (1.0 + ky) * cy * factor) * cy * y,
         )
 
     @staticmethod
@@ -52,7 +52,7 @@ class Biconic(Shape):
         top = cx * x * x + cy * y * y
         root = np.sqrt(1.0 - qx * x * x - qy * y * y)
         over = 1.0 / (1.0 + root)
-        # With w = 1 - root^2, f(w) = 1 / (1 + root): the first and second derivatives by w.
+        # First and second derivatives of f(w) = 1 / (1 + root) with respect to w = 1 - root^2.
         first = 0.5 * over * over / root
         second = 0.25 * over * over * (1.0 + 3.0 * root) * over / (root * root * root)
         along_x, along_y = 2.0 * qx * x, 2.0 * qy * y
@@ -75,7 +75,7 @@ class Biconic(Shape):
         over = 1.0 / (1.0 + root)
         first = 0.5 * over * over / root
         second = 0.25 * over * over * (1.0 + 3.0 * root) * over / (root * root * root)
-        # How the term changes the numerator and w: a u^2 and b u^2 with u = y for the first two, else x.
+        # The term changes the numerator by a u^2 and w by b u^2, with u = y for the first two terms, else x.
         if j == 0:
             a, b, of_x, of_y = 1.0, 2.0 * (1.0 + ky) * cy, 0.0, 1.0
         elif j == 1:
@@ -97,7 +97,7 @@ class Biconic(Shape):
 
     @staticmethod
     def start(terms: Any) -> tuple[Any, Any]:
-        # A paraboloid, which ends nowhere, between the two sections.
+        # A paraboloid between the two sections, since it has no edge.
         return 0.5 * (terms[0] + terms[2]), 0.0 * terms[1] - 1.0
 
     def ends(self) -> Array:

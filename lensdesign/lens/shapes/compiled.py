@@ -1,4 +1,4 @@
-"""The formulas of all registered shapes, compiled: each function takes a shape's number and its terms."""
+"""The compiled formulas of all registered shapes: each function takes the code of a shape and its terms."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numba import njit
 from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.registry import shape_classes
 
-# Inlined wholly, without which a function of a few lines costs as much again for being called.
+# Inlined, because the call of a function of a few lines would double its cost.
 _inline = njit(nogil=True, error_model="numpy", inline="always")
 
 
 def _at_point(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
-    """One function of shape number, terms, x and y for the shapes from a number on."""
+    """Return one function of shape code, terms, x and y for the shapes from a code on."""
     own = _inline(functions[0])
     if len(functions) == 1:
         return _inline(lambda shape, terms, x, y: own(terms, x, y))
@@ -31,7 +31,7 @@ def _at_point(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
 
 
 def _by_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
-    """As :func:`_at_point`, with the number of a term behind the terms."""
+    """Return one function like :func:`_at_point`, with the index of a term after the terms."""
     own = _inline(functions[0])
     if len(functions) == 1:
         return _inline(lambda shape, terms, j, x, y: own(terms, j, x, y))
@@ -52,5 +52,5 @@ by_term = _by_term([shape.by_term for shape in shape_classes()])
 
 conic_height, conic_bend, conic_by_term = (_inline(f) for f in (Conic.height, Conic.bend, Conic.by_term))
 
-SOURCES = {__name__} | {part.__module__ for shape in shape_classes() for part in shape.__mro__[:-2]}
-"""Modules in which the formulas stand."""
+SOURCES = {__name__} | {base.__module__ for shape in shape_classes() for base in shape.__mro__[:-2]}
+"""Modules that contain the formulas."""

@@ -17,17 +17,17 @@ from lensdesign.lens.shapes.base import Point, curvature_of
 from lensdesign.lens.shapes.conic import Conic
 
 ORDERS = tuple(f"asphere_{order}" for order in range(4, 44, 2))
-"""Coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...; as many as a design file may hold."""
+"""Names of the coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...; as many as a design file may have."""
 
 CODEV_LETTERS = "ABCDEFGHJ"
-"""CODE V's names of the coefficients of r^4 to r^20."""
+"""CODE V's letters of the coefficients of r^4 to r^20."""
 
 ZEMAX_TERMS = range(2, 9)
-"""Zemax's numbers of the coefficients of r^4 to r^16; the first, of r^2, a design does not have."""
+"""Zemax's numbers of the coefficients of r^4 to r^16. Number 1, of r^2, has no counterpart in a design."""
 
 
 class EvenAsphere(Conic):
-    """Surface of revolution of a conic with even powers."""
+    """Surface of revolution: a conic plus even powers of the radial height."""
 
     NAME = "even asphere"
     KEYS: ClassVar[tuple[str, ...]] = ("radius_mm", "conic", "asphere")
@@ -90,7 +90,7 @@ class EvenAsphere(Conic):
         return tuple(self.terms[2:])
 
     def _written(self, most: int, kind: str) -> list[float]:
-        """Coefficients for a file that holds so many."""
+        """Return the coefficients for a file format that has at most so many."""
         values = without_zeros([float(a) for a in self.terms[2:]])
         if len(values) > most:
             raise InputError(
@@ -116,10 +116,10 @@ class EvenAsphere(Conic):
     def changed_keys(cls, values: Mapping[str, Any], term: str, value: float) -> dict[str, Any]:
         if not term.startswith("asphere_"):
             return super().changed_keys(values, term, value)
-        place = cls.TERMS.index(term) - 2
+        position = cls.TERMS.index(term) - 2
         terms = list(values["asphere"])
-        terms += [0.0] * (place + 1 - len(terms))
-        terms[place] = float(value)
+        terms += [0.0] * (position + 1 - len(terms))
+        terms[position] = float(value)
         return {"asphere": tuple(terms)}
 
     @classmethod
@@ -129,6 +129,6 @@ class EvenAsphere(Conic):
 
 
 def without_zeros(asphere: Sequence[float]) -> list[float]:
-    """Coefficients without the zeros at their end."""
+    """Return the coefficients without trailing zeros."""
     count = max((i for i, a in enumerate(asphere, start=1) if a), default=0)
     return list(asphere[:count])

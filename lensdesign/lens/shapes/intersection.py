@@ -1,4 +1,4 @@
-"""Where rays meet a surface, in NumPy, real or complex: for few rays, and for what is no ray."""
+"""Intersection of rays with a surface in NumPy, real or complex, for few rays and for derivatives."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lensdesign.lens.shapes.registry import code_of
 
 Array = NDArray[Any]
 Figure = Callable[[Array, Array], tuple[Array, Array, Array]]
-"""Sag error over (x, y) in mm, and its slopes along x and y: what adds to a shape."""
+"""Function of (x, y) in mm that returns the sag error in mm and its slopes along x and y."""
 
 RIM_TOLERANCE = 1e-9
-"""Relative; a ray launched through the very rim of its stop must not be lost to rounding."""
+"""Relative tolerance of clipping: rounding must not clip a ray through the rim of its stop."""
 
 NEWTON_STEPS = 20
-"""Most steps that a ray may take to a surface from its conic; rays that need more are reported."""
+"""Largest number of Newton steps from the conic to the surface; rays that need more get a status."""
 
 
 def sag_and_slopes(shape: Shape, x: Array, y: Array, figure: Figure | None) -> tuple[Array, Array, Array]:
-    """Sag above (x, y) in mm, and its slopes along x and y, figure included."""
+    """Return the sag at (x, y) in mm and its slopes along x and y, including the figure."""
     nominal = shape.sag_and_slopes(x, y)
     if figure is None:
         return nominal
@@ -34,31 +34,32 @@ def sag_and_slopes(shape: Shape, x: Array, y: Array, figure: Figure | None) -> t
 def intersect(
     position: Array, direction: Array, shape: Shape, figure: Figure | None = None
 ) -> tuple[Array, Array, Array]:
-    """Distance along each ray to the surface, in the surface's own frame (vertex at the origin).
+    """Return the distance along each ray to the surface, in the surface's own frame (vertex at the origin).
 
-    The conic's root is C / (B + sqrt(B^2 - A C)), which stays exact as the curvature goes to zero and
-    picks the hit at which a ray crosses from the front to the back; where B is negative (a ray that
-    starts beyond the centre of curvature) the same root is had without cancellation as
-    (B - sqrt(B^2 - A C)) / A. What is no conic, or has a figure, goes on from there by Newton's
-    method. A ray that could only cross from the back to the front misses.
+    The root for a conic is C / (B + sqrt(B^2 - A C)). It stays exact as the curvature goes to zero, and it
+    is the intersection at which a ray crosses from the front to the back. Where B is negative (a ray that
+    starts beyond the centre of curvature), the same root is (B - sqrt(B^2 - A C)) / A without cancellation.
+    For other shapes, or with a figure, Newton's method continues from this point. A ray that could only
+    cross from the back to the front misses.
 
     Parameters
     ----------
     position, direction
-        Shape (n, 3); directions of unit length. Real or complex (for complex-step derivatives).
+        Positions in mm and directions of unit length, shape (n, 3), real or complex (for complex-step
+        derivatives).
     shape
-        Of one surface.
+        Shape of the surface.
     figure
-        What adds to it.
+        Sag error that is added to the shape (default: none).
 
     Returns
     -------
     distance : ndarray, shape (n,)
-        In mm; meaningless where the ray misses.
+        Distance in mm; undefined where the ray misses.
     hit : ndarray of bool, shape (n,)
         False where the ray misses the surface.
     converged : ndarray of bool, shape (n,)
-        False where Newton's method did not settle.
+        False where Newton's method did not converge.
     """
     curvature, conic = shape.start(shape.terms)
     x, y, z = np.moveaxis(position, -1, 0)

@@ -1,4 +1,4 @@
-"""Every shape, by one line each; the line's place is the number by which compiled rays know it."""
+"""Registry of the surface shapes, one line each; the position of the line is its code in compiled tracing."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ SHAPES = {
     "even asphere": "lensdesign.lens.shapes.even_asphere:EvenAsphere",
     "biconic": "lensdesign.lens.shapes.biconic:Biconic",
 }
-"""Class of each shape, by its name in design files. The first is the one that rays meet in closed form."""
+"""Class of each shape by its name in design files. Rays intersect the first one, the conic, in closed "
+"form."""
 
 
 @cache
 def shape_class(name: str) -> type[Shape]:
-    """The class of a shape."""
+    """Return the class of a shape by its name."""
     module, _, attribute = SHAPES[name].partition(":")
     found: type[Shape] = getattr(import_module(module), attribute)
     return found
@@ -25,27 +26,27 @@ def shape_class(name: str) -> type[Shape]:
 
 @cache
 def shape_classes() -> tuple[type[Shape], ...]:
-    """All of them, in the registry's order."""
+    """Return all classes in the order of the registry."""
     return tuple(shape_class(name) for name in SHAPES)
 
 
 def code_of(shape: Shape) -> int:
-    """Number by which compiled rays know a shape."""
+    """Return the code of a shape in compiled ray tracing."""
     return list(SHAPES).index(shape.NAME)
 
 
 @cache
 def parameters() -> dict[str, type[Shape]]:
-    """What an optimizer may vary of a surface, each with a shape that has it."""
+    """Return the surface parameters that an optimizer may vary, each with the first shape that has it."""
     return {name: shape for shape in reversed(shape_classes()) for name in shape.PARAMETERS}
 
 
 def class_with(term: str) -> type[Shape]:
-    """The first shape that has a term.
+    """Return the first shape that has a term.
 
     Raises
     ------
-    KeyError
-        If none has.
+    StopIteration
+        If no shape has the term.
     """
     return next(shape for name, shape in parameters().items() if term_of(name) == term)

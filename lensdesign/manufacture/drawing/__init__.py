@@ -1,1 +1,1 @@
-"""ISO 10110 drawings of the elements."""
+"""Drawings of the glass elements after ISO 10110."""

@@ -1,4 +1,4 @@
-"""What a drawing says of a conic or an asphere (ISO 10110-12): formula, constants, and a few sags."""
+"""Panel of a conic or an asphere on a drawing (ISO 10110-12): formula, constants and a sag table."""
 
 from __future__ import annotations
 
@@ -9,35 +9,32 @@ from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.strokes import Area, Item, Text, cell, fitted, line, text_width_mm
 
 LINE_MM, TEXT_MM = 4.1, 2.6
-STEPS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-"""Round spacings within a decade, so near to each other that a table has from 7 to 10 rows."""
+MAX_ROWS = 11
+"""Largest number of constants in a column."""
 
-MOST_ROWS = 11
-"""Of constants in a column."""
-
-DIGITS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"), str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-"""Below and above the line."""
+SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def asphere_panel(
-    lens: Lens, number: int, name: str, area: Area, conic_tolerance: float | None = None
+    lens: Lens, index: int, name: str, area: Area, conic_tolerance: float | None = None
 ) -> list[Item]:
-    """Formula and constants of one surface, and its sag table.
+    """Draw formula, constants and sag table of one surface.
 
     Parameters
     ----------
     lens
         The lens.
-    number
+    index
         Index of the surface, from 0.
     name
-        What the drawing calls it.
+        Name of the surface on the drawing.
     area
-        Where the panel stands.
+        Area of the panel on the sheet.
     conic_tolerance
-        Of the conic constant, to both sides.
+        Tolerance (±) of the conic constant (default: none).
     """
-    surface = lens.surfaces[number]
+    surface = lens.surfaces[index]
     top = area.top - LINE_MM
     items: list[Item] = [
         cell(Area(area.left, top, area.right, area.top), f"{name}: {surface.kind}; r, z in mm", 3.0)
@@ -45,41 +42,41 @@ def asphere_panel(
     items += _formula(surface.radius_mm is not None, surface.shape.drawn(), Area(*area[:3], top))
     top -= 2.6 * LINE_MM
     constants = _constants(surface.radius_mm, surface.conic, surface.shape.drawn(), conic_tolerance)
-    columns = 1 if len(constants) <= MOST_ROWS else 2
+    columns = 1 if len(constants) <= MAX_ROWS else 2
     size = min(fitted(text, area.width / columns - 3.0, TEXT_MM)[1] for text in constants)
     rows = -(-len(constants) // columns)
     width = area.width / columns
-    for place, text in enumerate(constants):
-        column, row = divmod(place, rows)
+    for i, text in enumerate(constants):
+        column, row = divmod(i, rows)
         x, y = area.left + column * width, top - row * LINE_MM
         items.append(cell(Area(x, y - LINE_MM, x + width, y), text, size))
     top -= (rows + 0.4) * LINE_MM
     if surface.semi_diameter_mm is not None:
-        # The drawing is of the shape to be made, not of one that was measured.
+        # The drawing specifies the nominal shape, not a measured one.
         spacing = _spacing(surface.semi_diameter_mm)
-        items += _sags(sag_table(lens.with_surface(number, figure=None), number, spacing), area, top)
+        items += _sags(sag_table(lens.with_surface(index, figure=None), index, spacing), area, top)
     return items
 
 
 def _constants(
     radius: float | None, conic: float, asphere: tuple[float, ...], conic_tolerance: float | None
 ) -> list[str]:
-    """For r and z in mm, as the drawing's dimensions are."""
+    """Return the constants of the formula as texts, for r and z in mm."""
     allowed = "" if conic_tolerance is None else f" ±{conic_tolerance:g}"
     base = [] if radius is None else [f"R = {radius:.10g}", f"k = {conic:.10g}{allowed}"]
     terms = [
-        f"A{str(order).translate(DIGITS[0])} = {value:.10g}"
+        f"A{str(order).translate(SUBSCRIPTS)} = {value:.10g}"
         for order, value in zip(range(4, 4 + 2 * len(asphere), 2), asphere, strict=True)
     ]
     return base + terms
 
 
 def _formula(curved: bool, asphere: tuple[float, ...], area: Area) -> list[Item]:
-    """z(r), its fraction set as one."""
+    """Draw the formula z(r) with a fraction bar."""
     above, below = "r²", "R (1 + √(1 − (1 + k) r²/R²))"
     count = len(asphere)
     orders = [4] if count == 1 else [4, 6] if count == 2 else [4, 2 + 2 * count]
-    words = [f"A{str(n).translate(DIGITS[0])} r{str(n).translate(DIGITS[1])}" for n in orders]
+    words = [f"A{str(n).translate(SUBSCRIPTS)} r{str(n).translate(SUPERSCRIPTS)}" for n in orders]
     terms = (" + … + " if count > 2 else " + ").join(words) if any(asphere) else ""
     head, tail = "z(r) = ", f" + {terms}" if terms and curved else terms
     per_mm = text_width_mm(head + tail + (below if curved else ""), 1.0)
@@ -101,9 +98,11 @@ def _formula(curved: bool, asphere: tuple[float, ...], area: Area) -> list[Item]
 
 
 def _spacing(semi_mm: float) -> float:
-    """Smallest round spacing that leads to the rim in at most nine steps."""
+    """Return the smallest round spacing in mm with at most nine steps to the rim."""
     decade = 10.0 ** math.floor(math.log10(semi_mm / 9.0))
-    return next(step * decade for step in STEPS if semi_mm / (step * decade) <= 9.0)
+    # These steps are so close to each other that a table has 7 to 10 rows.
+    steps = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(step * decade for step in steps if semi_mm / (step * decade) <= 9.0)
 
 
 def _sags(table: SagTable, area: Area, top: float) -> list[Item]:
@@ -122,6 +121,6 @@ def _sags(table: SagTable, area: Area, top: float) -> list[Item]:
     y = top - (len(rows) + 2.1) * LINE_MM
     sphere = f"the best-fit sphere of R = {table.best_fit_radius_mm:.7g} mm"
     note = f"Δ: from {'the plane' if math.isinf(table.best_fit_radius_mm) else sphere}"
-    shown, size = fitted(note, area.width - 3.0, 2.4)
-    items.append(Text(area.left + 1.5, y + 0.3 * LINE_MM, shown, size))
+    text, size = fitted(note, area.width - 3.0, 2.4)
+    items.append(Text(area.left + 1.5, y + 0.3 * LINE_MM, text, size))
     return items

@@ -1,13 +1,13 @@
-"""Tolerances of a sheet from the file that they were assumed in: a tolerance study, or its budget.
+"""Tolerances of a drawing from the file that assumes them: a tolerance study, or a tolerance budget.
 
-Of such a TOML file the ``[[perturbation]]`` tables are read: ``target``, ``parameter``, and the largest
-deviation that counts as allowed, which is ``limit``, else ``half_width``, else two ``sigma``; that of an
-irregularity is counted from nothing, ``mean`` included. What is no matter of the part, or not for a sheet
-to say, is named.
+The ``[[perturbation]]`` tables of such a TOML file are read: ``target``, ``parameter``, and the largest
+allowed deviation, which is ``limit``, else ``half_width``, else two ``sigma``. The deviation of an
+irregularity is measured from 0 and includes ``mean``. Perturbations that a drawing cannot state are listed.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass, field
@@ -25,13 +25,14 @@ from lensdesign.lens.solid import mechanical_semi_diameter_mm
 from lensdesign.manufacture.drawing.tolerances import GENERAL_MARK, DrawingTolerances, SurfaceTolerances
 
 FRINGES_PER_WAVE = 2.0
-"""A fringe spacing is half a wavelength of sag."""
+"""Number of fringe spacings per wavelength of sag error."""
 
 Values = dict[str, float]
+"""Values of a sheet or of a surface's column by name."""
 
 
-class _Assumed(Section):
-    """What is read of one ``[[perturbation]]`` table."""
+class _Perturbation(Section):
+    """One ``[[perturbation]]`` table; other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -48,7 +49,7 @@ class _Assumed(Section):
 
     @property
     def tolerance(self) -> float | None:
-        """Largest deviation; None of a distribution that states none."""
+        """Largest allowed deviation; None for a distribution without one."""
         spread = None if self.sigma is None else 2.0 * self.sigma
         largest = next((v for v in (self.limit, self.half_width, spread) if v is not None), None)
         if largest is None or not self.parameter.startswith("irregularity"):
@@ -58,22 +59,22 @@ class _Assumed(Section):
 
 @dataclass
 class AssumedTolerances:
-    """What a study or budget assumed of the elements of a lens.
+    """Tolerances that a study or budget assumes.
 
     Attributes
     ----------
     elements
-        For each element the values of its sheet by name.
+        Values of the sheet of each element by name.
     surfaces
-        For each surface of the lens the values of its column by name.
+        Values of the column of each surface of the lens by name.
     left_out
-        What no sheet says, in words.
+        Perturbations that a drawing cannot state, in words.
     source
         Name of the file.
     design
-        Design file that it names, relative to it; empty where it names none.
+        Design file that the file names, relative to it; empty if it names none.
     is_study
-        Whether the file holds limits, by which a yield can be predicted.
+        Whether the file holds merits with limits, so that a yield can be predicted.
     """
 
     elements: list[Values]
@@ -84,33 +85,33 @@ class AssumedTolerances:
     is_study: bool = False
 
     def stated(
-        self, number: int, front: int, given: DrawingTolerances, general: bool = False
+        self, index: int, front: int, base: DrawingTolerances, general: bool = False
     ) -> DrawingTolerances:
-        """The tolerances of an element's sheet, those that were assumed in the place of others.
+        """Return the tolerances of an element's sheet; assumed values replace those of `base`.
 
         Parameters
         ----------
-        number, front
-            Of the element, and of its front surface, from 0.
-        given
-            What the sheet says where nothing was assumed.
+        index, front
+            Index of the element and of its front surface, from 0.
+        base
+            Tolerances where the file assumes nothing.
         general
-            Whether these are general tolerances; what remains of them is then marked.
+            Whether `base` holds general tolerances; remaining values are then marked (default: False).
         """
-        changes: dict[str, Any] = dict(self.elements[number])
+        changes: dict[str, Any] = dict(self.elements[index])
         for side, surface in (("left", front), ("right", front + 1)):
-            stated = _stated(getattr(given, side), self.surfaces[surface], given)
+            stated = _stated(getattr(base, side), self.surfaces[surface], base)
             changes[side] = stated.marked_general(self.surfaces[surface]) if general else stated
-        others = f"; {GENERAL_MARK if general else 'others:'} {given.source}" if given.source else ""
+        others = f"; {GENERAL_MARK if general else 'others:'} {base.source}" if base.source else ""
         changes["source"] = f"tolerances of {self.source}{others}"[:200]
-        made = given.replaced(**changes, fringe_wavelength_um=TEST_WAVELENGTH_UM)
-        known = {*self.elements[number], "fringe_wavelength_um"}
-        return made.marked_general(known) if general else made
+        result = base.replaced(**changes, fringe_wavelength_um=TEST_WAVELENGTH_UM)
+        known = {*self.elements[index], "fringe_wavelength_um"}
+        return result.marked_general(known) if general else result
 
     def missing(self, lens: Lens) -> list[str]:
-        """What a sheet states although the file assumed no scatter of it."""
+        """Return indications of the sheets for which the file assumes no deviation."""
         missing = []
-        for number, front in enumerate(lens.glass_fronts):
+        for index, front in enumerate(lens.glass_fronts):
             for surface in (front, front + 1):
                 own, curved = self.surfaces[surface], lens.surfaces[surface].radius_mm is not None
                 if curved and not {"radius_mm", "radius_fringes"} & set(own):
@@ -119,23 +120,24 @@ class AssumedTolerances:
                     missing.append(f"irregularity of surface {surface + 1}")
                 if "centring_arcmin" not in own:
                     missing.append(f"centring of surface {surface + 1}")
-            if "thickness_mm" not in self.elements[number]:
-                missing.append(f"thickness of element {number + 1}")
+            if "thickness_mm" not in self.elements[index]:
+                missing.append(f"thickness of element {index + 1}")
         return list(dict.fromkeys(missing))
 
 
-def _stated(given: SurfaceTolerances, own: Values, sheet: DrawingTolerances) -> SurfaceTolerances:
+def _stated(base: SurfaceTolerances, own: Values, sheet: DrawingTolerances) -> SurfaceTolerances:
+    """Return the tolerances of a surface, with fringe spacings converted to the test wavelength."""
     ratio = sheet.fringe_wavelength_um / TEST_WAVELENGTH_UM
-    counted = ("radius_fringes", "irregularity_fringes", "symmetric_fringes", "rms_irregularity_fringes")
-    kept = {name: value * ratio for name in counted if (value := getattr(given, name)) is not None}
-    changes: dict[str, Any] = {name: float(f"{value:.4g}") for name, value in kept.items()} | own
+    fringes = ("radius_fringes", "irregularity_fringes", "symmetric_fringes", "rms_irregularity_fringes")
+    converted = {name: value * ratio for name in fringes if (value := getattr(base, name)) is not None}
+    changes: dict[str, Any] = {name: float(f"{value:.4g}") for name, value in converted.items()} | own
     if {"radius_mm", "radius_fringes"} & set(own):
         changes["radius_fringes" if "radius_mm" in own else "radius_mm"] = None
     if "irregularity_fringes" in own:
         changes["symmetric_fringes"] = None
     if {"radius_fringes", "irregularity_fringes"} & set(own):
         changes["test_diameter_mm"] = None
-    return given.replaced(**changes)
+    return base.replaced(**changes)
 
 
 def load_tolerances(path: str | os.PathLike[str], lens: Lens) -> AssumedTolerances:
@@ -146,56 +148,62 @@ def load_tolerances(path: str | os.PathLike[str], lens: Lens) -> AssumedToleranc
     path
         A TOML file with ``[[perturbation]]`` tables.
     lens
-        The lens that they are of.
+        The lens of the study.
+
+    Returns
+    -------
+    AssumedTolerances
+        Values for the sheets, and perturbations that sheets cannot state.
 
     Raises
     ------
     DesignError
-        If the file cannot be read, holds no such tables, or names what the lens does not have.
+        If the file cannot be read, holds no such tables, or names surfaces or elements that the lens lacks.
     """
     path = Path(path)
     data = read_toml(path)
     tables, design = data.get("perturbation"), data.get("design")
     if not (isinstance(tables, list) and tables and all(isinstance(t, dict) for t in tables)):
         raise DesignError(
-            f"{path}: holds no [[perturbation]] tables: give a tolerance study, or what tolerancing budget "
-            "writes"
+            f"{path}: holds no [[perturbation]] tables: give a tolerance study, or a file that tolerancing "
+            "budget has written"
         )
     found = AssumedTolerances([{} for _ in lens.glass_fronts], [{} for _ in lens.surfaces], source=path.name)
     found.design = design if isinstance(design, str) else ""
     found.is_study = "merit" in data
-    for number, table in enumerate(tables, start=1):
+    for index, table in enumerate(tables, start=1):
         try:
-            _add(found, lens, _Assumed.model_validate(table))
+            _add(found, lens, _Perturbation.model_validate(table))
         except ValidationError as error:
             fault = error.errors()[0]
-            key = ".".join(str(part) for part in fault["loc"])
-            raise DesignError(f"{path}: perturbation {number}: {key}: {fault['msg']}") from None
+            key = ".".join(str(segment) for segment in fault["loc"])
+            raise DesignError(f"{path}: perturbation {index}: {key}: {fault['msg']}") from None
         except IndexError:
             raise DesignError(
-                f"{path}: perturbation {number}: target = {table['target']!r}: the lens has "
+                f"{path}: perturbation {index}: target = {table['target']!r}: the lens has "
                 f"{len(lens.surfaces)} surfaces and {len(lens.glass_fronts)} elements; is it of another lens?"
             ) from None
     return found
 
 
-def _add(found: AssumedTolerances, lens: Lens, one: _Assumed) -> None:
+def _add(found: AssumedTolerances, lens: Lens, one: _Perturbation) -> None:
+    """Convert one perturbation to a value of a sheet, or list it as left out."""
     match = re.fullmatch(r"(surface|element) ([1-9]\d{0,3})", one.target)
     size = one.tolerance
     if match is None or size is None:
-        why = "a measured distribution" if size is None else "of the mount or the light"
-        found.left_out.append(f"{one.name} ({why})")
+        reason = "a measured distribution" if size is None else "of the mount or the light"
+        found.left_out.append(f"{one.name} ({reason})")
         return
-    number = int(match[2]) - 1
+    index = int(match[2]) - 1
     if match[1] == "element":
-        front = lens.glass_fronts[number]
+        front = lens.glass_fronts[index]
         if one.parameter.startswith("edge_difference"):
-            reach = mechanical_semi_diameter_mm(lens, number)
-            _tighten(found.surfaces[front + 1], "centring_arcmin", _arcmin(size, reach))
+            radius = mechanical_semi_diameter_mm(lens, index)
+            _tighten(found.surfaces[front + 1], "centring_arcmin", _wedge_arcmin(size, radius))
         else:
             found.left_out.append(f"{one.name} (of the mount)")
         return
-    surface, values = lens.surfaces[number], found.surfaces[number]
+    surface, values = lens.surfaces[index], found.surfaces[index]
     elements = {front: found.elements[k] for k, front in enumerate(lens.glass_fronts)}
     name, semi = one.parameter, surface.semi_diameter_mm
     if one.mean and not name.startswith("irregularity"):
@@ -213,24 +221,23 @@ def _add(found: AssumedTolerances, lens: Lens, one: _Assumed) -> None:
     elif name in ("tilt_x_deg", "tilt_y_deg"):
         _tighten(values, "centring_arcmin", 60.0 * size)
     elif name in ("tir_x_mm", "tir_y_mm") and semi is not None:
-        _tighten(values, "centring_arcmin", _arcmin(size, semi))
+        _tighten(values, "centring_arcmin", _wedge_arcmin(size, semi))
     elif name in ("decenter_x_mm", "decenter_y_mm"):
         _tighten(values, "decenter_mm", size)
     elif name == "conic":
         _tighten(values, "conic", size)
-    elif name in ("thickness_mm", "index", "abbe_percent") and number in elements:
-        _tighten(elements[number], name, size)
+    elif name in ("thickness_mm", "index", "abbe_percent") and index in elements:
+        _tighten(elements[index], name, size)
     else:
-        why = "between parts" if name == "thickness_mm" else "no sheet says it"
-        found.left_out.append(f"{one.name} ({why})")
+        reason = "between parts" if name == "thickness_mm" else "a drawing does not state it"
+        found.left_out.append(f"{one.name} ({reason})")
 
 
 def _tighten(values: Values, name: str, size: float) -> None:
-    """The smaller of several tolerances of one thing, to four digits."""
+    """Keep the smaller of several tolerances of one quantity, to four digits."""
     values[name] = min(float(f"{size:.4g}"), values.get(name, float("inf")))
 
 
-def _arcmin(difference_mm: float, reach_mm: float) -> float:
-    from math import asin, degrees
-
-    return 60.0 * degrees(asin(min(difference_mm / (2.0 * reach_mm), 1.0)))
+def _wedge_arcmin(difference_mm: float, radius_mm: float) -> float:
+    """Return the tilt in arcmin for a difference of edge thickness or runout over a diameter."""
+    return 60.0 * math.degrees(math.asin(min(difference_mm / (2.0 * radius_mm), 1.0)))

@@ -1,7 +1,8 @@
-"""Sheets whose tolerances are scored: what a lens yields that uses all that its drawing allows.
+"""Drawings with a predicted yield: the yield of lenses that use the full tolerances of their drawing.
 
-Tolerance studies are read by a package above this one (:mod:`lensdesign.optimization.as_built`), which also
-derives what a study leaves open and predicts yields.
+The package that reads tolerance studies is above this one and is found through
+:mod:`lensdesign.optimization.as_built`. It also derives tolerances that a study does not specify, and
+predicts yields.
 """
 
 from __future__ import annotations
@@ -19,22 +20,20 @@ from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_sta
 from lensdesign.manufacture.drawing.strokes import Drawing
 from lensdesign.manufacture.drawing.tolerances import DERIVED_MARK, DrawingTolerances
 
-MOST_LOSS = 0.02
-"""Yield that a sheet may lose against its study before it is refused."""
-
-WORST_SHOWN = 4
+MAX_YIELD_LOSS = 0.02
+"""Largest allowed difference between the yields of the study and of the drawing."""
 
 
 @dataclass(frozen=True)
 class Derived:
-    """Tolerances that a study leaves open, derived from it.
+    """Tolerances of a drawing, completed with values derived from a study.
 
     Attributes
     ----------
     tolerances
-        Of the sheet of each element.
+        Tolerances of the sheet of each element.
     notes
-        What was derived, in words.
+        Sentences on the derived values.
     """
 
     tolerances: tuple[DrawingTolerances, ...]
@@ -43,21 +42,22 @@ class Derived:
 
 @dataclass(frozen=True)
 class SheetScore:
-    """Predicted yield of a lens that uses all that its sheets allow.
+    """Predicted yield of a lens that uses the full tolerances of its drawing.
 
     Attributes
     ----------
     study_yield, as_drawn_yield
-        By the study itself, of the lens as designed; and by the sheets, of the lens as drawn.
+        Yield (0 to 1) of the designed lens with the tolerances of the study, and of the drawn lens with
+        those of the drawing.
     losses
-        Each indication that the study does not have, with the yield that it costs alone, largest first.
-        Worked out only where the sheets lose more than :data:`MOST_LOSS`.
+        Indications that the study does not have, each with the yield that it alone costs, largest first.
+        Computed only if the total loss exceeds :data:`MAX_YIELD_LOSS`.
     is_trustworthy
-        Whether the neglected orders of the prediction are small, as far as it can tell.
+        Whether the estimated higher-order terms of the prediction are small.
     not_predicted
-        Merits of the study that only trials can score.
+        Merits of the study that only Monte Carlo trials can evaluate.
     save
-        Writes the study that the sheets stand for, of a design file, to a path.
+        Function that writes the study with the drawing's tolerances: ``save(path, design)``.
     """
 
     study_yield: float
@@ -69,40 +69,39 @@ class SheetScore:
 
     @property
     def loss(self) -> float:
-        """Yield that the sheets lose."""
+        """Difference of the yields of study and drawing."""
         return self.study_yield - self.as_drawn_yield
 
     @property
     def worst(self) -> str:
-        """The indications that cost most, in words."""
-        shown = [f"{text}: {100.0 * loss:.1f} points" for text, loss in self.losses[:WORST_SHOWN]]
-        return ", ".join(shown)
+        """The four indications that cost most yield, in words."""
+        return ", ".join(f"{text}: {100.0 * loss:.1f} points" for text, loss in self.losses[:4])
 
 
 class SheetScorer(Protocol):
-    """A tolerance study that scores sheets."""
+    """A tolerance study that can complete and evaluate the tolerances of a drawing."""
 
     def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> Derived:
-        """Derive what the study leaves open, for a lens as drawn."""
+        """Derive the tolerances that the study does not specify, for the lens as drawn."""
 
     def score(self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]) -> SheetScore | None:
-        """Score the sheets; None if none of the study's merits can be predicted without trials."""
+        """Predict the yield; None if none of the study's merits can be predicted without trials."""
 
 
 class _StudyWithSheets(Protocol):
-    """A study as its entry point reads it."""
+    """A tolerance study as its entry point returns it."""
 
     def sheets(self) -> SheetScorer:
-        """What scores the study's sheets."""
+        """Return the object that evaluates drawings."""
 
 
 def read_scorer(study: Path) -> SheetScorer:
-    """Read a tolerance study to score sheets by.
+    """Read a tolerance study that evaluates drawings.
 
     Raises
     ------
     DesignError
-        If it is no study, or no package that reads one is installed.
+        If the file is not a study, or no installed package can read it.
     """
     from lensdesign.optimization.as_built import read_as_built
     from lensdesign.optimization.specification.sections import Tolerances
@@ -113,14 +112,14 @@ def read_scorer(study: Path) -> SheetScorer:
 
 @dataclass(frozen=True)
 class ScoredDrawing:
-    """A drawing with its score.
+    """A drawing with its predicted yield.
 
     Attributes
     ----------
     drawing, stated
-        As :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated` gives them.
+        The drawing and its lens; see :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated`.
     score
-        None where none of the study's merits can be predicted.
+        Predicted yield; None if none of the study's merits can be predicted.
     """
 
     drawing: Drawing
@@ -135,44 +134,50 @@ def scored_drawing(
     scorer: SheetScorer,
     accept_yield_loss: bool = False,
 ) -> ScoredDrawing:
-    """Draw a lens for a shop with the tolerances of a study, and score what the sheets allow.
+    """Draw a lens with the tolerances of a study, and predict the yield of the drawing.
 
     Parameters
     ----------
     lens
-        As designed.
+        The lens as designed.
     options
         Title block and tolerances.
     assumed
-        What the study states.
+        Values that the study specifies.
     scorer
         The study.
     accept_yield_loss
-        Whether sheets may lose more than two percentage points of yield against the study.
+        Whether the drawing may lose more than two percentage points of yield against the study (default:
+        False).
+
+    Returns
+    -------
+    ScoredDrawing
+        The drawing, its lens and its predicted yield.
 
     Raises
     ------
     InputError
-        If they do and it is not accepted; also as of
-        :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated`.
+        If the drawing loses more yield and this is not accepted, or if
+        :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated` rejects the lens.
     """
     _, first = drawing_as_stated(lens, options, assumed)
     derived = scorer.derive(first.lens, first.tolerances)
-    made = options.replaced(tolerances=derived.tolerances)
-    # Closer tolerances are rounded more finely.
-    _, second = drawing_as_stated(lens, made)
+    completed = options.replaced(tolerances=derived.tolerances)
+    # Derived tolerances may be tighter, which requires finer rounding.
+    _, second = drawing_as_stated(lens, completed)
     stated = Stated(second.lens, (*second.notes, *derived.notes), second.tolerances)
     score = scorer.score(lens, stated.lens, stated.tolerances)
     if score is not None:
         drawn, own = (f"{100.0 * found:.1f} %" for found in (score.as_drawn_yield, score.study_yield))
-        if score.loss > MOST_LOSS and not accept_yield_loss:
+        if score.loss > MAX_YIELD_LOSS and not accept_yield_loss:
             raise InputError(
                 f"the sheet allows more than {assumed.source}: predicted yield as drawn {drawn}, by the "
-                f"study {own}; most of it is lost by {score.worst}; add these perturbations to the study, "
+                f"study {own}; the largest losses are {score.worst}; add these perturbations to the study, "
                 "state closer values for them (--sheet), or accept the loss with --accept-yield-loss"
             )
-        made = made.replaced(remark=_remark(score, assumed, options))
-    drawing = lens_drawing(stated.lens, made.replaced(tolerances=stated.tolerances))
+        completed = completed.replaced(remark=_remark(score, assumed, options))
+    drawing = lens_drawing(stated.lens, completed.replaced(tolerances=stated.tolerances))
     return ScoredDrawing(drawing, stated, score)
 
 

@@ -1,4 +1,4 @@
-"""Section view of a glass element, to scale, with its dimensions and its datum axis."""
+"""Section view of a glass element to scale, with dimensions and datum axis."""
 
 from __future__ import annotations
 
@@ -27,49 +27,49 @@ from lensdesign.manufacture.drawing.table import clear_text
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
 
 SCALES = tuple(sorted(m * 10.0**n for m in (1.0, 2.0, 5.0) for n in range(-6, 7)))
-"""Of ISO 5455, continued both ways."""
+"""Preferred scales of ISO 5455, extended in both directions."""
 
 LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 24.0, 42.0, 20.0, 18.0
-"""Room for dimensions about the view."""
+"""Margins for dimensions around the view."""
 
 CLEAR_OFFSET_MM, GROUND_OFFSET_MM, THICKNESS_OFFSET_MM = 13.0, 26.0, 9.0
-"""From the body to the dimension lines of clear and ground diameters and of thicknesses."""
+"""Distances from the body to the dimension lines of clear diameters, ground diameter and thicknesses."""
 
-FLANGE_ROOM_MM, FLANGE_ROW_MM = 13.0, 9.0
-"""More room at the left and below for a flange's dimensions."""
+FLANGE_MARGIN_MM, FLANGE_ROW_MM = 13.0, 9.0
+"""Additional margins at the left and below for the dimensions of a flange."""
 
 TEXT_MM, NAME_MM, ARROW_MM = 3.2, 4.2, 2.4
 HATCH_MM, HATCH_STROKE_MM = 5.0, 4.0
-"""Between groups of strokes; length of the middle stroke."""
+"""Distance between groups of strokes; length of the middle stroke."""
 
 
 @dataclass(frozen=True)
 class SectionView:
-    """A view and the scale at which it is drawn: lengths on paper over lengths of the part."""
+    """A view and its scale: lengths on paper divided by lengths of the part."""
 
     items: tuple[Item, ...]
     scale: float
 
     @property
     def scale_text(self) -> str:
-        """`2:1` for twice the size."""
+        """Scale in words, such as `2:1` for twice the size."""
         return f"{self.scale:g}:1" if self.scale >= 1.0 else f"1:{1.0 / self.scale:g}"
 
 
 @dataclass(frozen=True)
 class _Body:
-    """The body on paper.
+    """Coordinates of a body on paper.
 
     Attributes
     ----------
     front, back : ndarray, shape (n, 2)
-        Profiles of its two sides: height above the axis, and x.
+        Profiles of the two surfaces: height above the axis, and x.
     axis_y
         y of the axis.
     clear
-        x and height of the rim of both clear apertures, None where there is none.
+        x and height of the rim of both clear apertures; None for a surface without one.
     flange : ndarray, shape (0 or 4, 2)
-        Corners of the flange, as the profiles.
+        Corners of the flange: height above the axis, and x.
     """
 
     front: Array
@@ -94,33 +94,34 @@ class _Body:
     def right(self) -> float:
         return float(np.max(self.back[:, 1]))
 
-    def holds(self, x: Array, y: Array, margin: float) -> Array:
+    def contains(self, x: Array, y: Array, margin: float) -> Array:
+        """Return which points are inside the body by at least a margin."""
         r = np.abs(y - self.axis_y)
         front, back = (np.interp(r, *profile.T) for profile in (self.front, self.back))
         return np.asarray((r <= self.half - margin) & (x >= front + margin) & (x <= back - margin))
 
 
 def section_view(element: Element, tolerances: DrawingTolerances, area: Area) -> SectionView:
-    """Draw an element as large as a preferred scale allows.
+    """Draw an element at the largest preferred scale that fits.
 
     Parameters
     ----------
     element
         A body that closes.
     tolerances
-        Of its thickness and its diameter.
+        Tolerances of the element; thickness and diameter are used.
     area
-        Where the view and its dimensions stand.
+        Area of the view and its dimensions on the sheet.
     """
     t = np.linspace(0.0, 1.0, 129)
     front, back = element.profiles(t, t)
     length = float(np.max(back[:, 1]) - np.min(front[:, 1]))
     if element.edge.flange is not None:
-        area = area._replace(left=area.left + FLANGE_ROOM_MM, bottom=area.bottom + FLANGE_ROW_MM)
-    room = (area.width - LEFT_MM - RIGHT_MM, area.height - TOP_MM - BOTTOM_MM)
-    largest = min(room[0] / length, room[1] / (2.0 * element.outer_mm))
+        area = area._replace(left=area.left + FLANGE_MARGIN_MM, bottom=area.bottom + FLANGE_ROW_MM)
+    width, height = area.width - LEFT_MM - RIGHT_MM, area.height - TOP_MM - BOTTOM_MM
+    largest = min(width / length, height / (2.0 * element.outer_mm))
     scale = max((s for s in SCALES if s <= largest), default=SCALES[0])
-    body = _placed(element, front, back, scale, area)
+    body = _body_on_paper(element, front, back, scale, area)
     thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
     items = [*_outline(body), *_hatching(body), *_axis(body), *_names(body)]
     items += _clear_diameters(body, element)
@@ -136,7 +137,7 @@ def _toleranced(value: float, tolerances: DrawingTolerances, name: str, prefix: 
     return f"{prefix}{value:.6g}" + (f" ±{allowed:g}{tolerances.mark(name)}" if allowed is not None else "")
 
 
-def _placed(element: Element, front: Array, back: Array, scale: float, area: Area) -> _Body:
+def _body_on_paper(element: Element, front: Array, back: Array, scale: float, area: Area) -> _Body:
     middle = 0.5 * (float(np.min(front[:, 1])) + float(np.max(back[:, 1])))
     x0 = 0.5 * (area.left + LEFT_MM + area.right - RIGHT_MM)
     axis_y = 0.5 * (area.bottom + BOTTOM_MM + area.top - TOP_MM)
@@ -163,10 +164,10 @@ def _outline(body: _Body) -> list[Item]:
 
 
 def _hatching(body: _Body) -> list[Item]:
-    """Glass in section: groups of a long stroke between two short ones."""
+    """Draw the hatching of glass in section: groups of a long stroke between two short ones."""
     margin = 0.6
     s = 0.5 * math.sqrt(0.5) * HATCH_STROKE_MM
-    shifts, shares = 1.1 * math.sqrt(0.5) * np.array([-1.0, 0.0, 1.0]), np.array([0.45, 1.0, 0.45])
+    shifts, lengths = 1.1 * math.sqrt(0.5) * np.array([-1.0, 0.0, 1.0]), np.array([0.45, 1.0, 0.45])
     items: list[Item] = []
     across = 0.5 * (body.right - body.left)
     columns = 0.5 * (body.left + body.right) + HATCH_MM * _centred(across / HATCH_MM)
@@ -174,17 +175,17 @@ def _hatching(body: _Body) -> list[Item]:
     for row in _centred(body.half / HATCH_MM):
         y = body.axis_y + HATCH_MM * row
         for x in columns + 0.25 * HATCH_MM * (-1.0) ** (row + 0.5):
-            px = x + shifts[:, None] + shares[:, None] * s * along
-            py = y - shifts[:, None] + shares[:, None] * s * along
-            if np.all(body.holds(px, py, margin)):
+            px = x + shifts[:, None] + lengths[:, None] * s * along
+            py = y - shifts[:, None] + lengths[:, None] * s * along
+            if np.all(body.contains(px, py, margin)):
                 ends = zip(px[:, [0, -1]].tolist(), py[:, [0, -1]].tolist(), strict=True)
                 items += [line(a[0], b[0], a[1], b[1], 0.18) for a, b in ends]
     return items
 
 
-def _centred(reach: float) -> Array:
-    """Halves -0.5, 0.5, 1.5 ... to both sides, as far as a reach."""
-    count = math.ceil(reach)
+def _centred(limit: float) -> Array:
+    """Return the half-integers ..., -0.5, 0.5, 1.5, ... within a limit."""
+    count = math.ceil(limit)
     return np.arange(-count, count, dtype=float) + 0.5
 
 
@@ -194,27 +195,27 @@ def _axis(body: _Body) -> list[Item]:
 
 
 def _names(body: _Body) -> list[Item]:
-    """L and R, clear of the axis and of extension lines."""
+    """Draw L and R without crossing the axis or extension lines."""
     items: list[Item] = []
     ends = (("L", body.front, -5.0, ()), ("R", body.back, 5.0, (body.half,)))
-    for (name, profile, aside, levels), rim in zip(ends, body.clear, strict=True):
+    for (name, profile, offset, levels), rim in zip(ends, body.clear, strict=True):
         lines = (*levels, rim[1]) if rim else levels
         y = body.axis_y + _clear_of(lines, 2.2, NAME_MM) + 0.3
-        items.append(Text(float(profile[0, 1]) + aside, y, name, NAME_MM, "middle"))
+        items.append(Text(float(profile[0, 1]) + offset, y, name, NAME_MM, "middle"))
     return items
 
 
 def _clear_of(levels: Sequence[float], foot: float, height: float) -> float:
-    """Where something of a height stands so that no line at these levels crosses it: at `foot`, or above."""
-    room = 1.0
+    """Return the lowest position from `foot` upwards where no line at these levels crosses a height."""
+    margin = 1.0
     for level in sorted(levels):
-        if foot - room < level < foot + height + room:
-            foot = level + room
+        if foot - margin < level < foot + height + margin:
+            foot = level + margin
     return foot
 
 
 def _arrow(x: float, y: float, dx: float, dy: float) -> Stroke:
-    """An arrow head with its tip at (x, y), pointing along (dx, dy)."""
+    """Return an arrow head with its tip at (x, y), pointing along (dx, dy)."""
     back_x, back_y, wide = x - ARROW_MM * dx, y - ARROW_MM * dy, 0.16 * ARROW_MM
     corners = ((x, y), (back_x - wide * dy, back_y + wide * dx), (back_x + wide * dy, back_y - wide * dx))
     return Stroke(corners, 0.1, closed=True, filled=True)
@@ -222,7 +223,7 @@ def _arrow(x: float, y: float, dx: float, dy: float) -> Stroke:
 
 @dataclass(frozen=True)
 class _Dimension:
-    """A vertical dimension, and y of the upper end of its line."""
+    """A vertical dimension and the y of the upper end of its line."""
 
     items: tuple[Item, ...]
     top: float
@@ -231,10 +232,9 @@ class _Dimension:
 def _vertical(
     x: float, y0: float, y1: float, start: float, text: str, crossing: float = -math.inf
 ) -> _Dimension:
-    """A dimension line from y0 up to y1 at x, with extension lines from x = `start`.
+    """Draw a dimension line from y0 to y1 at x, with extension lines from x = `start`.
 
-    A text that does not fit goes above, along the line prolonged, and where that would cross a line at
-    y = `crossing`, above that.
+    A text that does not fit is drawn above the line, and above a line at y = `crossing` that it would cross.
     """
     width = text_width_mm(text, TEXT_MM)
     inside = y1 - y0 > max(width + 1.0, 3.0 * ARROW_MM)
@@ -255,25 +255,25 @@ def _vertical(
 
 
 def _horizontal(
-    y: float, x0: float, x1: float, from_y: tuple[float, float], text: str, beside: float, clear: bool = True
+    y: float, x0: float, x1: float, from_y: tuple[float, float], text: str, side: float, clear: bool = True
 ) -> list[Item]:
-    """A dimension line from x0 to x1 at y; its text goes to one side (-1 or 1) if there is no room between.
+    """Draw a dimension line from x0 to x1 at y, with extension lines from y = `from_y`.
 
-    Nor is there if other lines cross between, and it is not clear.
+    A text that does not fit, or that other lines would cross (not `clear`), is drawn at one side (-1 or 1).
     """
     width = text_width_mm(text, TEXT_MM)
     inside = clear and x1 - x0 > width + 2.0 * ARROW_MM
     items: list[Item] = []
     for x, start in zip((x0, x1), from_y, strict=True):
-        side = math.copysign(1.0, y - start)
-        items.append(line(x, start + 0.8 * side, x, y + 1.5 * side))
+        sign = math.copysign(1.0, y - start)
+        items.append(line(x, start + 0.8 * sign, x, y + 1.5 * sign))
     if inside:
         items += [line(x0, y, x1, y), _arrow(x0, y, -1.0, 0.0), _arrow(x1, y, 1.0, 0.0)]
         items.append(Text(0.5 * (x0 + x1), y + 1.0, text, TEXT_MM, "middle"))
         return items
     reach = 2.0 * ARROW_MM
     left, right = x0 - reach, x1 + reach
-    if beside > 0.0:
+    if side > 0.0:
         right += width + 1.0
         items.append(Text(right, y + 1.0, text, TEXT_MM, "end"))
     else:
@@ -285,12 +285,14 @@ def _horizontal(
 
 def _clear_diameters(body: _Body, element: Element) -> list[Item]:
     items: list[Item] = []
-    # The ground diameter's extension line passes the right one, a flange's the left one.
-    places = (
+    # The extension line of the ground diameter crosses the right dimension, that of a flange the left one.
+    positions = (
         (body.left - CLEAR_OFFSET_MM, body.axis_y + body.outer if len(body.flange) else -math.inf),
         (body.right + CLEAR_OFFSET_MM, body.axis_y + body.half),
     )
-    for (x, crossing), rim, meridian in zip(places, body.clear, (element.front, element.back), strict=True):
+    for (x, crossing), rim, meridian in zip(
+        positions, body.clear, (element.front, element.back), strict=True
+    ):
         if rim is not None:
             text = clear_text(meridian.surface.semi_diameter_mm or 0.0)
             start, height = rim
@@ -300,7 +302,7 @@ def _clear_diameters(body: _Body, element: Element) -> list[Item]:
 
 
 def _ground_diameter(body: _Body, text: str) -> list[Item]:
-    """With the datum feature: the triangle in line with the dimension makes the edge's axis the datum."""
+    """Draw the ground diameter with the datum triangle, which makes the axis of the edge the datum."""
     x, edge_x = body.right + GROUND_OFFSET_MM, float(body.back[-1, 1])
     low, high = body.axis_y - body.half, body.axis_y + body.half
     dimension = _vertical(x, low, high, edge_x, text)
@@ -319,29 +321,29 @@ def _thickness(body: _Body, text: str) -> list[Item]:
     clear = len(body.flange) == 0
     # A flange's extension lines cross this dimension.
     left_of_flange = not clear and float(np.mean(body.flange[:, 1])) > 0.5 * (x0 + x1)
-    beside = -1.0 if left_of_flange else 1.0
-    return _horizontal(y, x0, x1, (body.axis_y, body.axis_y), text, beside, clear)
+    side = -1.0 if left_of_flange else 1.0
+    return _horizontal(y, x0, x1, (body.axis_y, body.axis_y), text, side, clear)
 
 
 def _edge_thickness(body: _Body, text: str) -> list[Item]:
-    """In brackets: it follows from the other dimensions."""
+    """Draw the edge thickness, in brackets because it follows from the other dimensions."""
     edge = body.axis_y + body.half
     x0, x1 = float(body.front[-1, 1]), float(body.back[-1, 1])
     y = body.axis_y + body.outer + TOP_MM - 3.0 - 2.0 * ASCENT * TEXT_MM
-    return _horizontal(y, x0, x1, (edge, edge), text, beside=-1.0)
+    return _horizontal(y, x0, x1, (edge, edge), text, side=-1.0)
 
 
 def _flange(body: _Body, flange: Flange | None) -> list[Item]:
-    """Its diameter at the left; below, where its front face lies behind the vertex, and its thickness."""
+    """Draw the flange's diameter at the left; below, its distance from the vertex and its thickness."""
     if flange is None:
         return []
-    x = body.left - CLEAR_OFFSET_MM - FLANGE_ROOM_MM
+    x = body.left - CLEAR_OFFSET_MM - FLANGE_MARGIN_MM
     low, high = body.axis_y - body.outer, body.axis_y + body.outer
     front, back = float(body.flange[0, 1]), float(body.flange[-1, 1])
     items = list(_vertical(x, low, high, front, f"Ø {2.0 * flange.semi_diameter_mm:.6g}").items)
     vertex = (float(body.front[0, 1]), body.axis_y)
     y = low - THICKNESS_OFFSET_MM - FLANGE_ROW_MM
     (x0, y0), (x1, y1) = sorted([vertex, (front, low)])
-    items += _horizontal(y, x0, x1, (y0, y1), f"{flange.distance_mm:.6g}", beside=-1.0)
-    items += _horizontal(y, front, back, (low, low), f"{flange.thickness_mm:.6g}", beside=1.0)
+    items += _horizontal(y, x0, x1, (y0, y1), f"{flange.distance_mm:.6g}", side=-1.0)
+    items += _horizontal(y, front, back, (low, low), f"{flange.thickness_mm:.6g}", side=1.0)
     return items

@@ -1,4 +1,4 @@
-"""Drawings of a lens for the shop that makes it, after ISO 10110: one sheet for each glass element."""
+"""Manufacturing drawings of a lens after ISO 10110: one sheet for each glass element."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general
 FRAME = Area(20.0, 10.0, SHEET_MM[0] - 10.0, SHEET_MM[1] - 10.0)
 TITLE_TOP, TABLE_TOP = 34.0, 84.0
 PANEL_MM = 62.0
-"""Of the sheet's width, for formula and sags of one surface."""
+"""Width of the panel with formula and sags of one surface."""
 
 SUFFIXES = (".pdf", ".svg")
 Label = Annotated[str, Field(max_length=1000)]
 
 
 class DrawingOptions(Section):
-    """What a drawing says besides the lens.
+    """Title block, tolerances and remark of a drawing.
 
     Attributes
     ----------
     title
-        Of the drawing; empty for that of the lens.
+        Title of the drawing (default: the title of the lens).
     number
-        Of the drawing or the part.
+        Number of the drawing or the part.
     date, drawn_by
-        As they stand in the title block.
+        Entries of the title block.
     tolerances
-        One for each glass element, front to back; left out or None: the general tolerances of ISO 10110-11.
+        Tolerances of each glass element, front to back; None (default): general tolerances of ISO 10110-11.
     remark
-        Line below the notes of each sheet.
+        Line below the notes of each sheet (default: none).
     """
 
     title: Label = ""
@@ -67,50 +67,55 @@ class DrawingOptions(Section):
 
 
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
-    """Draw every glass element of a lens, as designed: a measured figure is left out.
+    """Draw every glass element of a lens as designed; measured figures are omitted.
 
-    Nothing is chosen or rounded for a shop; :func:`drawing_as_stated` does.
-
-    Each sheet has a section to scale, the table of ISO 10110-10, formula and sags of conics and aspheres
-    (ISO 10110-12) and a title block. Left is the surface that light meets first; the datum axis A, to which
-    4/ refers, is that of the ground edge at the mechanical semi-diameter of the lens.
+    Each sheet has a section view to scale, the table of ISO 10110-10, formula and sags of conics and aspheres
+    (ISO 10110-12), and a title block. The left surface is the one that light meets first. The datum axis A,
+    to which 4/ refers, is the axis of the ground edge at the mechanical semi-diameter of the lens. For
+    rounded values and chosen edges see :func:`drawing_as_stated`.
 
     Parameters
     ----------
     lens
         The lens.
     options
-        Title block and tolerances.
+        Title block and tolerances (default: general tolerances, empty title block).
+
+    Returns
+    -------
+    Drawing
+        One sheet for each glass element.
 
     Raises
     ------
     InputError
-        If there is no glass, ISO 10110-12 has no formula for a surface's shape, an element does not close or
-        is too large for the general tolerances, or tolerances are given for more elements than there are.
+        If the lens has no glass element, ISO 10110-12 has no formula for a surface's shape, an element does
+        not close or is too large for the general tolerances, or tolerances are given for more elements than
+        the lens has.
     MaterialError
         If a glass is unknown.
     """
     options = options or DrawingOptions()
     elements = closed_elements(lens)
-    _refuse_surplus(options, len(elements))
+    _check_tolerance_count(options, len(elements))
     sheets = tuple(_sheet(lens, element, options, len(elements)) for element in elements)
     return Drawing(options.title or lens.title or "Lens", sheets)
 
 
 def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
-    """Write a drawing as .pdf, a page for each sheet, or as .svg, the sheets below each other.
+    """Write a drawing as .pdf with a page for each sheet, or as .svg with the sheets below each other.
 
     Parameters
     ----------
     drawing
         The drawing.
     path
-        The file; written over. Its ending chooses the format.
+        File to write; its suffix selects the format.
 
     Raises
     ------
     InputError
-        If the name has another ending, or the file cannot be written; whatever stood there stays.
+        If the suffix is not allowed, or the file cannot be written. An existing file then stays unchanged.
     """
     from lensdesign.manufacture.drawing.writers import write_pdf, write_svg
 
@@ -126,11 +131,11 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
     material = material_of(lens, element, tolerances)
     aspheric = [i for i in element.surfaces if lens.surfaces[i].kind not in ("plane", "sphere")]
     upper = Area(FRAME.left, TABLE_TOP, FRAME.right, FRAME.top)
-    room = upper._replace(right=upper.right - PANEL_MM * len(aspheric))
-    view = section_view(element, tolerances, room)
+    view_area = upper._replace(right=upper.right - PANEL_MM * len(aspheric))
+    view = section_view(element, tolerances, view_area)
     items: list[Item] = [frame(FRAME, THICK_MM), *view.items]
-    for place, i in enumerate(aspheric):
-        left = room.right + PANEL_MM * place
+    for k, i in enumerate(aspheric):
+        left = view_area.right + PANEL_MM * k
         name = "Left surface (L)" if i == element.surfaces[0] else "Right surface (R)"
         panel = Area(left, upper.bottom + 2.0, left + PANEL_MM, upper.top - 2.0)
         side = tolerances.left if i == element.surfaces[0] else tolerances.right
@@ -140,104 +145,126 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
     cemented = bool(media[first] != 1.0), bool(media[last + 1] != 1.0)
     table = Area(FRAME.left, TITLE_TOP, FRAME.right, TABLE_TOP)
     items += data_table(element, cemented, material, tolerances, table)
-    items += _title_block(lens, element, options, (material, tolerances), view.scale_text, sheets)
+    mass = _mass_text(element, tolerances)
+    rows = _title_rows(options, lens, element, material, mass, view.scale_text, sheets)
+    items += _title_block(rows, _notes(tolerances), options.remark)
     return Sheet(tuple(items))
 
 
 def element_tolerances(
     element: Element, options: DrawingOptions, assumed: AssumedTolerances | None = None
 ) -> DrawingTolerances:
-    """Tolerances of an element: those assumed, over those of the options or the general ones of its size.
+    """Return the tolerances of an element.
+
+    Assumed values replace those of the options. Without options, the general tolerances of the element's size
+    apply.
+
+    Parameters
+    ----------
+    element
+        The element.
+    options
+        Options of the drawing.
+    assumed
+        Values of a tolerance study (default: none).
 
     Raises
     ------
     InputError
-        If it is too large for the general tolerances.
+        If the element is too large for the general tolerances.
     """
-    given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
-    general = given is None
-    if given is None:
+    base = options.tolerances[element.index] if element.index < len(options.tolerances) else None
+    general = base is None
+    if base is None:
         thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
         try:
-            given = general_tolerances(max(2.0 * element.edge_mm, thickness))
+            base = general_tolerances(max(2.0 * element.edge_mm, thickness))
         except InputError as error:
             raise InputError(f"{element.name}: {error}") from error
     if assumed is None:
-        return given
-    return assumed.stated(element.number, element.surfaces[0], given, general)
+        return base
+    return assumed.stated(element.index, element.surfaces[0], base, general)
 
 
 def drawing_as_stated(
     lens: Lens, options: DrawingOptions | None = None, assumed: AssumedTolerances | None = None
 ) -> tuple[Drawing, Stated]:
-    """Draw a lens for a shop: edges chosen where the design has none, values rounded, tolerances as assumed.
+    """Draw a lens for manufacture: with chosen edges, rounded values and the tolerances of a study.
 
     Parameters
     ----------
     lens
-        As designed.
+        The lens as designed.
     options
-        Title block and tolerances.
+        Title block and tolerances (default: general tolerances, empty title block).
     assumed
-        Of :func:`lensdesign.manufacture.drawing.assumed.load_tolerances`: what a tolerance study assumed.
+        Result of :func:`lensdesign.manufacture.drawing.assumed.load_tolerances`: values that a tolerance
+        study assumed (default: none).
 
     Returns
     -------
     drawing : Drawing
-        As :func:`lens_drawing` makes it.
+        One sheet for each glass element.
     stated : Stated
-        The lens that is drawn, and what was chosen and rounded.
+        The lens of the drawing, with notes on chosen and rounded values.
 
     Raises
     ------
     InputError
-        As of :func:`lens_drawing`; also if an element cannot be made so.
+        If :func:`lens_drawing` rejects the lens or the options, or if an element cannot be manufactured.
     """
     options = options or DrawingOptions()
-    _refuse_surplus(options, len(lens.glass_fronts))
+    _check_tolerance_count(options, len(lens.glass_fronts))
 
     def tolerances_of(element: Element) -> DrawingTolerances:
-        made = element_tolerances(element, options, assumed)
-        given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
-        return fitting(element, made) if given is None else made
+        found = element_tolerances(element, options, assumed)
+        given = options.tolerances[element.index] if element.index < len(options.tolerances) else None
+        return fitting(element, found) if given is None else found
 
     stated = stated_lens(lens, tolerances_of)
     elements = closed_elements(stated.lens)
-    made = tuple(tolerances_of(element) for element in elements)
-    closer = tuple(
+    tolerances = tuple(tolerances_of(element) for element in elements)
+    tightened = tuple(
         f"{element.name}: ground diameter ±{own.diameter_mm:g} mm: more would cut into its clear aperture"
-        for element, own in zip(elements, made, strict=True)
+        for element, own in zip(elements, tolerances, strict=True)
         if own.diameter_mm != element_tolerances(element, options, assumed).diameter_mm
     )
-    drawing = lens_drawing(stated.lens, options.replaced(tolerances=made))
-    return drawing, Stated(stated.lens, (*stated.notes, *closer), made)
+    drawing = lens_drawing(stated.lens, options.replaced(tolerances=tolerances))
+    return drawing, Stated(stated.lens, (*stated.notes, *tightened), tolerances)
 
 
-def _refuse_surplus(options: DrawingOptions, elements: int) -> None:
+def _check_tolerance_count(options: DrawingOptions, elements: int) -> None:
     if len(options.tolerances) > elements:
         raise InputError(
             f"tolerances are given for {len(options.tolerances)} elements, but the lens has {elements}"
         )
 
 
-def _title_block(
+TitleCell = tuple[str, str, float]
+"""Label, text, and width as a fraction of the frame."""
+
+
+def _mass_text(element: Element, tolerances: DrawingTolerances) -> str:
+    density = tolerances.density_g_per_cm3
+    return "" if density is None else f"{1e-3 * density * element.volume_mm3:.4g} g"
+
+
+def _title_rows(
+    options: DrawingOptions,
     lens: Lens,
     element: Element,
-    options: DrawingOptions,
-    made: tuple[Material, DrawingTolerances],
+    material: Material,
+    mass: str,
     scale: str,
     sheets: int,
-) -> list[Item]:
-    """Labelled cells in two rows, and a line of notes below them."""
-    material, tolerances = made
-    density = tolerances.density_g_per_cm3
-    mass = "" if density is None else f"{1e-3 * density * element.volume_mm3:.4g} g"
+) -> list[list[TitleCell]]:
+    """Return the cells of the title block, row by row."""
     title = options.title or lens.title or "Lens"
-    rows: list[list[tuple[str, str, float]]] = [
+    return [
         [
             ("Title", title, 0.58),
             ("Drawing no.", options.number, 0.26),
-            ("Sheet", f"{element.number + 1} of {sheets}", 0.16),
+            ("Sheet", f"{element.index + 1} of {sheets}", 0.16),
         ],
         [
             ("Part", element.name, 0.24),
@@ -248,14 +275,18 @@ def _title_block(
             ("Date", options.date, 0.16),
         ],
     ]
-    notes, remark = 5.0, 4.0 if options.remark else 0.0
-    step = (TITLE_TOP - FRAME.bottom - notes - remark) / len(rows)
+
+
+def _title_block(rows: list[list[TitleCell]], notes: str, remark: str) -> list[Item]:
+    """Draw labelled cells, with a line of notes and the remark below them."""
+    notes_mm, remark_mm = 5.0, 4.0 if remark else 0.0
+    step = (TITLE_TOP - FRAME.bottom - notes_mm - remark_mm) / len(rows)
     items: list[Item] = []
-    for number, row in enumerate(rows):
-        top = TITLE_TOP - number * step
+    for index, row in enumerate(rows):
+        top = TITLE_TOP - index * step
         x = FRAME.left
-        for label, text, share in row:
-            width = share * FRAME.width
+        for label, text, fraction in row:
+            width = fraction * FRAME.width
             items.append(cell(Area(x, top - 3.2, x + width, top - 0.4), label, 2.0))
             if text:
                 items.append(cell(Area(x, top - step + 0.3, x + width, top - 3.3), text, 3.6, least_mm=2.6))
@@ -263,12 +294,11 @@ def _title_block(
                 items.append(line(x, top - step, x, top))
             x += width
         items.append(line(FRAME.left, top - step, FRAME.right, top - step))
-    lines = Area(FRAME.left, FRAME.bottom + remark, FRAME.right, FRAME.bottom + remark + notes)
-    items.append(cell(lines, _notes(tolerances), 2.8))
-    if options.remark:
-        items.append(
-            cell(Area(FRAME.left, FRAME.bottom, FRAME.right, FRAME.bottom + remark), options.remark, 2.8)
-        )
+    lines = Area(FRAME.left, FRAME.bottom + remark_mm, FRAME.right, FRAME.bottom + remark_mm + notes_mm)
+    items.append(cell(lines, notes, 2.8))
+    if remark:
+        below = Area(FRAME.left, FRAME.bottom, FRAME.right, FRAME.bottom + remark_mm)
+        items.append(cell(below, remark, 2.8))
     return items
 
 

@@ -1,4 +1,4 @@
-"""What a drawing is made of: strokes and texts on sheets, in mm from the lower left corner, y upward."""
+"""Elements of a drawing: strokes and texts on sheets, in mm from the lower left corner, y upwards."""
 
 from __future__ import annotations
 
@@ -10,25 +10,22 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 FONT = "DejaVuSans"
-"""Has the signs that drawings need; matplotlib brings it along."""
+"""Font with all signs that drawings need; matplotlib includes it."""
 
 SHEET_MM = (297.0, 210.0)
-"""A4 across."""
+"""Width and height of a sheet: A4 landscape."""
 
 ASCENT, DESCENT = 0.78, 0.24
-"""Of the tallest and lowest letters, in sizes of type."""
+"""Height of the tallest and depth of the lowest letters, as fractions of the type size."""
 
 THICK_MM, THIN_MM = 0.5, 0.25
-"""Visible edges and frames; all other lines (ISO 128)."""
+"""Line widths of visible edges and frames, and of all other lines (ISO 128)."""
 
 LEAST_MM = 1.6
-"""Size of type below which a text is cut rather than set smaller."""
-
-MOST_LETTERS = 500
-"""Of a text that is cut; more fill no line of a sheet."""
+"""Smallest type size; a longer text is truncated."""
 
 CHAIN: tuple[float, ...] = (8.0, 1.2, 1.2, 1.2)
-"""Long dash, dot: centre lines."""
+"""Dash pattern of centre lines: long dash, dot."""
 
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 
@@ -46,16 +43,16 @@ class Area(NamedTuple):
 
     @property
     def width(self) -> float:
-        """From left to right."""
+        """Width in mm."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """From bottom to top."""
+        """Height in mm."""
         return self.top - self.bottom
 
     def overlaps(self, other: Area) -> bool:
-        """Whether two rectangles have an area in common."""
+        """Return whether two rectangles overlap."""
         return (
             self.left < other.right
             and other.left < self.right
@@ -66,7 +63,7 @@ class Area(NamedTuple):
 
 @dataclass(frozen=True)
 class Stroke:
-    """A polygon, open or closed, or filled."""
+    """A polygon: open, closed or filled."""
 
     points: tuple[Point, ...]
     width_mm: float = THIN_MM
@@ -82,15 +79,15 @@ class Text:
     Attributes
     ----------
     x_mm, y_mm
-        Of its anchor on the base line.
+        Position of the anchor on the base line in mm.
     text
-        What it says; shown as it stands.
+        The text.
     size_mm
-        Of the type, from line to line.
+        Type size in mm: distance between lines.
     anchor
-        Which end of the text stands at x, y.
+        Point of the text at x, y: start, middle or end.
     upward
-        Whether it reads from bottom to top.
+        Whether the text reads from bottom to top.
     """
 
     x_mm: float
@@ -102,12 +99,12 @@ class Text:
 
     @property
     def width_mm(self) -> float:
-        """Length along the base line."""
+        """Length along the base line in mm."""
         return text_width_mm(self.text, self.size_mm)
 
     @property
     def box(self) -> Area:
-        """Where its letters may stand."""
+        """Bounding box of the letters."""
         before = {"start": 0.0, "middle": 0.5, "end": 1.0}[self.anchor] * self.width_mm
         after = self.width_mm - before
         above, below = ASCENT * self.size_mm, DESCENT * self.size_mm
@@ -128,20 +125,20 @@ class Sheet:
 
     @property
     def texts(self) -> tuple[Text, ...]:
-        """Its texts alone."""
+        """Texts of the sheet."""
         return tuple(item for item in self.items if isinstance(item, Text))
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """Sheets, one for each glass element, ready to be written.
+    """Sheets of a lens, one for each glass element.
 
     Attributes
     ----------
     title
-        In full; on the sheets it may be cut.
+        Full title; the sheets may truncate it.
     sheets
-        In order.
+        Sheets in the order of the elements.
     """
 
     title: str
@@ -149,19 +146,19 @@ class Drawing:
 
 
 def plain(text: str) -> str:
-    """Text without characters that cannot be shown."""
+    """Return a text without unprintable characters."""
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
 def font_file() -> Path:
-    """The font that all texts are set in."""
+    """Return the path of the font of all texts."""
     from matplotlib import get_data_path
 
     return Path(get_data_path()) / "fonts" / "ttf" / f"{FONT}.ttf"
 
 
 def register_font() -> None:
-    """Make the font known to reportlab, once."""
+    """Register the font with reportlab, unless it is registered."""
     from reportlab.pdfbase import pdfmetrics
     from reportlab.pdfbase.ttfonts import TTFont
 
@@ -178,50 +175,50 @@ def _width_per_size(text: str) -> float:
 
 
 def text_width_mm(text: str, size_mm: float) -> float:
-    """Length of a line of text."""
+    """Return the length of a line of text in mm."""
     return size_mm * _width_per_size(text)
 
 
 def fitted(text: str, width_mm: float, size_mm: float, least_mm: float = LEAST_MM) -> tuple[str, float]:
-    """Text and size of type with which it keeps to a width: first smaller, then cut."""
+    """Return the text and type size that fit a width: the text is first set smaller, then truncated."""
     text = plain(text)
     size = min(size_mm, width_mm / max(_width_per_size(text), 1e-9))
     if size >= least_mm:
         return text, size
-    text = text[:MOST_LETTERS]
+    text = text[:500]  # no line of a sheet holds more letters
     while text and text_width_mm(f"{text}…", least_mm) > width_mm:
         text = text[:-1]
     return f"{text}…", least_mm
 
 
 def line(x0: float, y0: float, x1: float, y1: float, width_mm: float = THIN_MM) -> Stroke:
-    """A straight line."""
+    """Return a straight line."""
     return Stroke(((x0, y0), (x1, y1)), width_mm)
 
 
 def frame(area: Area, width_mm: float = THIN_MM) -> Stroke:
-    """The border of a rectangle."""
+    """Return the border of a rectangle."""
     left, bottom, right, top = area
     return Stroke(((left, bottom), (right, bottom), (right, top), (left, top)), width_mm, closed=True)
 
 
 def circle(x: float, y: float, radius_mm: float) -> Stroke:
-    """A circle, as a polygon that nobody can tell from one at its size."""
-    turns = [2.0 * math.pi * i / 48 for i in range(48)]
+    """Return a circle as a polygon with 48 corners."""
+    angles = [2.0 * math.pi * i / 48 for i in range(48)]
     return Stroke(
-        tuple((x + radius_mm * math.cos(t), y + radius_mm * math.sin(t)) for t in turns), closed=True
+        tuple((x + radius_mm * math.cos(t), y + radius_mm * math.sin(t)) for t in angles), closed=True
     )
 
 
 def cell(
     area: Area, text: str, size_mm: float = 3.0, anchor: Anchor = "start", least_mm: float = LEAST_MM
 ) -> Text:
-    """A line of text in the middle of a rectangle's height, no wider than it."""
-    room = 1.5
-    shown, size = fitted(text, area.width - 2.0 * room, size_mm, least_mm)
+    """Return a line of text that is vertically centred in a rectangle and fits its width."""
+    margin = 1.5
+    fitting, size = fitted(text, area.width - 2.0 * margin, size_mm, least_mm)
     x = {
-        "start": area.left + room,
+        "start": area.left + margin,
         "middle": 0.5 * (area.left + area.right),
-        "end": area.right - room,
+        "end": area.right - margin,
     }[anchor]
-    return Text(x, 0.5 * (area.bottom + area.top) - 0.36 * size, shown, size, anchor)
+    return Text(x, 0.5 * (area.bottom + area.top) - 0.36 * size, fitting, size, anchor)

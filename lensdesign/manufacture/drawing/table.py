@@ -1,4 +1,4 @@
-"""The table of ISO 10110-10: left surface, material, right surface."""
+"""Table of a drawing after ISO 10110-10: left surface, material, right surface."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from lensdesign.manufacture.drawing.strokes import THICK_MM, Area, Item, Text, c
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, SurfaceTolerances
 
 OPEN = "–"
-"""An indication that states nothing."""
+"""Text of an indication without a value."""
 
 COATING_ROW = 3
-WAVELENGTHS = 2
-"""Of a lens, for which the table gives the index."""
+MAX_WAVELENGTHS = 2
+"""Number of wavelengths for which the table gives the index."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What the drawing says of the glass."""
+    """Name of a glass, and the rows of its column."""
 
     name: str
     rows: tuple[str, ...]
 
 
 def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> Material:
-    """Name and catalogue of an element's glass, its indices and the codes 0/, 1/ and 2/."""
+    """Return name and catalogue of an element's glass, its indices and the codes 0/, 1/ and 2/."""
     from lensdesign.lens.glass import glass_summary, refractive_index
 
     glass = element.front.surface.material
-    assert glass is not None  # it would be no element
+    assert glass is not None  # every element consists of glass
     summary = glass_summary(glass, lens.glass_catalogs)
     constant = summary["catalog"] == "constant"
     name = f"n = {summary['name']}" if constant else f"{summary['name']} ({summary['catalog']})"
@@ -44,11 +44,11 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
         fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}{abbe}")
     indices = [
         f"n({1e3 * wavelength:.6g} nm) = {refractive_index(glass, wavelength, lens.glass_catalogs):.6f}"
-        for wavelength in lens.wavelengths_um[:WAVELENGTHS]
+        for wavelength in lens.wavelengths_um[:MAX_WAVELENGTHS]
     ]
     if tolerances.index is not None:
         indices[-1] += f" ±{tolerances.index:g}{tolerances.mark('index')}"
-    more = len(lens.wavelengths_um) - WAVELENGTHS
+    more = len(lens.wavelengths_um) - MAX_WAVELENGTHS
     return Material(
         name,
         (
@@ -71,20 +71,20 @@ def data_table(
     tolerances: DrawingTolerances,
     area: Area,
 ) -> list[Item]:
-    """The table's three columns.
+    """Draw the three columns of the table.
 
     Parameters
     ----------
     element
-        Its surfaces, left and right, and their bevels.
+        Element with its left and right surface and their bevels.
     cemented
-        Whether glass touches them from outside.
+        Whether the left and the right surface are cemented to another element.
     material
-        What stands in the middle column.
+        Contents of the middle column.
     tolerances
-        Of the element.
+        Tolerances of the element.
     area
-        Where the table stands.
+        Area of the table on the sheet.
     """
     (_, front_bevel), (_, back_bevel) = element.edge.sides()
     fringe = tolerances.fringe_wavelength_um
@@ -94,11 +94,11 @@ def data_table(
     step = area.height / (len(left) + 1)
     width = area.width / len(columns)
     items: list[Item] = [frame(area, THICK_MM)]
-    for number, (head, rows) in enumerate(columns):
-        x = area.left + number * width
+    for index, (head, rows) in enumerate(columns):
+        x = area.left + index * width
         items.append(cell(Area(x, area.top - step, x + width, area.top), head, 3.2, "middle"))
-        items += _column(rows, Area(x, area.bottom, x + width, area.top - step), is_surface=number != 1)
-        if number:
+        items += _column(rows, Area(x, area.bottom, x + width, area.top - step), is_surface=index != 1)
+        if index:
             items.append(line(x, area.bottom, x, area.top, THICK_MM))
     items.append(line(area.left, area.top - step, area.right, area.top - step, THICK_MM))
     return items
@@ -109,13 +109,13 @@ def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
     step = area.height / len(rows)
     for row, text in enumerate(rows):
         top = area.top - row * step
-        place = Area(area.left, top - step, area.right, top)
+        row_area = Area(area.left, top - step, area.right, top)
         if is_surface and row == COATING_ROW:
             x, y = area.left + 3.7, top - 0.5 * step
             items += [circle(x, y, 0.42 * step), Text(x, y - 0.9, "λ", 2.6, "middle")]
-            place = Area(area.left + 6.0, *place[1:])
+            row_area = Area(area.left + 6.0, *row_area[1:])
         if text:
-            items.append(cell(place, text))
+            items.append(cell(row_area, text))
     return items
 
 
@@ -141,13 +141,13 @@ def _surface_rows(
 
 
 def clear_text(semi_diameter_mm: float) -> str:
-    """A clear diameter, from 1 mm on rounded up to 0.01 mm."""
+    """Return the text of a clear diameter; from 1 mm on it is rounded up to 0.01 mm."""
     diameter = 2.0 * semi_diameter_mm
     return f"Øₑ {0.01 * math.ceil(100.0 * diameter - 1e-6) if diameter >= 1.0 else diameter:.6g}"
 
 
 def _chamfer(bevel_mm: float, tolerances: SurfaceTolerances) -> str:
-    """The design's bevel, else what the tolerances allow."""
+    """Return the text of the design's bevel, or else the range of the tolerances."""
     if bevel_mm:
         return f"{bevel_mm:g} × 45°"
     allowed = tolerances.chamfer_mm
@@ -155,15 +155,15 @@ def _chamfer(bevel_mm: float, tolerances: SurfaceTolerances) -> str:
 
 
 def _centring(tolerances: SurfaceTolerances) -> str:
-    """4/, and in brackets the lateral displacement of an asphere."""
-    tilt, aside = tolerances.centring_arcmin, tolerances.decenter_mm
-    across = f" ({aside:g}{tolerances.mark('decenter_mm')})" if aside is not None else ""
+    """Return indication 4/, with the lateral displacement of an asphere in brackets."""
+    tilt, decenter = tolerances.centring_arcmin, tolerances.decenter_mm
+    displacement = f" ({decenter:g}{tolerances.mark('decenter_mm')})" if decenter is not None else ""
     angle = f"{tilt:g}′{tolerances.mark('centring_arcmin')}" if tilt is not None else OPEN
-    return f"4/ {angle}{across}"
+    return f"4/ {angle}{displacement}"
 
 
 def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fringe_um: float) -> str:
-    """With CX or CC; of an asphere, at the vertex. In brackets: what the fringes of 3/ allow."""
+    """Return the vertex radius with CX or CC; a tolerance in brackets follows from the fringes of 3/."""
     kind = "" if surface.kind in ("plane", "sphere") else f", {surface.kind}"
     if surface.radius_mm is None:
         return f"R ∞{kind}"
@@ -176,7 +176,7 @@ def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fri
 
 
 def _form(tolerances: SurfaceTolerances) -> str:
-    """3/A(B/C), over a test diameter if one is given."""
+    """Return indication 3/A(B/C), with the test diameter if it is given."""
     a, b, c = (
         OPEN if (value := getattr(tolerances, name)) is None else f"{value:g}{tolerances.mark(name)}"
         for name in ("radius_fringes", "irregularity_fringes", "symmetric_fringes")
@@ -184,10 +184,10 @@ def _form(tolerances: SurfaceTolerances) -> str:
     if a == b == OPEN and tolerances.rms_irregularity_fringes is None:
         return f"3/ {OPEN}"
     inner = b if c == OPEN else f"{b}/{c}"
-    over = tolerances.test_diameter_mm
+    diameter = tolerances.test_diameter_mm
     rms = tolerances.rms_irregularity_fringes
     return (
         f"3/ {a}({inner})"
         + (f" RMSi < {rms:g}{tolerances.mark('rms_irregularity_fringes')}" if rms is not None else "")
-        + (f" (all Ø {over:g}{tolerances.mark('test_diameter_mm')})" if over is not None else "")
+        + (f" (all Ø {diameter:g}{tolerances.mark('test_diameter_mm')})" if diameter is not None else "")
     )

@@ -1,4 +1,4 @@
-"""Tolerances that a drawing states, and those of ISO 10110-11 where nothing else is given."""
+"""Tolerances of a drawing, and the general tolerances of ISO 10110-11."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from lensdesign.errors import InputError
 from lensdesign.lens.surface import Surface
 
 MERCURY_LINE_UM = 0.54607
-"""Green line, in which ISO 10110-5 counts fringe spacings unless told otherwise."""
+"""Green mercury line, the default wavelength of fringe spacings in ISO 10110-5."""
 
 NotNegative = Annotated[Finite, Field(ge=0.0, le=1e9)]
 ShortText = Annotated[str, Field(max_length=200)]
 
 
 GENERAL_MARK, DERIVED_MARK = "*", "†"
-"""Beside values of a sheet that are general tolerances, and such that were derived from a study."""
+"""Marks of values that are general tolerances, and of values derived from a tolerance study."""
 
 
 class Marked(Section):
-    """Tolerances of which some are not stated by whom the sheet names as its source.
+    """Tolerances with marks for values that do not come from the stated source.
 
     Attributes
     ----------
     general
-        Names of the values that are general tolerances; the sheet marks them with an asterisk.
+        Names of values that are general tolerances; the sheet marks them with an asterisk.
     derived
-        Names of the values that were derived from a tolerance study; the sheet marks them with a dagger.
+        Names of values that were derived from a tolerance study; the sheet marks them with a dagger.
     """
 
     general: tuple[str, ...] = ()
@@ -40,18 +40,18 @@ class Marked(Section):
     _names = field_validator("general", "derived", mode="before")(tuples)
 
     def mark(self, name: str) -> str:
-        """Mark beside a value on the sheet."""
+        """Return the mark of a value on the sheet; empty if it has none."""
         return GENERAL_MARK if name in self.general else DERIVED_MARK if name in self.derived else ""
 
     def with_derived(self, **values: Any) -> Self:
-        """The tolerances with derived values, marked as such."""
+        """Return the tolerances with derived values, which are marked."""
         general = tuple(name for name in self.general if name not in values)
         return self.replaced(**values, general=general, derived=(*self.derived, *values))
 
     def marked_general(self, known: Collection[str]) -> Self:
-        """The tolerances, of which all values are marked as general that are not known from elsewhere."""
-        given = (name for name in type(self).model_fields if name not in Marked.model_fields)
-        return self.replaced(general=tuple(n for n in given if n not in known and self._states(n)))
+        """Return the tolerances; values are marked as general unless `known` lists them."""
+        names = (name for name in type(self).model_fields if name not in Marked.model_fields)
+        return self.replaced(general=tuple(n for n in names if n not in known and self._states(n)))
 
     def _states(self, name: str) -> bool:
         value = getattr(self, name)
@@ -60,32 +60,33 @@ class Marked(Section):
 
 
 class SurfaceTolerances(Marked):
-    """What a drawing asks of one surface; None or an empty text leaves an indication open.
+    """Tolerances of one surface on a drawing; None or an empty text omits an indication.
 
     Attributes
     ----------
     radius_mm
-        Of the radius of curvature, to both sides. Goes in the place of `radius_fringes`.
+        Tolerance (±) of the radius of curvature in mm. It replaces `radius_fringes`.
     radius_fringes
-        A of 3/A(B/C): sagitta error, in fringe spacings.
+        A of 3/A(B/C): sagitta error in fringe spacings.
     irregularity_fringes, symmetric_fringes
-        B and C: irregularity, and the rotationally symmetric part of it.
+        B and C of 3/A(B/C): irregularity, and its rotationally symmetric component, in fringe spacings.
     test_diameter_mm
-        Over which these hold, anywhere on the surface; None is all of the clear aperture.
+        Diameter in mm, anywhere on the surface, to which A, B and C apply; None: the clear aperture.
     rms_irregularity_fringes
-        D of 3/A(B/C) RMSi < D: root mean square irregularity.
+        D of 3/A(B/C) RMSi < D: root mean square irregularity in fringe spacings.
     centring_arcmin, decenter_mm
-        4/: tilt of the surface against the datum axis, and, of an asphere, its lateral displacement.
+        4/: tilt of the surface against the datum axis in arcmin, and lateral displacement of an asphere in
+        mm.
     conic
-        Of the conic constant, to both sides.
+        Tolerance (±) of the conic constant.
     imperfections
         5/: number and grade, such as ``5x0.25``.
     laser_damage
-        6/: as ISO 10110-17 writes it.
+        6/: laser damage threshold in the notation of ISO 10110-17.
     chamfer_mm
-        Least and greatest width of the protective chamfer.
+        Smallest and largest width of the protective chamfer in mm.
     coating
-        What stands beside the coating's symbol.
+        Text beside the symbol of the coating.
     """
 
     radius_mm: Positive | None = None
@@ -105,9 +106,9 @@ class SurfaceTolerances(Marked):
     _lists = field_validator("chamfer_mm", mode="before")(tuples)
 
     def radius_allowed_mm(self, surface: Surface, fringe_um: float) -> float | None:
-        """How far the radius of a surface may be off, to both sides; None where nothing says so.
+        """Return the tolerance (±) of a surface's radius in mm; None if it is not specified.
 
-        Fringe spacings A over a radial height h are a sagitta of A wavelength / 2, which is h^2 dR / (2 R^2).
+        A fringe spacings over a radial height h are a sagitta of A wavelength / 2 = h^2 dR / (2 R^2).
         """
         if self.radius_mm is not None or self.radius_fringes is None or surface.radius_mm is None:
             return self.radius_mm
@@ -124,29 +125,29 @@ class SurfaceTolerances(Marked):
         if self.symmetric_fringes is not None and self.irregularity_fringes is None:
             raise ValueError("symmetric_fringes is a part of irregularity_fringes, which is missing")
         if self.chamfer_mm is not None and self.chamfer_mm[0] > self.chamfer_mm[1]:
-            raise ValueError("chamfer_mm must be the least width, then the greatest")
+            raise ValueError("chamfer_mm must be the smallest width, then the largest")
         return self
 
 
 class DrawingTolerances(Marked):
-    """What a drawing asks of one glass element.
+    """Tolerances of one glass element on a drawing.
 
     Attributes
     ----------
     left, right
-        Of the surface that light meets first, and of the other one.
+        Tolerances of the surface that light meets first, and of the other one.
     thickness_mm, diameter_mm
-        Of the centre thickness and of the ground edge, to both sides.
+        Tolerances (±) of the centre thickness and of the ground diameter in mm.
     index, abbe_percent
-        Of the glass, to both sides.
+        Tolerances (±) of the refractive index, and of the Abbe number in percent.
     stress_birefringence, bubbles, inhomogeneity
-        0/ in nm/cm, 1/ and 2/, as ISO 10110-2 to 10110-4 write them.
+        0/ in nm/cm, 1/ and 2/ in the notation of ISO 10110-2 to 10110-4.
     fringe_wavelength_um
-        Wavelength of which a fringe spacing is half.
+        Wavelength in um; a fringe spacing is half of it.
     density_g_per_cm3
-        Of the glass, from its data sheet; without it the drawing states no mass.
+        Density of the glass, from its data sheet. Without it the drawing states no mass.
     source
-        Where the values come from; stands on the drawing.
+        Source of the values, which the drawing states.
     """
 
     left: SurfaceTolerances = SurfaceTolerances()
@@ -192,7 +193,7 @@ def _general(
     )
 
 
-_REST: tuple[tuple[tuple[str, str, str], tuple[float, float], float | None, float, str], ...] = (
+_GRADES: tuple[tuple[tuple[str, str, str], tuple[float, float], float | None, float, str], ...] = (
     (("20", "3x0.16", "1;1"), (5.0, 1.0), None, 30.0, "3x0.16"),
     (("20", "5x0.25", "1;1"), (10.0, 2.0), None, 20.0, "5x0.25"),
     (("", "5x0.4", ""), (10.0, 2.0), 30.0, 10.0, "5x0.4"),
@@ -200,29 +201,29 @@ _REST: tuple[tuple[tuple[str, str, str], tuple[float, float], float | None, floa
 )
 
 GENERAL = {
-    size: _general(edge, *rest) for (size, edge), rest in zip(GENERAL_EDGES.items(), _REST, strict=True)
+    size: _general(edge, *grades) for (size, edge), grades in zip(GENERAL_EDGES.items(), _GRADES, strict=True)
 }
-"""Table 1 of ISO 10110-11:1996 by the largest dimension in mm up to which a row holds.
+"""Table 1 of ISO 10110-11:1996 by the upper limit of the part's largest dimension in mm.
 
 Later editions differ.
 """
 
 
 def general_tolerances(largest_dimension_mm: float) -> DrawingTolerances:
-    """Tolerances of a part for which nothing is stated (ISO 10110-11:1996, table 1).
+    """Return the tolerances of a part without stated tolerances (ISO 10110-11:1996, table 1).
 
     Parameters
     ----------
     largest_dimension_mm
-        Diameter or thickness of the part, whichever is larger.
+        Diameter or thickness of the part in mm, whichever is larger.
 
     Raises
     ------
     InputError
-        If the part is larger than what the table covers.
+        If the part is larger than the limit of the table.
     """
-    for up_to, tolerances in GENERAL.items():
-        if largest_dimension_mm <= up_to:
+    for limit_mm, tolerances in GENERAL.items():
+        if largest_dimension_mm <= limit_mm:
             return tolerances
     raise InputError(
         f"the part measures {largest_dimension_mm:.4g} mm; the general tolerances of ISO 10110-11 end at "

@@ -1,4 +1,4 @@
-"""A drawing as PDF, a page for each sheet, or as SVG, the sheets below each other."""
+"""Writers of drawings: PDF with a page for each sheet, or SVG with the sheets below each other."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from lensdesign.manufacture.drawing.strokes import (
 )
 
 GAP_MM = 8.0
-"""Between the sheets of an SVG."""
+"""Distance between the sheets of an SVG."""
 
 POINTS_PER_MM = 72.0 / 25.4
 
 
 def write_pdf(drawing: Drawing, path: Path) -> None:
-    """Write a PDF; the same drawing gives the same bytes."""
+    """Write a PDF; the same drawing yields identical bytes."""
     from reportlab.pdfgen.canvas import Canvas
 
     register_font()
@@ -63,7 +63,7 @@ def _to_canvas(canvas: Any, item: Item) -> None:
 
 
 def write_svg(drawing: Drawing, path: Path) -> None:
-    """Write an SVG whose unit is the mm; texts keep their width in whatever font shows them."""
+    """Write an SVG in mm; texts keep their width even if the viewer lacks the font."""
     width, height = SHEET_MM
     total = len(drawing.sheets) * (height + GAP_MM) - GAP_MM
     lines = [
@@ -73,8 +73,8 @@ def write_svg(drawing: Drawing, path: Path) -> None:
         f"<title>{escape(plain(drawing.title))}</title>",
         f'<rect width="{width:g}" height="{total:g}" fill="white"/>',
     ]
-    for number, sheet in enumerate(drawing.sheets):
-        top = number * (height + GAP_MM)
+    for index, sheet in enumerate(drawing.sheets):
+        top = index * (height + GAP_MM)
         lines.append(
             f'<g transform="translate(0 {top:g})" fill="none" stroke="black" stroke-linecap="round" '
             f'stroke-linejoin="round" font-family="\'DejaVu Sans\', sans-serif">'
@@ -94,9 +94,9 @@ def _svg_stroke(item: Stroke) -> str:
 
 def _svg_text(item: Text) -> str:
     x, y = item.x_mm, SHEET_MM[1] - item.y_mm
-    turn = f' transform="rotate(-90 {x:.4f} {y:.4f})"' if item.upward else ""
+    rotation = f' transform="rotate(-90 {x:.4f} {y:.4f})"' if item.upward else ""
     return (
         f'<text x="{x:.4f}" y="{y:.4f}" font-size="{item.size_mm:.4f}" text-anchor="{item.anchor}" '
         f'textLength="{item.width_mm:.4f}" lengthAdjust="spacingAndGlyphs" xml:space="preserve" '
-        f'fill="black" stroke="none"{turn}>{escape(item.text)}</text>'
+        f'fill="black" stroke="none"{rotation}>{escape(item.text)}</text>'
     )

@@ -1,1 +1,1 @@
-"""Closed triangle meshes of the glass, written, read back and verified."""
+"""Closed triangle meshes of the glass: creation, files, and verification against the design."""

@@ -1,7 +1,7 @@
-"""What a mesh is made of and what comes out: the bodies of a nominal or perturbed lens, and their meshes.
+"""Glass bodies of a nominal or perturbed lens, and the result of meshing them.
 
-A body whose surfaces all stay surfaces of revolution about the axis has exact meridians. Otherwise each of
-its surfaces is a height along the axis, above every point within the ground edge.
+A body whose surfaces are surfaces of revolution about the axis has exact meridians. Otherwise each surface is
+described by its height along the axis above every point within the ground edge.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LensMesh:
-    """A closed mesh and how far it is from the glass.
+    """A closed mesh and its errors.
 
     Attributes
     ----------
     mesh : trimesh.Trimesh
-        In mm, front vertex of the lens at the origin, +z towards the sensor; normals point outwards.
+        Mesh in mm. The front vertex of the lens is the origin, +z points to the sensor, normals point
+        outwards.
     chord_error_um
-        Greatest distance of the facets of the optical surfaces from the exact ones, measured.
+        Largest measured distance of the facets of the optical surfaces from the exact surfaces in um.
     edge_error_um
-        Greatest distance of the facets of the ground edge from its cylinder.
+        Largest distance of the facets of the ground edge from its cylinder in um.
     volume_mm3
-        Volume of the mesh.
+        Volume of the mesh in mm^3.
     exact_volume_mm3
-        Volume of the exact body, by quadrature.
+        Volume of the exact body in mm^3, by quadrature.
     """
 
     mesh: trimesh.Trimesh
@@ -56,14 +57,14 @@ class LensMesh:
 
     @property
     def volume_error(self) -> float:
-        """Volume of the mesh over the exact one, less 1."""
+        """Relative error of the volume: mesh over exact body, minus 1."""
         return self.volume_mm3 / self.exact_volume_mm3 - 1.0
 
     @property
     def volume_tolerance(self) -> float:
-        """Bound of :attr:`volume_error`: greatest distance times the area of the mesh, over the volume."""
-        greatest_mm = 1e-3 * max(self.chord_error_um, self.edge_error_um)
-        return float(greatest_mm * self.mesh.area / self.exact_volume_mm3)
+        """Bound of :attr:`volume_error`: largest distance times the area of the mesh, over the volume."""
+        distance_mm = 1e-3 * max(self.chord_error_um, self.edge_error_um)
+        return float(distance_mm * self.mesh.area / self.exact_volume_mm3)
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,11 @@ class HeightSurface:
     Attributes
     ----------
     system
-        The lens, perturbed, without a pose.
+        The perturbed lens without a pose.
     index
-        Which of its surfaces, from 0.
+        Index of the surface, from 0.
     end_mm
-        Radial height beyond which the surface counts as flat; inf where it goes on with its own sag.
+        Radial height in mm beyond which the surface is flat; inf if it continues with its own sag.
     """
 
     system: CompiledSystem
@@ -86,11 +87,11 @@ class HeightSurface:
 
     @property
     def finest_mm(self) -> float:
-        """Spacing of the finest figure; inf without one."""
+        """Spacing of the finest figure in mm; inf without a figure."""
         return min((f.spacing_mm for f in self.system.figures[self.index]), default=np.inf)
 
     def heights(self, x: Array, y: Array) -> Array:
-        """z in mm above points of the lens's frame; NaN where there is no surface."""
+        """Return z in mm above points of the lens's frame; NaN where there is no surface."""
         vertex = self.system.vertex[0, self.index]
         if not self.system.tilted[self.index]:
             across, down, _ = self._clamped(x - vertex[0], y - vertex[1])
@@ -108,14 +109,14 @@ class HeightSurface:
         return np.asarray(z.reshape(x.shape))
 
     def rises(self, points: Array) -> tuple[Array, Array]:
-        """How far points of the lens's frame lie above the surface along its own z, and the slope's cosine.
+        """Return the heights of points above the surface along the surface's z, and the slope's cosine.
 
-        The first times the second is their distance from the surface, to first order in that distance.
+        Their product is the distance of the points from the surface, to first order.
 
         Parameters
         ----------
         points
-            In mm, shape (..., 3).
+            Points in the lens's frame in mm, shape (..., 3).
         """
         own = (points - self.system.vertex[0, self.index]) @ self.system.rotation[0, self.index]
         x, y, flat = self._clamped(own[..., 0], own[..., 1])
@@ -124,32 +125,32 @@ class HeightSurface:
         return own[..., 2] - z, 1.0 / np.sqrt(1.0 + slope2)
 
     def _clamped(self, x: Array, y: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Points drawn in to where the flat annulus begins, and which were."""
+        """Return the points, clamped to the start of the flat annulus, and which points were clamped."""
         if np.isinf(self.end_mm):
             return x, y, np.zeros(x.shape, bool)
         r = np.hypot(x, y)
-        share = np.minimum(1.0, self.end_mm / np.maximum(r, self.end_mm))
-        return x * share, y * share, r > self.end_mm
+        scale = np.minimum(1.0, self.end_mm / np.maximum(r, self.end_mm))
+        return x * scale, y * scale, r > self.end_mm
 
 
 @dataclass(frozen=True)
 class PerturbedBodies:
-    """The glass of one perturbed lens.
+    """The glass bodies of one perturbed lens.
 
     Attributes
     ----------
     system
-        The lens, perturbed, without a pose.
+        The perturbed lens without a pose.
     elements
-        Its bodies, with what keeps them bodies of revolution.
+        Its bodies, with those perturbations that keep them bodies of revolution.
     """
 
     system: CompiledSystem
     elements: tuple[Element, ...]
 
-    def symmetric(self, number: int) -> bool:
-        """Whether a body is one of revolution about the axis of the lens."""
-        element = self.elements[number]
+    def symmetric(self, index: int) -> bool:
+        """Return whether a body is a body of revolution about the axis of the lens."""
+        element = self.elements[index]
         return element.rotational and not any(
             self._displaced(i) or self.system.figures[i] for i in element.surfaces
         )
@@ -157,9 +158,9 @@ class PerturbedBodies:
     def _displaced(self, i: int) -> bool:
         return bool(self.system.tilted[i] or np.any(self.system.vertex[0, i, :2]))
 
-    def surfaces(self, number: int) -> tuple[HeightSurface, HeightSurface]:
-        """Front and back surface of a body."""
-        element = self.elements[number]
+    def surfaces(self, index: int) -> tuple[HeightSurface, HeightSurface]:
+        """Return the front and the back surface of a body."""
+        element = self.elements[index]
         front, back = (
             HeightSurface(self.system, i, m.end_mm if len(end) and not self._displaced(i) else np.inf)
             for i, m, end in zip(element.surfaces, (element.front, element.back), element.ends, strict=True)
@@ -170,21 +171,22 @@ class PerturbedBodies:
 def perturbed_bodies(
     lens: Lens, surface_perturbations: Mapping[int, SurfacePerturbation] | None, measured: bool
 ) -> PerturbedBodies:
-    """The bodies of a lens, every surface where and as its perturbation has it.
+    """Return the bodies of a lens with perturbed surfaces.
 
     Parameters
     ----------
     lens
-        Any lens with a glass element.
+        A lens with at least one glass element.
     surface_perturbations
-        Deltas of single surfaces, by index from 0; single values only.
+        Deviations of single surfaces by surface index from 0; scalars only.
     measured
         Whether surfaces have their measured figures.
 
     Raises
     ------
     InputError
-        If perturbations hold several trials or make no lens, or a body of revolution does not close.
+        If perturbations hold several trials, if the perturbed lens is not valid, or if a body of revolution
+        does not close.
     """
     changes = dict(surface_perturbations or {})
     if not measured:
@@ -193,23 +195,23 @@ def perturbed_bodies(
     system = compile_system(lens, lens.wavelengths_um[0], surface_perturbations=changes)
     if system.trials not in (None, 1):
         raise InputError(
-            f"surface_perturbations hold {system.trials} trials; a mesh is of one lens, so give single values"
+            f"surface_perturbations hold {system.trials} trials; a mesh represents one lens, so give scalars"
         )
     for i, change in changes.items():
-        lens = _reshaped(lens, i, change)
-    elements = tuple(_moved(e, system) for e in glass_elements(lens))
+        lens = _with_design_deltas(lens, i, change)
+    elements = tuple(_with_vertices(e, system) for e in glass_elements(lens))
     bodies = PerturbedBodies(system, elements)
-    for number, element in enumerate(elements):
-        if bodies.symmetric(number):
+    for index, element in enumerate(elements):
+        if bodies.symmetric(index):
             validate_closed(element)
     return bodies
 
 
-def _reshaped(lens: Lens, i: int, change: SurfacePerturbation) -> Lens:
-    """A lens with the deltas of one surface that its design file could hold."""
+def _with_design_deltas(lens: Lens, i: int, change: SurfacePerturbation) -> Lens:
+    """Return the lens with those deviations of one surface that a design file can represent."""
     surface = lens.surfaces[i]
     values: dict[str, Any] = {}
-    for name, delta in change.of_shape().items():
+    for name, delta in change.shape_deltas().items():
         by = float(np.ravel(delta)[0])
         if name.startswith("radius"):
             values[name] = getattr(surface, name) + by
@@ -221,7 +223,7 @@ def _reshaped(lens: Lens, i: int, change: SurfacePerturbation) -> Lens:
     return lens.with_surface(i, **values) if values else lens
 
 
-def _moved(element: Element, system: CompiledSystem) -> Element:
+def _with_vertices(element: Element, system: CompiledSystem) -> Element:
     front, back = (
         replace(m, vertex_z_mm=float(system.vertex[0, i, 2]))
         for m, i in zip((element.front, element.back), element.surfaces, strict=True)

@@ -1,7 +1,7 @@
-"""Mesh of a body whose surfaces are decentered, tilted, or have figures.
+"""Mesh of a body that is not a body of revolution: its surfaces are decentered, tilted, or have figures.
 
-Both surfaces are heights above discs, meshed over rings and azimuths, and joined by the edge: flat rings and
-bevels follow the rim of their surface, edge cylinder and flange stay about the axis of the lens.
+Both surfaces are heights above discs, meshed over rings and azimuths. The edge joins them: flat rings and
+bevels follow the rim of their surface; the edge cylinder and the flange are centred on the axis of the lens.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lensdesign.lens.solid import Element
 from lensdesign.manufacture.mesh.bodies import HeightSurface, LensMesh, PerturbedBodies
 from lensdesign.manufacture.mesh.rings import (
     BALANCE,
-    MOST_TRIANGLES,
+    MAX_TRIANGLES,
     ChordErrors,
     area_factor,
     circle,
@@ -30,26 +30,23 @@ from lensdesign.manufacture.mesh.rings import (
 )
 
 _DIRECTIONS = 24
-"""Meridians that say where the rings have to lie; facets everywhere are measured afterwards."""
+"""Number of meridians that determine the rings; the finished facets are measured everywhere."""
 
 _BLOCK = 1 << 17
-"""Facets, or points on them, measured at one time."""
-
-_MOST_PARTS = 24
-"""Into which the sides of facets are divided, to find figures finer than these."""
+"""Number of facets, or of points on them, in one block of the computation."""
 
 
-def freeform_mesh(bodies: PerturbedBodies, number: int, error_mm: float, count: int) -> LensMesh:
+def freeform_mesh(bodies: PerturbedBodies, index: int, error_mm: float, count: int) -> LensMesh:
     """Mesh one body over rings and azimuths.
 
     Parameters
     ----------
-    bodies, number
-        The body.
+    bodies, index
+        All bodies, and the index of the one to mesh.
     error_mm
-        Distance aimed at between facets of the surfaces and the exact ones; what came out is measured.
+        Intended distance between the facets and the exact surfaces in mm; the result holds the measured one.
     count
-        Number of azimuths that its nominal shape needs.
+        Number of azimuths that the nominal shape needs.
 
     Raises
     ------
@@ -58,8 +55,8 @@ def freeform_mesh(bodies: PerturbedBodies, number: int, error_mm: float, count: 
     """
     import trimesh
 
-    element, sides = bodies.elements[number], bodies.surfaces(number)
-    _refuse_crossing(element, sides)
+    element, sides = bodies.elements[index], bodies.surfaces(index)
+    _check_crossing(element, sides)
     meridians, error_mm = (element.front, element.back), BALANCE * error_mm
     for side, meridian in zip(sides, meridians, strict=True):
         count = _azimuths(side, meridian.end_mm, error_mm, count)
@@ -67,20 +64,20 @@ def freeform_mesh(bodies: PerturbedBodies, number: int, error_mm: float, count: 
     optical = [_points(s, r, count) for s, r in zip(sides, radii, strict=True)]
     for side, points, end in zip(sides, optical, element.ends, strict=True):
         if len(end):
-            _settle_rim(side, points[-count:], count)
+            _level_rim(side, points[-count:], count)
     ends = [_end_points(p[-count:], end, count) for p, end in zip(optical, element.ends, strict=True)]
     ring = _flange_points(element, ends, optical, count)
     rings = [len(radii[0]) + len(element.ends[0]), len(ring) // count, len(radii[1]) + len(element.ends[1])]
-    _refuse_detail(min(sides, key=lambda s: s.finest_mm), sum(rings), count, error_mm)
+    _check_triangle_count(min(sides, key=lambda s: s.finest_mm), sum(rings), count, error_mm)
     vertices = np.concatenate([optical[0], ends[0], ring, optical[1], ends[1]])
     faces = _ring_order(rings, count)[ring_faces(sum(rings), count)]
-    parts = faces[: count * (2 * len(radii[0]) - 1)], faces[-count * (2 * len(radii[1]) - 1) :]
+    side_faces = faces[: count * (2 * len(radii[0]) - 1)], faces[-count * (2 * len(radii[1]) - 1) :]
     starts = (0, len(vertices) - len(optical[1]) - len(ends[1]))
     measured_mm = 0.0
-    for place, side in enumerate(sides):
-        outer = starts[place] + len(optical[place])
-        held = slice(outer - count, outer) if len(element.ends[place]) else slice(0)
-        measured_mm = max(measured_mm, _balance(side, vertices, parts[place], held))
+    for i, side in enumerate(sides):
+        outer = starts[i] + len(optical[i])
+        fixed = slice(outer - count, outer) if len(element.ends[i]) else slice(0)
+        measured_mm = max(measured_mm, _balance(side, vertices, side_faces[i], fixed))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.units = "mm"
     edge_error_um = 1e3 * edge_error(element.outer_mm, count)
@@ -88,33 +85,33 @@ def freeform_mesh(bodies: PerturbedBodies, number: int, error_mm: float, count: 
 
 
 def _ring_order(rings: Sequence[int], count: int) -> NDArray[np.int64]:
-    """Where the vertices stand that ring_faces numbers from pole to pole.
+    """Return the index of each vertex in the order of ring_faces, which runs from pole to pole.
 
-    They come as front pole, rings of the front side outwards, rings of the flange, back pole, rings of the
-    back side outwards.
+    The vertices are stored as front pole, rings of the front side outwards, rings of the flange, back pole,
+    and rings of the back side outwards.
     """
-    before = 1 + (rings[0] + rings[1]) * count
-    inner = 1 + np.arange(before - 1)
-    outer = before + 1 + np.arange(rings[2] * count).reshape(rings[2], count)[::-1]
-    return np.concatenate([[0, before], inner, outer.ravel()])
+    back_pole = 1 + (rings[0] + rings[1]) * count
+    inner = 1 + np.arange(back_pole - 1)
+    outer = back_pole + 1 + np.arange(rings[2] * count).reshape(rings[2], count)[::-1]
+    return np.concatenate([[0, back_pole], inner, outer.ravel()])
 
 
 def _end_points(rim: Array, end: Array, count: int) -> Array:
-    """Rings of flat ring and bevel: they follow the rim of their surface, shape (len(end) * count, 3)."""
+    """Return the rings of flat ring and bevel, which follow the rim; shape (len(end) * count, 3)."""
     x, y = area_factor(count) * circle(count)
     rings = [np.column_stack([r * x, r * y, rim[:, 2] + rise]) for r, rise in end]
     return np.concatenate([np.empty((0, 3)), *rings])
 
 
 def _flange_points(element: Element, ends: Sequence[Array], optical: Sequence[Array], count: int) -> Array:
-    """Rings of the flange, which has to stand on the edge cylinder all the way round."""
+    """Return the rings of the flange, which must lie on the edge cylinder at every azimuth."""
     front, back = (np.concatenate([o, e])[-count:, 2] for o, e in zip(optical, ends, strict=True))
     corners = element.flange_corners
     faces_z = corners[[0, -1], 1] if len(corners) else (np.max(front), np.min(back))
     if np.any(front > faces_z[0]) or np.any(back < faces_z[1]) or np.any(back <= front):
         raise InputError(
-            f"{element.name}, as perturbed: its edge cylinder runs at its narrowest from z = "
-            f"{float(np.max(front)):.6g} to {float(np.min(back)):.6g} mm, too short for its edge; raise "
+            f"{element.name}, with its perturbations: the edge cylinder extends at its narrowest from z = "
+            f"{float(np.max(front)):.6g} to {float(np.min(back)):.6g} mm, too short for the edge; raise "
             "thickness_mm, or lower the bevels, the flange or the perturbation"
         )
     x, y = area_factor(count) * circle(count)
@@ -123,15 +120,14 @@ def _flange_points(element: Element, ends: Sequence[Array], optical: Sequence[Ar
 
 
 def _points(side: HeightSurface, radii: Array, count: int) -> Array:
-    """Vertex and ring points of a surface; rings have the area of their circle."""
-    across = np.outer(radii, area_factor(count) * circle(count)[0])
-    down = np.outer(radii, area_factor(count) * circle(count)[1])
-    x, y = (np.concatenate([[0.0], part.ravel()]) for part in (across, down))
+    """Return the vertex and the ring points of a surface; each ring has the area of its circle."""
+    ring = area_factor(count) * circle(count)
+    x, y = (np.concatenate([[0.0], np.outer(radii, axis).ravel()]) for axis in ring)
     return np.stack([x, y, _finite_heights(side, x, y)], axis=-1)
 
 
-def _settle_rim(side: HeightSurface, rim: Array, count: int) -> None:
-    """Give the corners of the rim the heights of its circle, which a flat ring or bevel follows."""
+def _level_rim(side: HeightSurface, rim: Array, count: int) -> None:
+    """Set the corners of the rim to the heights of its circle, which a flat ring or bevel follows."""
     x, y = rim[:, :2].T / area_factor(count)
     rim[:, 2] = _finite_heights(side, x, y)
 
@@ -140,22 +136,22 @@ def _finite_heights(side: HeightSurface, x: Array, y: Array) -> Array:
     z = side.heights(x, y)
     missing = ~np.isfinite(z)
     if np.any(missing):
-        where = float(np.min(np.hypot(x, y)[missing]))
+        radius = float(np.min(np.hypot(x, y)[missing]))
         raise InputError(
-            f"surface {side.index + 1}, as perturbed, ends at a radial height of about {where:.6g} mm, "
-            "inside its rim; lower semi_diameter_mm or the perturbation"
+            f"surface {side.index + 1}, with its perturbation, ends at a radial height of about "
+            f"{radius:.6g} mm, inside its rim; lower semi_diameter_mm or the perturbation"
         )
     return z
 
 
 def _ring_radii(side: HeightSurface, meridian: SurfaceMeridian, error_mm: float, count: int) -> Array:
-    """Radii of the rings, the vertex left out."""
+    """Return the radii of the rings without the vertex."""
     errors = _chord_errors(side, meridian)
     end_mm, finest = meridian.end_mm, side.finest_mm
-    # Within a quarter of a figure's cell chord errors go with the square of the spacing.
+    # Below a quarter of a figure's cell, chord errors are proportional to the square of the spacing.
     shortest = 0.0 if math.isinf(finest) else 0.25 * finest / end_mm
     density = ring_density(errors, end_mm, min(1e-5, error_mm / end_mm), shortest)
-    _refuse_detail(side, density[1][-1] / math.sqrt(error_mm), count, error_mm)
+    _check_triangle_count(side, density[1][-1] / math.sqrt(error_mm), count, error_mm)
     rings = ring_parameters(errors, density, end_mm, error_mm)
     radii = meridian.points(rings)[1:, 0]
     radii[-1] = end_mm
@@ -163,22 +159,22 @@ def _ring_radii(side: HeightSurface, meridian: SurfaceMeridian, error_mm: float,
 
 
 def _chord_errors(side: HeightSurface, meridian: SurfaceMeridian) -> ChordErrors:
-    """Greatest over meridians in several directions."""
+    """Return a function of ring parameters: the largest chord errors over several meridians."""
     x, y = circle(_DIRECTIONS)
-    share = np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
+    fraction = np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
 
-    def greatest(t: Array) -> Array:
+    def largest(t: Array) -> Array:
         r = meridian.points(t)[:, 0]
-        across, down = np.outer(r, x), np.outer(r, y)
-        ends = np.stack([across, down, _finite_heights(side, across, down)], axis=-1)
-        rise, cosine = side.rises((1.0 - share) * ends[:-1] + share * ends[1:])
+        px, py = np.outer(r, x), np.outer(r, y)
+        ends = np.stack([px, py, _finite_heights(side, px, py)], axis=-1)
+        rise, cosine = side.rises((1.0 - fraction) * ends[:-1] + fraction * ends[1:])
         return np.asarray(np.max(np.abs(rise * cosine), axis=(0, 2)))
 
-    return greatest
+    return largest
 
 
 def _azimuths(side: HeightSurface, end_mm: float, error_mm: float, count: int) -> int:
-    """Number of azimuths with which chords round the rings hold; measured on 12 of them."""
+    """Return the number of azimuths for which chords along the rings meet the limit, tested on 12 rings."""
     r = np.linspace(end_mm / 12.0, end_mm, 12)
     for _ in range(12):
         ends = _points(side, r, count)[1:].reshape(len(r), count, 3)
@@ -186,30 +182,30 @@ def _azimuths(side: HeightSurface, end_mm: float, error_mm: float, count: int) -
         greatest = float(np.max(np.abs(rise * cosine)))
         if greatest <= error_mm:
             break
-        _refuse_detail(side, len(r), count, error_mm)
+        _check_triangle_count(side, len(r), count, error_mm)
         count = 4 * math.ceil(0.25 * count * min(4.0, 1.01 * math.sqrt(greatest / error_mm)))
     return count
 
 
-def _refuse_detail(side: HeightSurface, rings: float, count: int, error_mm: float) -> None:
+def _check_triangle_count(side: HeightSurface, rings: float, count: int, error_mm: float) -> None:
     triangles = 2.0 * rings * count
-    if triangles <= MOST_TRIANGLES:
+    if triangles <= MAX_TRIANGLES:
         return
     cause = "" if math.isinf(side.finest_mm) else f" for its figure (nodes every {side.finest_mm:.4g} mm)"
     raise InputError(
-        f"surface {side.index + 1} would need {triangles:.3g} triangles{cause} to hold a chord error of "
-        f"{error_mm / BALANCE:.3g} mm; allowed: at most {MOST_TRIANGLES:.3g}, so ask for a larger one"
+        f"surface {side.index + 1} would need {triangles:.3g} triangles{cause} for a chord error of "
+        f"{error_mm / BALANCE:.3g} mm; allowed: at most {MAX_TRIANGLES:.3g}, so give a larger chord error"
     )
 
 
-def _balance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], held: slice) -> float:
-    """Move vertices along z until facets straddle the surface; greatest distance of the facets from it.
+def _balance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], fixed: slice) -> float:
+    """Move vertices along z so that facets straddle the surface; return the largest distance of the facets.
 
-    Those of a rim from which a flat ring or bevel goes on are held.
+    The vertices `fixed` of a rim with a flat ring or bevel do not move.
 
-    Distances are had at the vertices, centre and middles of the sides of every facet: a paraboloid's facets
-    are nowhere farther off but by a few per cent, and its means over the middles of the sides are exact.
-    Where facets are larger than the cells of a figure, points in every cell add to these.
+    Distances are measured at the vertices, the centre and the middles of the sides of every facet. On a
+    paraboloid, other points deviate by at most a few per cent more, and the mean over the middles of the
+    sides is exact. If facets are larger than the cells of a figure, points in every cell are added.
     """
     rises, cosines = _facet_rises(side, vertices, faces)
     corners = vertices[faces]
@@ -221,27 +217,29 @@ def _balance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], hel
     )
     shift = np.where(weight > 0.0, -sums / np.where(weight > 0.0, weight, 1.0), 0.0)
     free = np.ones(len(vertices))
-    free[held] = shift[held] = 0.0
-    # What held vertices leave over goes to all others.
-    over, share = (
+    free[fixed] = shift[fixed] = 0.0
+    # The free vertices balance the remaining volume error of the fixed ones.
+    remainder, free_area = (
         np.sum(area * m) for m in (mean + np.mean(shift[faces], axis=1), np.mean(free[faces], axis=1))
     )
-    shift = np.where(weight > 0.0, shift - free * over / share, 0.0)
+    shift = np.where(weight > 0.0, shift - free * remainder / free_area, 0.0)
     vertices[:, 2] += shift
     own = shift[faces]
     moved = rises + np.column_stack([own @ _MIDDLES.T, np.mean(own, axis=1)])
-    greatest = max(np.max(np.abs(moved * cosines)), np.max(np.abs(own) * cosines[:, :3]))
-    largest = float(np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)))
-    parts = min(_MOST_PARTS, math.ceil(2.0 * largest / side.finest_mm))
-    if parts > 2:
-        greatest = max(greatest, _distance(side, vertices, faces, parts))
-    return float(greatest)
+    deviation = max(np.max(np.abs(moved * cosines)), np.max(np.abs(own) * cosines[:, :3]))
+    longest_side = float(np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)))
+    divisions = min(24, math.ceil(2.0 * longest_side / side.finest_mm))
+    if divisions > 2:
+        deviation = max(deviation, _largest_distance(side, vertices, faces, divisions))
+    return float(deviation)
 
 
-def _distance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], parts: int) -> float:
-    """Greatest distance of a grid of points on every facet from the surface."""
-    i, j = np.meshgrid(np.arange(parts + 1), np.arange(parts + 1))
-    weights = np.stack([i, j, parts - i - j], axis=-1)[i + j <= parts] / parts
+def _largest_distance(
+    side: HeightSurface, vertices: Array, faces: NDArray[np.int64], divisions: int
+) -> float:
+    """Return the largest distance from the surface, over a grid of points on every facet."""
+    i, j = np.meshgrid(np.arange(divisions + 1), np.arange(divisions + 1))
+    weights = np.stack([i, j, divisions - i - j], axis=-1)[i + j <= divisions] / divisions
     step = max(1, _BLOCK // len(weights))
     blocks = (faces[start : start + step] for start in range(0, len(faces), step))
     found = (side.rises(weights @ vertices[block]) for block in blocks)
@@ -249,22 +247,22 @@ def _distance(side: HeightSurface, vertices: Array, faces: NDArray[np.int64], pa
 
 
 _MIDDLES = 0.5 * (np.ones((3, 3)) - np.eye(3))
-"""Weights of a facet's corners in the middles of its sides."""
+"""Weights of a facet's corners at the middles of its sides."""
 
 
 def _facet_rises(side: HeightSurface, vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Heights of facets above the surface and its slope's cosine, at the sides' middles and the centre."""
+    """Return heights above the surface and slope cosines at the side middles and the centre of facets."""
     weights = np.concatenate([_MIDDLES, np.full((1, 3), 1.0 / 3.0)])
-    parts = [
+    blocks = [
         side.rises(weights @ vertices[faces[start : start + _BLOCK]])
         for start in range(0, len(faces), _BLOCK)
     ]
-    rises, cosines = zip(*parts, strict=True)
+    rises, cosines = zip(*blocks, strict=True)
     return np.concatenate(rises), np.concatenate(cosines)
 
 
 def _quadrature(side: HeightSurface, end_mm: float) -> tuple[float, float]:
-    """Integral in mm^3 of a surface's height over the disc within its rim, and mean z of the rim in mm."""
+    """Return the integral of a surface's height over its disc in mm^3, and the mean z of its rim in mm."""
     panels = min(256, max(64, math.ceil(end_mm / side.finest_mm)))
     directions = min(1024, max(256, math.ceil(4.0 * math.pi * end_mm / side.finest_mm)))
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -278,38 +276,38 @@ def _quadrature(side: HeightSurface, end_mm: float) -> tuple[float, float]:
 
 
 def _volume_mm3(element: Element, sides: tuple[HeightSurface, HeightSurface]) -> float:
-    """What follows a rim all round has the volume that it has about the mean of that rim."""
+    """Return the exact volume; a flat ring or bevel has the volume of one at the mean z of its rim."""
     volumes, profiles = [], []
     for side, meridian, end in zip(sides, (element.front, element.back), element.ends, strict=True):
         volume, rim_z = _quadrature(side, meridian.end_mm)
         volumes.append(volume)
-        profiles.append(_with_rim(meridian, end) + np.array([0.0, rim_z]))
+        profiles.append(_rim_profile(meridian, end) + np.array([0.0, rim_z]))
     rim = np.concatenate([profiles[0], element.flange_corners, profiles[1][::-1]])
     return volumes[1] - volumes[0] + ring_volume_mm3(rim)
 
 
-def _refuse_crossing(element: Element, sides: tuple[HeightSurface, HeightSurface]) -> None:
+def _check_crossing(element: Element, sides: tuple[HeightSurface, HeightSurface]) -> None:
     r = element.edge_mm * np.linspace(0.0, 1.0, 129)
     front, back = (
         _side_heights(s, m, end, r)
         for s, m, end in zip(sides, (element.front, element.back), element.ends, strict=True)
     )
     gap = np.min(back - front, axis=1)
-    where = int(np.argmin(gap))
-    if gap[where] <= 0.0:
+    i = int(np.argmin(gap))
+    if gap[i] <= 0.0:
         raise InputError(
-            f"{element.name}, as perturbed, does not close: its surfaces cross at a radial height of "
-            f"{r[where]:.6g} mm (gap {gap[where]:.6g} mm); raise thickness_mm or lower semi_diameter_mm"
+            f"{element.name}, with its perturbations, does not close: its surfaces cross at a radial height "
+            f"of {r[i]:.6g} mm (gap {gap[i]:.6g} mm); raise thickness_mm or lower semi_diameter_mm"
         )
 
 
 def _side_heights(side: HeightSurface, meridian: SurfaceMeridian, end: Array, r: Array) -> Array:
-    """z over radial heights and azimuths, flat ring and bevel included."""
+    """Return z over radial heights and azimuths, including flat ring and bevel."""
     within = np.minimum(r, meridian.end_mm)
-    x, y = (np.outer(within, part) for part in circle(4 * _DIRECTIONS))
-    rise = np.interp(r, *_with_rim(meridian, end).T)
+    x, y = (np.outer(within, axis) for axis in circle(4 * _DIRECTIONS))
+    rise = np.interp(r, *_rim_profile(meridian, end).T)
     return np.asarray(_finite_heights(side, x, y) + rise[:, None])
 
 
-def _with_rim(meridian: SurfaceMeridian, end: Array) -> Array:
+def _rim_profile(meridian: SurfaceMeridian, end: Array) -> Array:
     return np.concatenate([[[meridian.end_mm, 0.0]], end])

@@ -1,9 +1,9 @@
-"""Mesh files of whatever origin, read without trust in what they say of themselves.
+"""Mesh files of any origin, read without trusting their headers.
 
-STL, PLY and 3MF are read by trimesh. What a file promises is held against bounds before, and against what
-came of it behind: of a text that was cut short trimesh takes what is left, in silence. OBJ is read here:
-trimesh counts indices from the end of the file where they count from their own line. Nothing that a file
-names is opened. Lengths are taken as mm where a format has no unit (all but 3MF).
+trimesh reads STL, PLY and 3MF. The size that a file declares is checked against limits before, and against
+the result afterwards, because trimesh silently accepts truncated text files. OBJ is read by this module:
+trimesh resolves negative indices from the end of the file instead of from their own line. Other files that a
+mesh file names are never opened. Lengths are in mm in formats without a unit (all except 3MF).
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from lensdesign.errors import InputError
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 
-# What trimesh would tell the terminal of a damaged file, tracebacks and all, our own message says.
+# trimesh prints tracebacks for damaged files; the message of read_mesh replaces them.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
-MOST_TRIANGLES = 20_000_000
+MAX_TRIANGLES = 20_000_000
 
-MOST_MM = 1e6
-"""Largest coordinate: what lies farther out is no lens, and its squares lose their digits."""
+MAX_COORDINATE_MM = 1e6
+"""Largest coordinate; beyond it, squares of coordinates lose their precision."""
 
-LONGEST_HEADER = 65536
-"""Of a PLY file."""
+MAX_PLY_HEADER_BYTES = 65536
+"""Largest header of a PLY file."""
 
-MOST_ENTRIES = 1000
-"""Of a 3MF archive."""
+MAX_ARCHIVE_ENTRIES = 1000
+"""Largest number of files in a 3MF archive."""
 
-MOST_PLACED = 10_000
-"""Objects that a 3MF file places: ten components in ten levels would be ten billion."""
+MAX_PLACED_OBJECTS = 10_000
+"""Largest number of objects that a 3MF file places; nested components could place billions."""
 
 UNITS_MM = {
     "micron": 1e-3,
@@ -57,14 +57,14 @@ UNITS_MM = {
 
 @dataclass(frozen=True)
 class TriangleMesh:
-    """Triangles as a file has them.
+    """Triangles of a mesh file.
 
     Attributes
     ----------
     vertices_mm
-        Shape (n, 3).
+        Vertices in mm, shape (n, 3).
     faces
-        Indices of the corners of each triangle, anticlockwise from outside, shape (m, 3).
+        Vertex indices of each triangle, anticlockwise as seen from outside, shape (m, 3).
     """
 
     vertices_mm: NDArray[np.float64]
@@ -78,17 +78,18 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     ----------
     path
         A ``.stl`` (binary or text), ``.ply`` (text or binary), ``.obj`` or ``.3mf`` file of at most 1 GB (256
-        MB if it is OBJ or 3MF) and 20 million triangles. Polygons are cut into triangles.
+        MB for OBJ and 3MF) and 20 million triangles. Polygons are divided into triangles.
 
     Returns
     -------
     TriangleMesh
+        Vertices in mm and faces.
 
     Raises
     ------
     InputError
-        If the suffix is unknown, the file is no regular one, is too large, cut short or malformed, or holds
-        no triangle; the message names the file.
+        If the suffix is unknown, or the file is not a regular file, is too large, truncated or malformed, or
+        holds no triangle. The message names the file.
     """
     readers: dict[str, Callable[[bytes], Triangles]] = {
         ".stl": _stl_triangles,
@@ -104,127 +105,125 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
         return _checked(*readers[suffix](data))
     except InputError as error:
         raise InputError(f"cannot read {path}: {error}") from error
-    except Exception as error:  # whatever a parser stumbles over
-        said = f"no {suffix[1:].upper()} file, or a damaged one: {str(error)[:200]}"
-        raise InputError(f"cannot read {path}: {said}") from error
+    except Exception as error:  # trimesh raises exceptions of many types for damaged files
+        message = f"not a valid {suffix[1:].upper()} file: {str(error)[:200]}"
+        raise InputError(f"cannot read {path}: {message}") from error
 
 
 def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> TriangleMesh:
     if not len(faces):
-        raise InputError("no triangle in it")
+        raise InputError("the file holds no triangle")
     if not np.all(np.isfinite(vertices)):
-        raise InputError("a coordinate is no finite number")
+        raise InputError("a coordinate is not a finite number")
     largest = float(np.max(np.abs(vertices)))
-    if largest > MOST_MM:
-        raise InputError(f"a coordinate of {largest:.3g} mm; at most {MOST_MM:g} can belong to a lens")
+    if largest > MAX_COORDINATE_MM:
+        raise InputError(f"a coordinate of {largest:.3g} mm; allowed: at most {MAX_COORDINATE_MM:g} mm")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"a triangle has a vertex that does not exist; there are {len(vertices)}")
     return TriangleMesh(vertices, faces)
 
 
-def _refuse_count(triangles: int) -> None:
-    if triangles > MOST_TRIANGLES:
-        raise InputError(f"{triangles} triangles; at most {MOST_TRIANGLES} are read")
+def _check_count(triangles: int) -> None:
+    if triangles > MAX_TRIANGLES:
+        raise InputError(f"{triangles} triangles; allowed: at most {MAX_TRIANGLES}")
 
 
 def _stl_triangles(data: bytes) -> Triangles:
     count = int.from_bytes(data[80:84], "little")
     if len(data) != 84 + 50 * count:
         if data[:512].lstrip()[:5].lower() != b"solid":
-            raise InputError(
-                f"{len(data)} bytes; {count} triangles, as its header has, are {84 + 50 * count}"
-            )
+            raise InputError(f"{len(data)} bytes; the {count} triangles of its header need {84 + 50 * count}")
         count = len(re.findall(rb"^\s*facet\b", data, re.MULTILINE | re.IGNORECASE))
     return _by_trimesh(data, "stl", count)
 
 
 def _ply_triangles(data: bytes) -> Triangles:
-    if data.find(b"end_header", 0, LONGEST_HEADER) < 0:
-        raise InputError(f"no PLY file: end_header must come within {LONGEST_HEADER} bytes")
-    found = re.findall(rb"^element (\w+) (\d{1,18})\s", data[:LONGEST_HEADER], re.MULTILINE)
+    if data.find(b"end_header", 0, MAX_PLY_HEADER_BYTES) < 0:
+        raise InputError(f"not a PLY file: end_header must occur within {MAX_PLY_HEADER_BYTES} bytes")
+    found = re.findall(rb"^element (\w+) (\d{1,18})\s", data[:MAX_PLY_HEADER_BYTES], re.MULTILINE)
     rows = {name: int(count) for name, count in found}
     most = max(rows.values(), default=0)
     if most > len(data):
-        raise InputError(f"{most} rows promised, in {len(data)} bytes")
+        raise InputError(f"the header declares {most} rows, but the file has only {len(data)} bytes")
     return _by_trimesh(data, "ply", rows.get(b"face", 0), skip_materials=True)
 
 
-def _by_trimesh(data: bytes, kind: str, promised: int, **options: bool) -> Triangles:
-    """Triangles of a file that has at least as many of them as promised."""
+def _by_trimesh(data: bytes, kind: str, declared: int, **options: bool) -> Triangles:
+    """Return the triangles of a file; raise an error if there are fewer than declared."""
     import trimesh
 
-    _refuse_count(promised)
+    _check_count(declared)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        # Older releases of NumPy only warn of a text that is no number, and leave out what follows.
+        # Older NumPy releases only warn about an invalid number and ignore the remaining text.
         warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
         mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False, **options)
-    if len(mesh.faces) < promised:
-        raise InputError(f"{promised} faces promised, {len(mesh.faces)} found; is the file cut short?")
+    if len(mesh.faces) < declared:
+        raise InputError(f"{declared} faces declared, {len(mesh.faces)} found; is the file truncated?")
     return np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
 
 
 def _three_mf_triangles(data: bytes) -> Triangles:
-    if data.count(b"PK\x01\x02") > MOST_ENTRIES:
-        raise InputError(f"an archive of more than {MOST_ENTRIES} entries")
+    if data.count(b"PK\x01\x02") > MAX_ARCHIVE_ENTRIES:
+        raise InputError(f"the archive has more than {MAX_ARCHIVE_ENTRIES} entries")
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
         for entry in entries:
-            parts = entry.filename.replace("\\", "/").split("/")
-            if not parts[0] or ".." in parts or ":" in parts[0]:
-                raise InputError(f"an archive with the path {entry.filename[:60]!r}, which leads out of it")
+            folders = entry.filename.replace("\\", "/").split("/")
+            if not folders[0] or ".." in folders or ":" in folders[0]:
+                raise InputError(f"the archive has the path {entry.filename[:60]!r} outside of itself")
         unpacked = sum(entry.file_size for entry in entries)
         if unpacked > TABLE_BYTES:
-            raise InputError(f"an archive of {unpacked} bytes; at most {TABLE_BYTES} are unpacked")
+            raise InputError(f"the unpacked archive has {unpacked} bytes; allowed: at most {TABLE_BYTES}")
         models = [entry for entry in entries if entry.filename.lower().endswith(".model")]
         if len(models) != 1:
-            raise InputError(f"{len(models)} models in it; there must be one")
-        promised, unit_mm = _promised_by_model(archive.read(models[0]))
-    vertices, faces = _by_trimesh(data, "3mf", promised)
+            raise InputError(f"the archive holds {len(models)} models; it must hold exactly one")
+        declared, unit_mm = _declared_by_model(archive.read(models[0]))
+    vertices, faces = _by_trimesh(data, "3mf", declared)
     return unit_mm * vertices, faces
 
 
-def _promised_by_model(model: bytes) -> tuple[int, float]:
-    """Number of triangles that a 3MF model places, and its unit in mm.
+def _declared_by_model(model: bytes) -> tuple[int, float]:
+    """Return the number of triangles that a 3MF model places, and its unit in mm.
 
-    Refused is also what trimesh would leave out, or place without end.
+    Raise an error also for contents that trimesh would ignore or place endlessly.
     """
     from lxml import etree
 
     triangles: dict[str, int] = {}
-    parts: dict[str, list[str]] = {}
-    waiting: list[str] = []
+    components: dict[str, list[str]] = {}
+    pending: list[str] = []
     elements = etree.iterparse(io.BytesIO(model), tag=("{*}object", "{*}item"), resolve_entities=False)
     for _, element in elements:
         key = element.get("id", "")
         if element.tag.endswith("item"):
-            waiting.append(element.get("objectid", ""))
-        elif key in parts:
-            raise InputError(f"object {key[:40]!r} stands twice")
+            pending.append(element.get("objectid", ""))
+        elif key in components:
+            raise InputError(f"object {key[:40]!r} is defined twice")
         else:
             triangles[key] = sum(1 for _ in element.iter("{*}triangle"))
-            parts[key] = [part.get("objectid", "") for part in element.iter("{*}component")]
+            components[key] = [one.get("objectid", "") for one in element.iter("{*}component")]
         element.clear()
     if elements.root.getroottree().docinfo.doctype:
-        raise InputError("its model has a document type, which may hold entities")
+        raise InputError("the model has a document type (DOCTYPE), which is not allowed")
     unit = elements.root.get("unit", "millimeter")
     if unit not in UNITS_MM:
-        raise InputError(f"unit {unit[:40]!r}; known are {', '.join(UNITS_MM)}")
-    placed = promised = 0
-    while waiting:
-        key, placed = waiting.pop(), placed + 1
-        if key not in parts:
-            raise InputError(f"object {key[:40]!r} is placed, and does not exist")
-        if placed > MOST_PLACED:
-            raise InputError(f"more than {MOST_PLACED} objects placed, or some within themselves")
-        promised += triangles[key]
-        waiting += parts[key]
-    if not promised:
-        raise InputError("no triangle in it")
-    return promised, UNITS_MM[unit]
+        raise InputError(f"unit {unit[:40]!r}; allowed: {', '.join(UNITS_MM)}")
+    placed = declared = 0
+    while pending:
+        key, placed = pending.pop(), placed + 1
+        if key not in components:
+            raise InputError(f"object {key[:40]!r} is placed, but not defined")
+        if placed > MAX_PLACED_OBJECTS:
+            raise InputError(f"more than {MAX_PLACED_OBJECTS} objects placed, or an object contains itself")
+        declared += triangles[key]
+        pending += components[key]
+    if not declared:
+        raise InputError("the file holds no triangle")
+    return declared, UNITS_MM[unit]
 
 
 def _obj_triangles(data: bytes) -> Triangles:
-    """Vertices and faces; materials, textures, normals and groups say nothing of the shape."""
+    """Return vertices and faces; materials, textures, normals and groups do not affect the shape."""
     values, faces = array("d"), array("q")
     for line in data.splitlines():
         words = line.split()
@@ -234,10 +233,10 @@ def _obj_triangles(data: bytes) -> Triangles:
             known = len(values) // 3
             corners = [int(word.partition(b"/")[0]) for word in words[1:]]
             if len(corners) < 3 or not all(0 < abs(corner) <= known for corner in corners):
-                said = line[:60].decode("ascii", "replace")
-                raise InputError(f"{said!r} is no face, with {known} vertices before it")
+                message = line[:60].decode("ascii", "replace")
+                raise InputError(f"{message!r} is not a valid face; {known} vertices precede it")
             first, *others = (corner - 1 if corner > 0 else known + corner for corner in corners)
             for second, third in pairwise(others):
                 faces.extend((first, second, third))
-            _refuse_count(len(faces) // 3)
+            _check_count(len(faces) // 3)
     return np.array(values, float).reshape(-1, 3), np.array(faces, np.int64).reshape(-1, 3)

@@ -1,8 +1,8 @@
-"""Rings and azimuths of a mesh about the axis: where they lie, how many, and the triangles between them.
+"""Rings and azimuths of a mesh about the axis: their number, positions, and the triangles between them.
 
-The chord errors of triangles go with the square of their sides, so the square root of the chord error adds
-up along a meridian. Vertices straddle the surface rather than lie on it: moved out by the mean distance of
-the facets, they halve neither rings nor facets, yet the volume comes out right to higher order.
+The chord error of a triangle is proportional to the square of its sides, so the square root of the chord
+error is additive along a meridian. Vertices straddle the surface instead of lying on it: they are displaced
+by the mean distance of the facets, so that the volume of the mesh is correct to higher order.
 """
 
 from __future__ import annotations
@@ -17,26 +17,25 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.meridian import SurfaceMeridian
 
 ChordErrors = Callable[[Array], Array]
-"""Greatest distance of a meridian from each of its chords between successive parameters 0 ... 1."""
+"""Largest distance of a meridian from each of its chords between successive parameters 0 ... 1."""
 
-FEWEST_AZIMUTHS = 12
-MOST_TRIANGLES = 20_000_000
+MAX_TRIANGLES = 20_000_000
 
 BALANCE = 0.72
-"""Share of a chord error for each of meridian and azimuth: vertices stand off by two thirds of both."""
+"""Fraction of the chord error for each of meridian and azimuth; vertices deviate by two thirds of both."""
 
 
 def meridian_chord_errors(meridian: SurfaceMeridian) -> ChordErrors:
-    """Chord errors of an exact meridian."""
+    """Return a function of parameters: the chord errors of an exact meridian in mm."""
     return lambda t: np.asarray(np.max(np.abs(_offsets(meridian, t)), axis=1))
 
 
 def _offsets(meridian: SurfaceMeridian, t: Array) -> Array:
-    """Distances of 15 inner points of each interval to the left of its chord, shape (intervals, 15)."""
+    """Return signed distances of 15 inner points of each interval from its chord, shape (intervals, 15)."""
     ends = meridian.points(t)
     chord = np.diff(ends, axis=0)
-    share = np.linspace(0.0, 1.0, 17)[1:-1]
-    inner = meridian.points(t[:-1, None] + share * np.diff(t)[:, None]) - ends[:-1, None]
+    fraction = np.linspace(0.0, 1.0, 17)[1:-1]
+    inner = meridian.points(t[:-1, None] + fraction * np.diff(t)[:, None]) - ends[:-1, None]
     across = chord[:, None, 0] * inner[..., 1] - chord[:, None, 1] * inner[..., 0]
     return np.asarray(across / np.linalg.norm(chord, axis=1)[:, None])
 
@@ -44,10 +43,10 @@ def _offsets(meridian: SurfaceMeridian, t: Array) -> Array:
 def ring_density(
     chord_errors: ChordErrors, end_mm: float, resolved: float = 1e-5, shortest: float = 0.0
 ) -> tuple[Array, Array]:
-    """Parameters t, and up to each the sum of sqrt(chord error), which counts rings.
+    """Return parameters t along a meridian and the cumulative sum of sqrt(chord error) at each.
 
-    This sum over the square root of the error allowed is the number of rings. Intervals are halved until
-    their chord error is at most `resolved` times `end_mm`, or they are no longer than `shortest`.
+    The total sum, divided by the square root of the allowed error, is the number of rings. Intervals are
+    halved until their chord error is at most `resolved` times `end_mm`, or their length at most `shortest`.
     """
     t = np.linspace(0.0, 1.0, 65)
     for _ in range(24):
@@ -56,7 +55,7 @@ def ring_density(
             break
         t = np.sort(np.concatenate([t, (0.5 * (t[:-1] + t[1:]))[coarse]]))
     errors = chord_errors(t)
-    # An interval with an inflection looks straight; its neighbours do not.
+    # An interval with an inflection point has almost no chord error although its neighbours have.
     weights = np.sqrt(np.maximum(errors, 1e-3 * np.mean(errors)))
     return t, np.concatenate([[0.0], np.cumsum(weights)])
 
@@ -64,14 +63,14 @@ def ring_density(
 def ring_parameters(
     chord_errors: ChordErrors, density: tuple[Array, Array], end_mm: float, error_mm: float
 ) -> Array:
-    """Parameters of the rings: as few as keep every chord within the error allowed.
+    """Return the parameters of the fewest rings for which every chord meets the allowed error.
 
     Parameters
     ----------
     chord_errors, density, end_mm
-        Of the meridian, as :func:`ring_density` takes and gives them.
+        Chord errors of the meridian, result of :func:`ring_density`, and radial height of its end in mm.
     error_mm
-        Greatest chord error allowed.
+        Largest allowed chord error in mm.
     """
     t, total = density
     if total[-1] <= 1e-7 * math.sqrt(end_mm):
@@ -85,32 +84,35 @@ def ring_parameters(
 
 
 def azimuths(radius_mm: float, error_mm: float) -> int:
-    """Number of meridians, a multiple of 4, from r (1 - cos(pi / n)) = 2 r sin^2(pi / 2n)."""
+    """Return the number of meridians for a chord error, a multiple of 4 and at least 12.
+
+    The sagitta of a chord is r (1 - cos(pi / n)) = 2 r sin^2(pi / 2n).
+    """
     sine = math.sqrt(min(1.0, 0.5 * error_mm / radius_mm)) if radius_mm > 0.0 else 1.0
-    return max(FEWEST_AZIMUTHS, 4 * math.ceil(0.125 * math.pi / math.asin(sine)))
+    return max(12, 4 * math.ceil(0.125 * math.pi / math.asin(sine)))
 
 
 def sloping_radius_mm(meridian: SurfaceMeridian) -> float:
-    """Greatest radial height times sine of slope: a chord stands off the surface by that share of itself."""
+    """Return the maximum of radial height times sine of slope, which determines the error of ring chords."""
     t = np.linspace(0.0, 1.0, 257)
     tangent = meridian.tangents(t)
     return float(np.max(meridian.points(t)[:, 0] * np.abs(tangent[:, 1]) / np.linalg.norm(tangent, axis=1)))
 
 
 def area_factor(count: int) -> float:
-    """Circumradius of the regular polygon that has the area of the unit circle."""
+    """Return the circumradius of the regular polygon whose area is that of the unit circle."""
     angle = 2.0 * math.pi / count
     return math.sqrt(angle / math.sin(angle))
 
 
 def edge_error(radius_mm: float, count: int) -> float:
-    """Greatest distance in mm of such a polygon from its circle."""
+    """Return the largest distance in mm of a regular polygon from the circle of the same area."""
     factor = area_factor(count)
     return radius_mm * max(factor - 1.0, 1.0 - factor * math.cos(math.pi / count))
 
 
 def balanced_profile(meridian: SurfaceMeridian, t: Array, movable_rim: bool) -> Array:
-    """Corners of a polygon that straddles a meridian, so that as much lies to either side of it.
+    """Return the corners of a polygon that straddles a meridian with equal areas on both sides.
 
     Parameters
     ----------
@@ -119,12 +121,12 @@ def balanced_profile(meridian: SurfaceMeridian, t: Array, movable_rim: bool) -> 
     t
         Parameters of the corners, from 0 to 1.
     movable_rim
-        Whether the rim may move along z: it ends on the edge cylinder, and no flat ring or bevel goes on.
+        Whether the rim may move along z, because no flat ring or bevel follows.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Radial height (rising, from 0 to the rim's) and z in mm.
+        Radial height (increasing, from 0 to that of the rim) and z in mm.
     """
     points, tangent = meridian.points(t), meridian.tangents(t)
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -135,7 +137,7 @@ def balanced_profile(meridian: SurfaceMeridian, t: Array, movable_rim: bool) -> 
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1) / np.linalg.norm(tangent, axis=1)[:, None]
     moved = points + shift[:, None] * normal
     moved[0, 0] = 0.0
-    # The rim stays at its radial height, and where the tangent stands upright also at its z.
+    # The rim keeps its radial height, and for a tangent along z also its z.
     upright = normal[-1, 1] < 0.1
     rise = shift[-1] / normal[-1, 1] if movable_rim and not upright else 0.0
     moved[-1] = meridian.end_mm, points[-1, 1] + rise
@@ -143,7 +145,7 @@ def balanced_profile(meridian: SurfaceMeridian, t: Array, movable_rim: bool) -> 
 
 
 def revolve(profile: Array, count: int) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices and triangles of an open polygon (r, z), both ends on the axis, turned about z.
+    """Return vertices and triangles of a polygon (r, z), with both ends on the axis, rotated about z.
 
     Rings are regular polygons with the area of the circle of radius r.
     """
@@ -155,16 +157,16 @@ def revolve(profile: Array, count: int) -> tuple[Array, NDArray[np.int64]]:
 
 
 def circle(count: int) -> Array:
-    """x and y of points on the unit circle, the first at x = 1, shape (2, count)."""
+    """Return x and y of points on the unit circle, the first at x = 1; shape (2, count)."""
     angle = 2.0 * math.pi * np.arange(count) / count
     return np.stack([np.cos(angle), np.sin(angle)])
 
 
 def ring_faces(rings: int, count: int) -> NDArray[np.int64]:
-    """Triangles of a closed body: first pole, rings, second pole.
+    """Return the triangles of a closed body that consists of a pole, rings and a second pole.
 
-    Vertices 0 and 1 are the front and back pole; ring k has the `count` vertices from 2 + k count on.
-    Facets have their normals outwards where the rings run round from the front pole to the back one.
+    Vertices 0 and 1 are the front and the back pole; ring k has the `count` vertices from 2 + k count on.
+    Normals point outwards if the rings are ordered from the front pole to the back pole.
     """
     here = np.arange(count)
     after = (here + 1) % count

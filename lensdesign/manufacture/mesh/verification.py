@@ -1,4 +1,4 @@
-"""A mesh held against the design: closed, how many bodies, which volume, and how far from each surface."""
+"""Verification of a mesh against the design: closure, number of bodies, volume, surface deviations."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, SurfaceMeridian, closed_elements
 from lensdesign.manufacture.mesh.reading import TriangleMesh
-from lensdesign.manufacture.mesh.topology import closed_bodies, merged
 
 BLOCK_POINTS = 200_000
+"""Number of points in one block of the computation."""
 
-ALIKE = 0.7
-"""Least cosine between the normals of a facet and of what it belongs to."""
+MIN_NORMAL_COSINE = 0.7
+"""Smallest cosine between the normals of a facet and of the surface that it is assigned to."""
 
 
 @dataclass(frozen=True)
 class SurfaceDistances:
-    """Distances of a mesh's points from one side of an element.
+    """Distances of a mesh's points from one surface of an element.
 
     Attributes
     ----------
     element, surface
-        Numbers from 1.
+        Numbers of element and surface, from 1.
     points
-        Vertices, edge midpoints and facet centres that belong to it.
+        Number of vertices, edge midpoints and facet centres that are assigned to the surface.
     greatest_um, rms_um
-        Their distances from the nominal surface; None where there are no points.
+        Largest and root mean square distance from the nominal surface in um; None without points.
     """
 
     element: int
@@ -45,25 +45,25 @@ class SurfaceDistances:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What :func:`verify_mesh` found.
+    """Result of :func:`verify_mesh`.
 
     Attributes
     ----------
     triangles, bodies, elements
-        Of the mesh, closed bodies of the mesh, and glass elements of the design.
+        Number of triangles of the mesh, of closed bodies of the mesh, and of glass elements of the design.
     closed
-        Whether the triangles bound bodies: at each edge as many run one way as the other.
+        Whether the triangles bound bodies: at each edge, equally many triangles run in both directions.
     open_edges
-        Edges where they do not.
+        Number of edges where this condition fails.
     volume_mm3, exact_volume_mm3
-        Of the mesh, negative if it is inside out; of the design.
+        Volume of the mesh (negative if it is inside out) and of the design in mm^3.
     distances
-        For both sides of each element.
+        Distances for both surfaces of each element.
     edge_greatest_um
-        Greatest distance of a facet centre that belongs to no optical surface from the design's edge; None
-        where there is none.
+        Largest distance from the design's edge of a facet centre that is not assigned to an optical surface,
+        in um; None without such facets.
     chord_error_um
-        The distance allowed.
+        Allowed distance in um.
     """
 
     triangles: int
@@ -79,7 +79,7 @@ class MeshReport:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What does not hold, a sentence each."""
+        """Violated conditions, one sentence each."""
         found = [] if self.closed else [f"the mesh is open: {self.open_edges} edges without a counterpart"]
         if self.closed and self.bodies != self.elements:
             found.append(f"{self.bodies} bodies, where the design has {self.elements}")
@@ -94,30 +94,35 @@ class MeshReport:
         return tuple(found)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the report as a dictionary for JSON."""
         return asdict(self) | {"faults": list(self.faults), "agrees": not self.faults}
 
 
 def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> MeshReport:
-    """Hold a mesh against the nominal shape of a lens.
+    """Compare a mesh with the nominal shape of a lens.
 
-    A facet belongs to what its centre lies nearest to, among the optical surfaces and the parts of the edge
-    whose normal there is within 45 degrees of the facet's. A point belongs to an optical surface if all
-    facets that meet in it do, so that points of the rim belong to none.
+    Each facet is assigned to the nearest optical surface or segment of the edge whose normal is within about
+    45 degrees of the facet's normal. A point is assigned to an optical surface if all facets that meet in it
+    are; points of the rim are therefore not assigned.
 
     Parameters
     ----------
     lens
-        A lens whose elements close. The mesh must lie as it does: front vertex at z = 0, axis along z.
+        A lens whose elements close. The mesh must have its front vertex at z = 0 and its axis along z.
     mesh
-        As :func:`lensdesign.manufacture.mesh.reading.read_mesh` gives it.
+        Result of :func:`lensdesign.manufacture.mesh.reading.read_mesh`.
     chord_error_um
-        Greatest distance allowed.
+        Largest allowed distance in um (default: 0.1).
+
+    Returns
+    -------
+    MeshReport
+        Measured quantities and violated conditions.
 
     Raises
     ------
     InputError
-        If the lens does not close, or the distance allowed is not above 0.
+        If an element does not close, or the allowed distance is not above 0.
     """
     if not 0.0 < chord_error_um < np.inf:
         raise InputError(f"chord_error_um = {chord_error_um:g}: must be above 0 and finite")
@@ -126,7 +131,7 @@ def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> 
     bodies, open_edges = closed_bodies(vertices, faces)
     corners = vertices[faces]
     volume = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
-    belongs, off_edge = _belonging(corners, elements)
+    assigned, edge_deviation = _assign_facets(corners, elements)
     sides = [(e, m) for e in elements for m in (e.front, e.back)]
     return MeshReport(
         triangles=len(faces),
@@ -137,22 +142,22 @@ def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> 
         volume_mm3=volume,
         exact_volume_mm3=sum(e.volume_mm3 for e in elements),
         distances=tuple(
-            _distances(element, meridian, side % 2, vertices, faces, belongs == side)
+            _distances(element, meridian, side % 2, vertices, faces, assigned == side)
             for side, (element, meridian) in enumerate(sides)
         ),
-        edge_greatest_um=off_edge,
+        edge_greatest_um=edge_deviation,
         chord_error_um=chord_error_um,
     )
 
 
-def _belonging(corners: Array, elements: Sequence[Element]) -> tuple[NDArray[np.int64], float | None]:
-    """For each facet the side (front and back of each element in turn) that it belongs to, -1 for none.
+def _assign_facets(corners: Array, elements: Sequence[Element]) -> tuple[NDArray[np.int64], float | None]:
+    """Return the surface index of each facet, and the largest distance of other facets from the edge in um.
 
-    Also the greatest distance of the others from the edge, in um.
+    Surfaces are counted as front and back of each element in turn; -1 marks facets of the edge.
     """
     sides = [(m, sign) for e in elements for m, sign in ((e.front, -1.0), (e.back, 1.0))]
-    belongs = np.full(len(corners), -1, np.int64)
-    off_edge = None
+    assigned = np.full(len(corners), -1, np.int64)
+    edge_deviation = None
     for start in range(0, len(corners), BLOCK_POINTS):
         block = slice(start, start + BLOCK_POINTS)
         centres, normals = _centres_and_normals(corners[block])
@@ -161,23 +166,25 @@ def _belonging(corners: Array, elements: Sequence[Element]) -> tuple[NDArray[np.
             distance = meridian.distances(centres)
             tangent = meridian.tangents(meridian.parameters(centres[:, 0]))
             outward = sign * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-            alike = np.sum(outward * normals, axis=-1) >= ALIKE * np.linalg.norm(outward, axis=-1)
-            nearer = alike & (distance < best)
-            best[nearer], belongs[block][nearer] = distance[nearer], side
+            aligned = np.sum(outward * normals, axis=-1) >= MIN_NORMAL_COSINE * np.linalg.norm(
+                outward, axis=-1
+            )
+            nearer = aligned & (distance < best)
+            best[nearer], assigned[block][nearer] = distance[nearer], side
         for element in elements:
             for a, b in zip(element.rim[:-1], element.rim[1:], strict=True):
                 distance, outward = _from_segment(centres, a, b)
                 off = np.minimum(off, distance)
-                nearer = (normals @ outward >= ALIKE) & (distance <= best)
-                best[nearer], belongs[block][nearer] = distance[nearer], -1
-        none = belongs[block] < 0
+                nearer = (normals @ outward >= MIN_NORMAL_COSINE) & (distance <= best)
+                best[nearer], assigned[block][nearer] = distance[nearer], -1
+        none = assigned[block] < 0
         if none.any():
-            off_edge = max(off_edge or 0.0, 1e3 * float(np.max(off[none])))
-    return belongs, off_edge
+            edge_deviation = max(edge_deviation or 0.0, 1e3 * float(np.max(off[none])))
+    return assigned, edge_deviation
 
 
 def _centres_and_normals(corners: Array) -> tuple[Array, Array]:
-    """Of each facet in its meridional plane: (radial height, z), and unit outward normal along the two."""
+    """Return centre (radial height, z) and unit outward normal of each facet in its meridional plane."""
     centres = corners.mean(axis=1)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -188,28 +195,30 @@ def _centres_and_normals(corners: Array) -> tuple[Array, Array]:
 
 
 def _from_segment(points: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """Distances of points (radial height, z) from a straight part of the rim, and its outward normal."""
+    """Return distances of points (radial height, z) from a segment of the rim, and its outward normal."""
     step = b - a
     length = float(np.linalg.norm(step))
     if length == 0.0:
         return np.full(len(points), np.inf), np.zeros(2)
-    share = np.clip((points - a) @ step / length**2, 0.0, 1.0)
-    # The rim runs from front to back, so that outside lies to its right.
-    return np.linalg.norm(a + share[:, None] * step - points, axis=-1), np.array([step[1], -step[0]]) / length
+    fraction = np.clip((points - a) @ step / length**2, 0.0, 1.0)
+    # The rim runs from front to back, so the outside is on its right.
+    return np.linalg.norm(a + fraction[:, None] * step - points, axis=-1), np.array(
+        [step[1], -step[0]]
+    ) / length
 
 
 def _distances(
     element: Element,
     meridian: SurfaceMeridian,
-    which: int,
+    side: int,
     vertices: Array,
     faces: NDArray[np.int64],
-    mine: NDArray[np.bool_],
+    is_member: NDArray[np.bool_],
 ) -> SurfaceDistances:
-    """Of vertices, edge midpoints and centres of facets that belong to one side."""
+    """Return the distances of vertices, edge midpoints and facet centres that are assigned to one surface."""
     inside = np.ones(len(vertices), bool)
-    inside[faces[~mine]] = False
-    own = faces[mine]
+    inside[faces[~is_member]] = False
+    own = faces[is_member]
     inside_corners = np.unique(own[inside[own]])
     ends = np.sort(own[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends, uses = np.unique(ends[:, 0] * len(vertices) + ends[:, 1], return_counts=True)
@@ -220,9 +229,101 @@ def _distances(
     off = [meridian.distances(rz[i : i + BLOCK_POINTS]) for i in range(0, len(rz), BLOCK_POINTS)]
     distances = 1e3 * np.concatenate(off) if off else np.empty(0)
     return SurfaceDistances(
-        element=element.number + 1,
-        surface=element.surfaces[which] + 1,
+        element=element.index + 1,
+        surface=element.surfaces[side] + 1,
         points=len(distances),
         greatest_um=float(np.max(distances)) if len(distances) else None,
         rms_um=float(np.sqrt(np.mean(distances**2))) if len(distances) else None,
     )
+
+
+Indices = NDArray[np.int64]
+
+MAX_FACES_AT_EDGE = 64
+"""Largest number of triangles at one edge whose order is analysed; more count as one body."""
+
+
+def merged(mesh: TriangleMesh) -> tuple[Array, Indices]:
+    """Return vertices and faces after merging equal vertices and removing degenerate faces."""
+    vertices = mesh.vertices_mm + 0.0  # no -0, which has other bits than 0
+    keys = np.ascontiguousarray(vertices).view([("", np.uint64)] * 3).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[mesh.faces]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return vertices[first], faces[whole]
+
+
+def closed_bodies(vertices: Array, faces: Indices) -> tuple[int, int]:
+    """Return the number of closed bodies and of open edges.
+
+    Triangles that share an edge belong to the same body. If bodies touch, so that four or more triangles
+    meet at an edge, each triangle is connected to the next one that bounds the same glass, which follows it
+    in the direction of rotation into the glass.
+
+    Parameters
+    ----------
+    vertices, faces
+        Result of :func:`merged`; triangles are anticlockwise as seen from outside.
+
+    Returns
+    -------
+    bodies : int
+        Number of connected bodies.
+    open_edges : int
+        Number of edges at which triangles have no counterpart.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(faces):
+        return 0, 0
+    starts, ends = faces.T.reshape(-1), faces[:, [1, 2, 0]].T.reshape(-1)
+    forward = starts < ends
+    face = np.tile(np.arange(len(faces)), 3)
+    apex = faces[:, [2, 0, 1]].T.reshape(-1)
+    key = np.minimum(starts, ends) * len(vertices) + np.maximum(starts, ends)
+    order = np.argsort(key, kind="stable")
+    _, first, counts = np.unique(key[order], return_index=True, return_counts=True)
+    balance = np.add.reduceat(np.where(forward[order], 1, -1), first)
+    pairs = []
+    for count in np.unique(counts):
+        rows = order[first[counts == count][:, None] + np.arange(count)]
+        if count <= 2 or count > MAX_FACES_AT_EDGE:
+            pairs += [face[rows[:, [0, i]]] for i in range(1, count)]
+        else:
+            pairs.append(_adjacent_around_edges(vertices, rows, starts, ends, apex, forward, face))
+    links = np.concatenate([np.empty((0, 2), np.int64), *pairs])
+    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(len(faces),) * 2)
+    return int(connected_components(graph, directed=False)[0]), int(np.count_nonzero(balance))
+
+
+def _adjacent_around_edges(
+    vertices: Array,
+    half_edges: Indices,
+    starts: Indices,
+    ends: Indices,
+    apex: Indices,
+    forward: NDArray[np.bool_],
+    face: Indices,
+) -> Indices:
+    """Return pairs of triangles that bound the same glass; `half_edges` has shape (edges, triangles)."""
+    low = np.minimum(starts, ends)[half_edges[:, 0]]
+    high = np.maximum(starts, ends)[half_edges[:, 0]]
+    axis = vertices[high] - vertices[low]
+    arms = vertices[apex[half_edges]] - vertices[low][:, None]
+    along = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
+    first = np.cross(along, arms[:, 0])
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
+    second = np.cross(along, first)
+    angle = np.arctan2(np.einsum("eni,ei->en", arms, second), np.einsum("eni,ei->en", arms, first))
+    # For a triangle whose edge has the direction of the axis, the glass is towards smaller angles.
+    rotation = (angle[:, :, None] - angle[:, None, :]) % (2.0 * np.pi)
+    # Facets of touching bodies may be divided along different diagonals and overlap slightly.
+    same_angle = 0.1
+    rotation[rotation < same_angle] = 2.0 * np.pi
+    along_axis = forward[half_edges]
+    rotation[~(along_axis[:, :, None] & ~along_axis[:, None, :])] = np.inf
+    partner = np.argmin(rotation, axis=2)
+    rows, columns = np.nonzero(np.isfinite(np.min(rotation, axis=2)))
+    pairs = half_edges[rows, columns], half_edges[rows, partner[rows, columns]]
+    return np.stack([face[pairs[0]], face[pairs[1]]], axis=-1)

@@ -1,7 +1,8 @@
-"""A body that is none of revolution as a solid: two spline surfaces about the axis, and the cylinder between.
+"""Solid of a body without rotational symmetry: two spline surfaces and the cylinder between them.
 
-Each optical surface is a tensor spline of degree 5 over azimuth and share of the radius, with as many equal
-intervals as its measured error asks for; the edge is ruled between their rims. OCP is imported where used.
+Each optical surface is a tensor-product spline of degree 5 over azimuth and normalized radius, with as many
+equal intervals as its measured error requires. The edge is a ruled surface between the rims. OCP is imported
+inside the functions.
 """
 
 from __future__ import annotations
@@ -20,17 +21,16 @@ DEGREE = 5
 ERROR_MM = 1e-7
 """Largest distance of a spline surface from the exact one."""
 
-FEWEST_INTERVALS, MOST_INTERVALS = 32, 256
+MIN_INTERVALS, MAX_INTERVALS = 32, 256
 
 
 def freeform_solid(element: Element) -> Any:
-    """The body as a closed solid (a TopoDS_Shape); its faces are front surface, edge and back surface.
+    """Return the body as a closed solid (a TopoDS_Shape) with the faces front surface, edge, back surface.
 
     Raises
     ------
     InputError
-        If it has flats, bevels or a flange, which would follow a rim that is not level, or a surface cannot
-        be followed.
+        If the body has flat rings, bevels or a flange, or if a surface cannot be approximated.
     """
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakeSolid, BRepBuilderAPI_Sewing
     from OCP.BRepLib import BRepLib
@@ -38,7 +38,7 @@ def freeform_solid(element: Element) -> Any:
 
     if any(len(end) for end in element.ends) or element.edge.flange is not None:
         raise InputError(
-            "a STEP file has flat rings, bevels and flanges of bodies of revolution only; leave them out"
+            "a STEP file supports flat rings, bevels and flanges for bodies of revolution only; remove them"
         )
     sides = tuple(zip(element.surfaces, (element.front, element.back), strict=True))
     intervals = max(_intervals(meridian, index) for index, meridian in sides)
@@ -58,72 +58,76 @@ def freeform_solid(element: Element) -> Any:
 
 
 def surface_error_mm(points: Array, meridian: SurfaceMeridian) -> float:
-    """Largest distance of points, shape (n, 3), from a surface, to first order in that distance."""
+    """Return the largest distance of points, shape (n, 3), from a surface in mm, to first order."""
     z, by_x, by_y = meridian.surface.shape.sag_and_slopes(points[:, 0], points[:, 1])
     off = (points[:, 2] - meridian.vertex_z_mm - z) / np.sqrt(1.0 + by_x**2 + by_y**2)
     return float(np.max(np.abs(off)))
 
 
 def surface_spline(meridian: SurfaceMeridian, intervals: int) -> tuple[Array, Array, Array]:
-    """Knots round the axis and along the radius, both from 0 to 1, and control points in mm.
+    """Return knots around the axis and along the radius, both from 0 to 1, and control points in mm.
 
     Along the radius the surface is interpolated over whole diameters, so that it is as smooth at the vertex
-    as elsewhere; round the axis over three turns, of which the middle one is kept.
+    as elsewhere. Around the axis it is interpolated over three revolutions; the middle one is used.
     """
     from scipy.interpolate import make_interp_spline
 
-    shares = np.linspace(-1.0, 1.0, 2 * intervals + 1)[:, None]
-    turns = np.linspace(-1.0, 2.0, 3 * intervals + 1)
-    x, y = (meridian.end_mm * shares * part(2.0 * math.pi * turns) for part in (np.cos, np.sin))
-    # The outermost points lie on the rim, whatever rounding says.
+    fractions = np.linspace(-1.0, 1.0, 2 * intervals + 1)[:, None]
+    azimuths = np.linspace(-1.0, 2.0, 3 * intervals + 1)
+    x, y = (meridian.end_mm * fractions * axis(2.0 * math.pi * azimuths) for axis in (np.cos, np.sin))
+    # Rounding must not move the outermost points beyond the rim.
     edge = meridian.surface.shape.edge_radius_mm * (1.0 - 1e-15)
     within = np.minimum(1.0, edge / np.maximum(np.hypot(x, y), 1e-300))
     points = np.stack([x, y, meridian.surface.shape.sag(within * x, within * y)], axis=-1)
-    along, points = _cut(make_interp_spline(shares[:, 0], points, k=DEGREE), 0.0, 1.0)
-    around, poles = _cut(make_interp_spline(turns, np.moveaxis(points, 1, 0), k=DEGREE), 0.0, 1.0)
+    along, points = _restrict(make_interp_spline(fractions[:, 0], points, k=DEGREE), 0.0, 1.0)
+    around, poles = _restrict(make_interp_spline(azimuths, np.moveaxis(points, 1, 0), k=DEGREE), 0.0, 1.0)
     poles[:, 0] = 0.0
     poles[-1] = poles[0]
     poles[..., 2] += meridian.vertex_z_mm
     return around, along, poles
 
 
-def _cut(spline: Any, start: float, end: float) -> tuple[Array, Array]:
-    """Knots and control points of the part of a spline between two of its knots."""
-    for at in (start, end):
-        held = int(np.count_nonzero(np.abs(spline.t - at) < 1e-12))
-        if held < DEGREE:
-            at = float(spline.t[np.argmin(np.abs(spline.t - at))])
-            spline = spline.insert_knot(at, DEGREE - held)
-    first, last = (int(np.argmax(np.abs(spline.t - at) < 1e-12)) for at in (start, end))
+def _restrict(spline: Any, start: float, end: float) -> tuple[Array, Array]:
+    """Return knots and control points of a spline restricted to the range between two of its knots."""
+    for knot in (start, end):
+        multiplicity = int(np.count_nonzero(np.abs(spline.t - knot) < 1e-12))
+        if multiplicity < DEGREE:
+            knot = float(spline.t[np.argmin(np.abs(spline.t - knot))])
+            spline = spline.insert_knot(knot, DEGREE - multiplicity)
+    first, last = (int(np.argmax(np.abs(spline.t - knot) < 1e-12)) for knot in (start, end))
     inner = spline.t[first + DEGREE : last]
     knots = np.concatenate([np.full(DEGREE + 1, start), inner, np.full(DEGREE + 1, end)])
     return knots, np.array(spline.c[first - 1 : last])
 
 
 def _intervals(meridian: SurfaceMeridian, index: int) -> int:
-    """How many a surface needs, round the axis as along its radius."""
+    """Return the number of intervals that a surface needs, both around the axis and along its radius."""
     from scipy.interpolate import BSpline
 
-    intervals, error = FEWEST_INTERVALS, math.inf
-    while intervals <= MOST_INTERVALS:
+    intervals, error = MIN_INTERVALS, math.inf
+    while intervals <= MAX_INTERVALS:
         around, along, poles = surface_spline(meridian, intervals)
-        by_turn = BSpline.design_matrix(np.linspace(0.0, 1.0, 7 * intervals + 3), around, DEGREE).toarray()
-        by_share = BSpline.design_matrix(np.linspace(0.0, 1.0, 7 * intervals + 3), along, DEGREE).toarray()
-        rim = by_turn @ poles[:, -1]
-        inside = np.einsum("ui,ijk,tj->utk", by_turn, poles, by_share[:-1], optimize=True)
+        azimuth_basis = BSpline.design_matrix(
+            np.linspace(0.0, 1.0, 7 * intervals + 3), around, DEGREE
+        ).toarray()
+        radius_basis = BSpline.design_matrix(
+            np.linspace(0.0, 1.0, 7 * intervals + 3), along, DEGREE
+        ).toarray()
+        rim = azimuth_basis @ poles[:, -1]
+        inside = np.einsum("ui,ijk,tj->utk", azimuth_basis, poles, radius_basis[:-1], optimize=True)
         reach = np.abs(np.hypot(rim[:, 0], rim[:, 1]) - meridian.end_mm)
         error = max(surface_error_mm(inside.reshape(-1, 3), meridian), float(np.max(reach)))
         if error <= ERROR_MM:
             return intervals
         intervals *= 2
     raise InputError(
-        f"surface {index + 1} cannot be followed within {ERROR_MM:g} mm by {MOST_INTERVALS} intervals: "
+        f"surface {index + 1} cannot be approximated within {ERROR_MM:g} mm by {MAX_INTERVALS} intervals: "
         f"{error:.3g} mm reached"
     )
 
 
 def _surface(poles: Array, around: Array, along: Array, degree: int) -> Any:
-    """A Geom_BSplineSurface of degree 5 round the axis."""
+    """Return a Geom_BSplineSurface of degree 5 around the axis."""
     from OCP.collections import Array1_double, Array1_int, Array2_gp_Pnt
     from OCP.Geom import Geom_BSplineSurface
     from OCP.gp import gp_Pnt
@@ -134,10 +138,10 @@ def _surface(poles: Array, around: Array, along: Array, degree: int) -> Any:
     arguments = []
     for knots in (around, along):
         values, counts = np.unique(knots, return_counts=True)
-        own, many = Array1_double(1, len(values)), Array1_int(1, len(values))
-        for number, (value, count) in enumerate(zip(values, counts, strict=True), start=1):
-            own.SetValue(number, float(value))
-            many.SetValue(number, int(count))
-        arguments.append((own, many))
-    (u, many_u), (v, many_v) = arguments
-    return Geom_BSplineSurface(net, u, v, many_u, many_v, DEGREE, degree)
+        distinct, multiplicities = Array1_double(1, len(values)), Array1_int(1, len(values))
+        for index, (value, count) in enumerate(zip(values, counts, strict=True), start=1):
+            distinct.SetValue(index, float(value))
+            multiplicities.SetValue(index, int(count))
+        arguments.append((distinct, multiplicities))
+    (u, multiplicities_u), (v, multiplicities_v) = arguments
+    return Geom_BSplineSurface(net, u, v, multiplicities_u, multiplicities_v, DEGREE, degree)

@@ -1,4 +1,4 @@
-"""STEP files (ISO 10303-21, application protocol 214) of named solids, by OCP: written, and read back."""
+"""Writing and reading of STEP files (ISO 10303-21, application protocol 214) of named solids by OCP."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from typing import Any
 
 from lensdesign.errors import InputError
 
-NO_OCP = "STEP files need OCP, release 8 or later: pip install 'transferlens[cad]'"
+_OCP_MISSING = "STEP files need OCP, release 8 or later: pip install 'transferlens[cad]'"
 
 STEP_SUFFIXES = (".step", ".stp")
 
-TIME_STAMP = "1970-01-01T00:00:00"
-"""Always the same, so that the same lens gives the same file."""
+_TIME_STAMP = "1970-01-01T00:00:00"
+"""Constant time stamp, so that the same lens yields identical files."""
 
-TEXT = re.compile(r"'[^']*'")
-NOT_PLAIN = re.compile(r"[^ -\[\]-~]|'(?= *[),])")
-USE_OF_PART = re.compile(r"^(#\d+ = NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(?=')", re.MULTILINE)
+_QUOTED_TEXT = re.compile(r"'[^']*'")
+_ESCAPED = re.compile(r"[^ -\[\]-~]|'(?= *[),])")
+_COMPONENT_USE = re.compile(r"^(#\d+ = NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(?=')", re.MULTILINE)
 
 
 def require_ocp() -> None:
-    """Refuse to go on where OCP is missing or too old.
+    """Check that OCP is installed.
 
     Raises
     ------
     InputError
-        Saying what to install.
+        If OCP is missing or too old. The message names the package to install.
     """
     from importlib import import_module
 
@@ -37,17 +37,17 @@ def require_ocp() -> None:
         for name in ("OCP", "OCP.collections", "OCP.STEPCAFControl"):
             import_module(name)
     except ImportError as error:
-        raise InputError(f"{NO_OCP} ({error})") from error
+        raise InputError(f"{_OCP_MISSING} ({error})") from error
 
 
 def step_text(text: str) -> str:
-    r"""A text in the alphabet of ISO 10303-21: all but plain ASCII as \X2\ and \X4\ directives.
+    r"""Return a text in the alphabet of ISO 10303-21, with other characters as \X2\ and \X4\ directives.
 
-    A backslash is written that way too, since OCP takes some for directives. Apostrophes it doubles itself,
-    but readers built on it take one before a bracket or a comma for the end of the text. A NUL, which ends a
-    text for many readers, becomes U+FFFD.
+    A backslash is escaped, too, because OCP interprets some as directives. OCP doubles apostrophes, but
+    readers based on OCP treat one before a bracket or a comma as the end of the text; these are escaped. A
+    NUL, which ends a text for many readers, becomes U+FFFD.
     """
-    return NOT_PLAIN.sub(lambda match: _directive(ord(match[0]) or 0xFFFD), text)
+    return _ESCAPED.sub(lambda match: _directive(ord(match[0]) or 0xFFFD), text)
 
 
 def _directive(code: int) -> str:
@@ -56,7 +56,7 @@ def _directive(code: int) -> str:
 
 @contextmanager
 def silent_ocp() -> Iterator[None]:
-    """Keep OCP's statistics off the terminal meanwhile."""
+    """Suppress OCP's output to the terminal within the context."""
     from OCP.Message import Message
 
     messenger = Message.DefaultMessenger_s()
@@ -72,10 +72,7 @@ def silent_ocp() -> Iterator[None]:
 
 @contextmanager
 def ocp_errors(subject: str) -> Iterator[None]:
-    """Turn what OCP raises into an InputError; its kinds of errors have no base of their own.
-
-    Errors of ours come out with the subject before them.
-    """
+    """Convert exceptions of OCP, which have no common base class, to an InputError that names a subject."""
     try:
         yield
     except InputError as error:
@@ -83,26 +80,26 @@ def ocp_errors(subject: str) -> Iterator[None]:
     except Exception as error:
         if not type(error).__module__.startswith("OCP."):
             raise
-        raise InputError(f"{subject}: OCP gives up: {error}") from error
+        raise InputError(f"{subject}: OCP failed: {error}") from error
 
 
 def write_solids(
     solids: Sequence[Any], names: Sequence[str], title: str, path: Path, statement: str = ""
 ) -> None:
-    """Write named solids in mm: one as a part, several as an assembly under the title.
+    """Write named solids in mm: a single one as a part, several as an assembly with the title as its name.
 
     Parameters
     ----------
     solids
         Shapes of OCP, in mm.
     names
-        Of the products, one for each solid.
+        Names of the products, one for each solid.
     title
-        Goes into the header.
+        Title of the lens, for the header.
     path
         File to write.
     statement
-        Goes into the description of the header.
+        Comment for the description of the header (default: none).
 
     Raises
     ------
@@ -117,9 +114,9 @@ def write_solids(
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
-        raise InputError("OCP takes names of files in UTF-8 alone") from error
+        raise InputError("OCP requires a file name in UTF-8") from error
     writer = STEPCAFControl_Writer()
-    # The program that called may have set others; they hold for the whole process.
+    # These settings are global; the calling program may have changed them.
     Interface_Static.SetCVal_s("write.step.unit", "MM")
     Interface_Static.SetCVal_s("write.step.schema", "AP214IS")
     document = _document(title, solids, names)
@@ -127,7 +124,7 @@ def write_solids(
     _write_header(writer.ChangeWriter().Model(), title, statement)
     if not written or writer.Write(str(path)) != IFSelect_ReturnStatus.IFSelect_RetDone:
         raise InputError("OCP could not write the solids")
-    path.write_text(_tidied(path.read_text(encoding="ascii")), encoding="ascii")
+    path.write_text(_normalized(path.read_text(encoding="ascii")), encoding="ascii")
 
 
 def _write_header(model: Any, title: str, statement: str) -> None:
@@ -136,7 +133,7 @@ def _write_header(model: Any, title: str, statement: str) -> None:
 
     header = APIHeaderSection_MakeHeader(model)
     header.SetName(TCollection_HAsciiString(step_text(title)))
-    header.SetTimeStamp(TCollection_HAsciiString(TIME_STAMP))
+    header.SetTimeStamp(TCollection_HAsciiString(_TIME_STAMP))
     description = "glass of a lens, lengths in mm" + (f"; {statement}" if statement else "")
     header.SetDescriptionValue(1, TCollection_HAsciiString(step_text(description)))
     header.SetAuthorValue(1, TCollection_HAsciiString(""))
@@ -145,15 +142,15 @@ def _write_header(model: Any, title: str, statement: str) -> None:
     header.SetAuthorisation(TCollection_HAsciiString(""))
 
 
-def _tidied(text: str) -> str:
-    """A file without what other readers may trip over, and without traces of what was written before it.
+def _normalized(text: str) -> str:
+    """Return the text of a file with unbroken strings and with components numbered from 1.
 
-    OCP breaks long texts into lines, even within a directive, and numbers the uses of parts on and on for as
-    long as the process lives.
+    OCP breaks long strings into lines, even within a directive, and numbers components continuously over all
+    files of a process.
     """
-    text = TEXT.sub(lambda match: match[0].replace("\n", ""), text)
-    number = count(1)
-    return USE_OF_PART.sub(lambda match: f"{match[1]}{next(number)}", text)
+    text = _QUOTED_TEXT.sub(lambda match: match[0].replace("\n", ""), text)
+    index = count(1)
+    return _COMPONENT_USE.sub(lambda match: f"{match[1]}{next(index)}", text)
 
 
 def _document(title: str, solids: Sequence[Any], names: Sequence[str]) -> Any:
@@ -163,25 +160,25 @@ def _document(title: str, solids: Sequence[Any], names: Sequence[str]) -> Any:
     from OCP.TopLoc import TopLoc_Location
     from OCP.XCAFDoc import XCAFDoc_DocumentTool
 
-    def name_it(label: Any, name: str) -> None:
+    def set_name(label: Any, name: str) -> None:
         TDataStd_Name.Set_s(label, TCollection_ExtendedString(step_text(name)))
 
     document = TDocStd_Document(TCollection_ExtendedString("XmlXCAF"))
     tool = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
-    parts = [tool.AddShape(solid, False) for solid in solids]
-    for part, name in zip(parts, names, strict=True):
-        name_it(part, name)
-    if len(parts) > 1:
+    labels = [tool.AddShape(solid, False) for solid in solids]
+    for label, name in zip(labels, names, strict=True):
+        set_name(label, name)
+    if len(labels) > 1:
         assembly = tool.NewShape()
-        name_it(assembly, title or "lens")
-        for part, name in zip(parts, names, strict=True):
-            name_it(tool.AddComponent(assembly, part, TopLoc_Location()), name)
+        set_name(assembly, title or "lens")
+        for label, name in zip(labels, names, strict=True):
+            set_name(tool.AddComponent(assembly, label, TopLoc_Location()), name)
         tool.UpdateAssemblies()
     return document
 
 
 def read_solids(path: Path) -> list[Any]:
-    """Solids of a STEP file, in its order, in mm.
+    """Return the solids of a STEP file in their order, in mm.
 
     Raises
     ------
@@ -203,11 +200,11 @@ def read_solids(path: Path) -> list[Any]:
         raise InputError(f"the file's unit of length is {', '.join(sorted(units)) or 'missing'}, not mm")
     reader.SetSystemLengthUnit(1.0)
     reader.TransferRoots()
-    return parts_of(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_SOLID)
+    return subshapes(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_SOLID)
 
 
-def parts_of(shape: Any, kind: Any) -> list[Any]:
-    """All parts of one kind (of TopAbs_ShapeEnum) in a shape."""
+def subshapes(shape: Any, kind: Any) -> list[Any]:
+    """Return all subshapes of one kind (of TopAbs_ShapeEnum)."""
     from OCP.TopExp import TopExp_Explorer
 
     explorer, found = TopExp_Explorer(shape, kind), []

@@ -1,8 +1,8 @@
-"""Glass bodies as boundary representations: a meridian turned about the axis, by OCP.
+"""Boundary representations of rotationally symmetric glass bodies by OCP: a meridian rotated about the axis.
 
-Planes and spheres are what they are called; other conics have a rational quadratic Bezier meridian, which is
-exact (Farin, Curves and Surfaces for CAGD, 5th ed., chapter 12); even aspheres have a spline meridian of
-degree 5, knots enough to come as near as asked. OCP is imported where it is used.
+Planes and spheres are native surfaces. Other conics have a rational quadratic Bezier meridian, which is exact
+(Farin, Curves and Surfaces for CAGD, 5th ed., chapter 12). Even aspheres have a spline meridian of degree 5
+with as many knots as the allowed error requires. OCP is imported inside the functions.
 """
 
 from __future__ import annotations
@@ -22,27 +22,24 @@ ASPHERE_ERROR_MM = 1e-7
 """Largest distance of an even asphere's spline from its meridian."""
 
 EXACT = ("plane", "sphere", "conic")
-"""What a file holds without a spline."""
+"""Shapes that a file represents exactly, without a spline."""
 
 SPLINE_DEGREE = 5
-MOST_INTERVALS = 2000
-
-LARGEST_SPHERE_MM = 1e3
-"""Radius beyond which a sphere is written by its meridian: of 13 digits, the centre would cost too many."""
+MAX_INTERVALS = 2000
 
 SHORTEST_EDGE_MM = 1e-6
-"""Ten times the length that the kernel takes for nothing."""
+"""Shortest edge of a solid: ten times the length that the kernel treats as zero."""
 
 
 def element_solid(element: Element) -> Any:
-    """One body of glass as a closed solid (a TopoDS_Shape).
+    """Return one glass body as a closed solid (a TopoDS_Shape).
 
-    Its faces are, in this order, the front surface, one for each segment of the rim, the back surface.
+    Its faces are, in this order, the front surface, one face for each segment of the rim, the back surface.
 
     Raises
     ------
     InputError
-        If an even asphere cannot be followed, or the rim is too short for a solid.
+        If an even asphere cannot be approximated, or the rim is too short for a solid.
     """
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakeWire
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeRevol
@@ -61,12 +58,12 @@ def element_solid(element: Element) -> Any:
 
 
 def rim_corners(element: Element) -> Array:
-    """Radial height and z of the rim's corners, without those that no kernel can tell apart.
+    """Return radial height and z of the rim's corners without those that coincide for the kernel.
 
     Raises
     ------
     InputError
-        If nothing of the rim is left.
+        If the whole rim is too short.
     """
     first, *between, last = np.asarray(element.rim, float)
     kept = [first]
@@ -82,22 +79,23 @@ def rim_corners(element: Element) -> Array:
 
 
 def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
-    """Control points and weights of a conic's meridian, from the vertex to its end.
+    """Return control points and weights of a conic's meridian, from the vertex to its end.
 
-    With q = sqrt(1 - (1 + k) c^2 r^2) at the end, the end's tangent meets the vertex's at the height
-    r / (1 + q), and the weight of that point is sqrt((1 + q) / 2): the cosine of half the eccentric angle on
-    an ellipse, 1 on a parabola, a hyperbolic cosine on a hyperbola. It is never below sqrt(1/2), which is at
-    the equator, so one piece will do for every conic.
+    With q = sqrt(1 - (1 + k) c^2 r^2) at the end, the tangents of end and vertex meet at the height
+    r / (1 + q). The weight of that point is sqrt((1 + q) / 2): the cosine of half the eccentric angle on an
+    ellipse, 1 on a parabola, a hyperbolic cosine on a hyperbola. It is at least sqrt(1/2), reached at the
+    equator, so one Bezier segment suffices for every conic.
 
     Returns
     -------
     points : ndarray, shape (3, 2)
         Radial height and z in mm.
     weights : ndarray, shape (3,)
+        Weights of the control points.
     """
     c, conic, r = *meridian.shape.terms[:2], meridian.end_mm
     equator = meridian.shape.edge_radius_mm
-    # By the angle, as the meridian has it: near the equator rounding would part the ends otherwise.
+    # The meridian uses the same angle; another formula would differ by rounding near the equator.
     q = (
         math.cos(math.asin(min(1.0, r / equator)))
         if math.isfinite(equator)
@@ -109,40 +107,40 @@ def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
 
 
 def asphere_spline(meridian: SurfaceMeridian, error_mm: float = ASPHERE_ERROR_MM) -> tuple[Array, Array]:
-    """Knots and control points of a spline of degree 5 that follows an even asphere's meridian.
+    """Return knots and control points of a spline of degree 5 that approximates an even asphere's meridian.
 
-    It interpolates the meridian and its mirror image, so that the surface is as smooth at the vertex as
-    elsewhere (four continuous derivatives), and has as many equal intervals as its measured error asks for.
+    The spline interpolates the meridian and its mirror image, so that the surface is as smooth at the vertex
+    as elsewhere (four continuous derivatives). It has as many equal intervals as its measured error requires.
 
     Parameters
     ----------
     meridian
-        From the vertex to its end.
+        Meridian from the vertex to its end.
     error_mm
-        Largest distance allowed between spline and meridian.
+        Largest allowed distance between spline and meridian in mm (default: 1e-7).
 
     Returns
     -------
     knots : ndarray
-        From 0 to 1, those at the ends repeated six times.
+        Knots from 0 to 1; those at the ends are repeated six times.
     points : ndarray, shape (len(knots) - 6, 2)
-        Radial height and z in mm.
+        Radial height and z of the control points in mm.
 
     Raises
     ------
     InputError
-        If 2000 intervals will not do.
+        If 2000 intervals do not suffice.
     """
     intervals, error = 8, math.inf
-    while intervals <= MOST_INTERVALS:
+    while intervals <= MAX_INTERVALS:
         knots, points = _half_spline(meridian, intervals)
         error = _spline_error(meridian, knots, points)
         if error <= error_mm:
             return knots, points
         intervals += intervals // 2
     raise InputError(
-        f"the even asphere cannot be followed within {error_mm:g} mm by {MOST_INTERVALS} spline intervals: "
-        f"{error:.3g} mm reached"
+        f"the even asphere cannot be approximated within {error_mm:g} mm by {MAX_INTERVALS} spline "
+        f"intervals: {error:.3g} mm reached"
     )
 
 
@@ -151,7 +149,7 @@ def _half_spline(meridian: SurfaceMeridian, intervals: int) -> tuple[Array, Arra
 
     degree = SPLINE_DEGREE
     half = meridian.points(np.linspace(0.0, 1.0, intervals + 1))
-    # From the vertex, so that the sag keeps its digits however far off the vertex is.
+    # Sag is measured from the vertex so that a distant vertex does not cost precision.
     half[:, 1] -= meridian.vertex_z_mm
     half[0], half[-1, 0] = 0.0, meridian.end_mm
     whole = np.concatenate([half[:0:-1] * [-1.0, 1.0], half])
@@ -175,13 +173,14 @@ def _spline_error(meridian: SurfaceMeridian, knots: Array, points: Array) -> flo
 
 
 def _optical_edge(meridian: SurfaceMeridian, index: int) -> Any:
-    """Meridian of an optical surface as a TopoDS_Edge in the plane y = 0."""
+    """Return the meridian of an optical surface as a TopoDS_Edge in the plane y = 0."""
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
 
     shape = meridian.shape
     if shape.kind == "plane":
         return _straight_edge((0.0, meridian.vertex_z_mm), meridian.points(1.0))
-    if shape.kind == "sphere" and abs(shape.curvature) >= 1.0 / LARGEST_SPHERE_MM:
+    # A file holds 13 digits: beyond a radius of 1 m the centre of an arc would be too imprecise.
+    if shape.kind == "sphere" and abs(shape.curvature) >= 1e-3:
         return _arc(meridian)
     if shape.kind in EXACT:
         return BRepBuilderAPI_MakeEdge(_bezier_curve(*conic_bezier(meridian))).Edge()
@@ -193,7 +192,7 @@ def _optical_edge(meridian: SurfaceMeridian, index: int) -> Any:
 
 
 def _arc(meridian: SurfaceMeridian) -> Any:
-    """Arc of a sphere's meridian, from the vertex."""
+    """Return the arc of a sphere's meridian, from the vertex."""
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
     from OCP.gp import gp_Ax2, gp_Circ, gp_Dir
 
@@ -221,8 +220,8 @@ def _points(points: Array) -> Any:
     from OCP.collections import Array1_gp_Pnt
 
     result = Array1_gp_Pnt(1, len(points))
-    for number, point in enumerate(points, start=1):
-        result.SetValue(number, _point(point))
+    for index, point in enumerate(points, start=1):
+        result.SetValue(index, _point(point))
     return result
 
 
@@ -230,8 +229,8 @@ def _numbers(values: Array) -> Any:
     from OCP.collections import Array1_double
 
     result = Array1_double(1, len(values))
-    for number, value in enumerate(values, start=1):
-        result.SetValue(number, float(value))
+    for index, value in enumerate(values, start=1):
+        result.SetValue(index, float(value))
     return result
 
 
@@ -247,6 +246,6 @@ def _spline_curve(knots: Array, points: Array) -> Any:
 
     values, counts = np.unique(knots, return_counts=True)
     multiplicities = Array1_int(1, len(counts))
-    for number, count in enumerate(counts, start=1):
-        multiplicities.SetValue(number, int(count))
+    for index, count in enumerate(counts, start=1):
+        multiplicities.SetValue(index, int(count))
     return Geom_BSplineCurve(_points(points), _numbers(values), multiplicities, SPLINE_DEGREE)

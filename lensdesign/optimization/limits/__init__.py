@@ -1,1 +1,1 @@
-"""How far a specification can be taken: limits of field, aperture, pixel and tolerances."""
+"""Feasibility limits of a specification: field, aperture, pixel pitch and tolerances."""

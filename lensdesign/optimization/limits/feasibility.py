@@ -1,4 +1,4 @@
-"""How much of a specification that could not be met can be: field, aperture, lenses as built."""
+"""Feasibility limit of a specification that could not be met: field, aperture, lenses as built."""
 
 from __future__ import annotations
 
@@ -18,29 +18,26 @@ from lensdesign.optimization.operands.operand import KEPT
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.specification import Specification
 
-AS_BUILT_EVALUATIONS = 3000
-"""Most evaluations of the search for the best lens as built."""
-
 
 @dataclass(frozen=True)
 class FeasibilityLimit:
-    """What can be met, everything else being as it was asked for; None where nothing was found.
+    """Largest feasible values, each with all other requirements unchanged; None where nothing was found.
 
     Attributes
     ----------
     field_diameter_mm
-        Largest field at the numerical aperture asked for.
+        Largest field at the required numerical aperture.
     numerical_aperture
-        Largest numerical aperture over the field asked for.
+        Largest numerical aperture over the required field.
     good
-        Largest predicted yield, where it is this that was missed.
+        Largest predicted yield, if only constraints on lenses as built were violated.
     as_built_rms_waves
-        Smallest predicted root mean square, likewise.
+        Smallest predicted root mean square, if only constraints on lenses as built were violated.
     nominal
-        Whether field and aperture are those of lenses as designed, although the specification also asks for
-        something of lenses as built.
+        Whether field and aperture are those of lenses as designed, without the constraints on lenses as
+        built.
     limits
-        The limits behind the first two, and how sure they are.
+        Limits of field and aperture with their confidence.
     """
 
     field_diameter_mm: float | None = None
@@ -50,36 +47,38 @@ class FeasibilityLimit:
     nominal: bool = False
     limits: tuple[Limit, ...] = ()
 
-    def in_words(self, asked: ObjectSpace) -> str:
-        """Return what can be met of what was asked, as messages say it."""
+    def in_words(self, required: ObjectSpace) -> str:
+        """Return the feasible values as text for messages."""
         if not self.nominal and any(one.reached == one.asked for one in self.limits):
             return "a lens that meets the specification was found by raising another value; allow more starts"
-        parts = []
+        values = []
         if self.good is not None:
-            parts.append(f"a predicted yield of {self.good:.3f}")
+            values.append(f"a predicted yield of {self.good:.3f}")
         if self.as_built_rms_waves is not None:
-            parts.append(f"a predicted as-built rms of {self.as_built_rms_waves:.4f} waves")
+            values.append(f"a predicted as-built rms of {self.as_built_rms_waves:.4f} waves")
         if self.field_diameter_mm is not None:
             sure = self._confidence("field")
-            parts.append(
-                f"a field of {self.field_diameter_mm:.4g} mm at NA {asked.numerical_aperture:g}{sure}"
+            values.append(
+                f"a field of {self.field_diameter_mm:.4g} mm at NA {required.numerical_aperture:g}{sure}"
             )
         if self.numerical_aperture is not None:
             sure = self._confidence("numerical aperture")
-            parts.append(
-                f"NA {self.numerical_aperture:.4g} over a field of {asked.field_diameter_mm:g} mm{sure}"
+            values.append(
+                f"NA {self.numerical_aperture:.4g} over a field of {required.field_diameter_mm:g} mm{sure}"
             )
-        if not parts:
-            said = "; ".join(f"{one.name}: {one.confidence}" for one in self.limits)
-            return "no smaller field or aperture was found that can be met" + (f" ({said})" if said else "")
+        if not values:
+            reasons = "; ".join(f"{one.name}: {one.confidence}" for one in self.limits)
+            return "no smaller field or aperture was found that can be met" + (
+                f" ({reasons})" if reasons else ""
+            )
         nominal = " (as designed, without what is asked of lenses as built)" if self.nominal else ""
-        return f"can be met, and no more was found: {', or '.join(parts)}{nominal}"
+        return f"can be met, and no more was found: {', or '.join(values)}{nominal}"
 
     def _confidence(self, name: str) -> str:
         return next((f" ({one.confidence})" for one in self.limits if one.name == name), "")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the values as plain data, without lenses."""
+        """Return plain data for JSON, without lenses."""
         return vars(self) | {"limits": [one.as_dict() for one in self.limits]}
 
 
@@ -96,19 +95,19 @@ def feasibility_limit(
     Parameters
     ----------
     specification
-        One that could not be met.
+        Specification that could not be met.
     base, glasses, point
-        The lens with its choice of glasses, the name of that choice, and the point of the unit box, that
-        came nearest.
+        The lens with the best choice of glasses, the name of that choice, and the point of the unit box with
+        the smallest violation.
     seed
-        For the random starts.
+        Seed of the random starts.
     report
-        Called with a line of text at each step.
+        Progress callback, called with a line of text at each step (default: none).
 
     Raises
     ------
     LimitsInterrupted
-        If it is interrupted; a deadline only leaves limits that are not confirmed.
+        If the search is interrupted. After a deadline, the limits are returned as not confirmed.
     """
     limits = specification.constraints
     nominal = limits.min_yield is not None or limits.max_as_built_rms_waves is not None
@@ -128,7 +127,7 @@ def feasibility_limit(
 
 
 def feasibility_limit_of(limits: tuple[Limit, ...], nominal: bool = False) -> FeasibilityLimit:
-    """Return limits of field and aperture as a reach."""
+    """Return the feasibility limit for limits of field and aperture."""
     values = {one.name: one.reached for one in limits}
     return FeasibilityLimit(
         values.get("field"), values.get("numerical aperture"), nominal=nominal, limits=limits
@@ -136,23 +135,24 @@ def feasibility_limit_of(limits: tuple[Limit, ...], nominal: bool = False) -> Fe
 
 
 def _nominal(specification: Specification, goal: str = "thinnest lens") -> Specification:
-    """The specification with another goal, and nothing asked of lenses as built."""
+    """Return the specification with another goal and without constraints on lenses as built."""
     settings = specification.optimize.replaced(goal=goal)
     return specification.without_as_built().model_copy(update={"optimize": settings})
 
 
 def _best_as_built(specification: Specification, base: Lens, point: Array) -> FeasibilityLimit | None:
-    """What was missed as built, as good as it gets; None where it is not that alone."""
-    asked = specification.constraints
+    """Return the best values of lenses as built; None if other constraints are violated, too."""
+    limits = specification.constraints
+    most_evaluations = 3000
     best: dict[str, float] = {}
-    for key, goal, wanted in (
-        ("good", "yield", asked.min_yield),
-        ("as_built_rms_waves", "as-built rms", asked.max_as_built_rms_waves),
+    for key, goal, limit in (
+        ("good", "yield", limits.min_yield),
+        ("as_built_rms_waves", "as-built rms", limits.max_as_built_rms_waves),
     ):
-        if wanted is None:
+        if limit is None:
             continue
         problem = DesignProblem(_nominal(specification, goal), base)
-        found = search_from(problem, point, Budget(AS_BUILT_EVALUATIONS), 0, lambda *_: None)
+        found = search_from(problem, point, Budget(most_evaluations), 0, lambda *_: None)
         if found.outcome.violation > KEPT:
             return None
         built = problem.predicted(found.outcome.point)

@@ -1,4 +1,4 @@
-"""Values of a specification whose limits can be sought: field, aperture, pixel pitch and tolerances."""
+"""Values of a specification that have a feasibility limit: field, aperture, pixel pitch and tolerances."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from lensdesign.optimization.specification.specification import Specification
 
 @dataclass(frozen=True)
 class Kind:
-    """A value whose limit can be sought.
+    """A value that has a feasibility limit.
 
     Attributes
     ----------
     name, unit
-        As :class:`Limit` has them.
+        Name of the value and its unit.
     asked
-        Returns the value in a specification.
+        Function that returns the value in a specification.
     changed
-        Returns the specification with another value.
+        Function that returns the specification with another value.
     """
 
     name: str
@@ -34,7 +34,7 @@ def _with_field(specification: Specification, value: float) -> Specification:
 
 
 def _with_aperture(specification: Specification, value: float) -> Specification:
-    """With another numerical aperture; a stop of fixed size is scaled with it."""
+    """Return the specification with another numerical aperture, and a fixed stop scaled accordingly."""
     changed = _with_object(specification, numerical_aperture=value)
     if specification.optimize.stop != "fixed":
         return changed
@@ -51,7 +51,7 @@ def _with_object(specification: Specification, **changes: float) -> Specificatio
 
 
 def _with_pitch(specification: Specification, pitch_um: float) -> Specification:
-    """With coarser pixels, which see a smaller spread (Eq. 2), on a sensor of the same size."""
+    """Return the specification with another pixel pitch on a sensor of the same size."""
     sensor = specification.sensor
     pixels = tuple(max(1, round(n * sensor.pixel_pitch_um / pitch_um)) for n in sensor.pixels)
     return specification.model_copy(
@@ -72,7 +72,7 @@ TOLERANCES = Kind("tolerances", "times", lambda s: 1.0, _with_tolerances)
 
 
 def kinds_of(specification: Specification) -> tuple[Kind, ...]:
-    """Return field, aperture, pixel and, where a yield is asked for, tolerances."""
+    """Return field, aperture, pixel pitch and, if the specification limits a yield, tolerances."""
     tolerances = specification.tolerances
     kinds = (FIELD, APERTURE, PITCH)
     if specification.constraints.min_yield is None or tolerances is None or tolerances.cost is not None:

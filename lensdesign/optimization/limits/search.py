@@ -1,12 +1,12 @@
-"""The largest field, aperture, pixel and tolerances for which a lens is found.
+"""The largest field, aperture, pixel pitch and tolerances for which a lens is found.
 
-Of one value of a specification the largest is sought for which a lens keeps every constraint. Fresh starts
-find a lens for some smaller value. From lens to lens the value is raised, each search starting from the lens
-before (continuation), until it cannot be raised further. Then independent starts find other lenses for four
-fifths of the value, and from these for a value just above. If one is found, the value is raised from there.
-If none is, this is the limit: confirmed by those starts, which is no proof. Lenses of two elements have
-several families with limits of their own, the best of which one start in fifteen may lead to; the number of
-starts grows with the number of variables.
+The search finds the largest value for which a lens meets every constraint. Random starts find a lens for a
+smaller value. The value is then raised step by step, each search starting from the previous lens
+(continuation), until no step succeeds. Then independent starts search lenses for four fifths of the value,
+and from these for a value just above it. If one is found, the value is raised from there. If none is found,
+the value is the limit, confirmed by those starts, which is not a proof. Lenses of two elements have several
+families with different limits, and only one start in fifteen may lead to the best family. The number of
+starts therefore grows with the number of variables.
 """
 
 from __future__ import annotations
@@ -32,68 +32,68 @@ from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
 from lensdesign.optimization.specification.specification import Specification, validate_possible
 
 RESOLUTION = 5e-4
-"""Relative step to which a limit is found."""
+"""Relative precision of a limit."""
 
 FIRST_STEP = 0.02
-"""Relative step by which a value is raised first; it is doubled after each lens that is found."""
+"""Relative size of the first step; it is doubled after each success."""
 
-SHARES = (0.75, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)
-"""Fractions of the value asked at which fresh starts look for a first lens."""
+FRACTIONS = (0.75, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)
+"""Fractions of the required value at which random starts search a first lens."""
 
 FRESH_STARTS = 6
-"""Fresh starts at each of these."""
+"""Number of random starts at each of these fractions."""
 
 EASIER = 0.8
-"""Fraction of the largest value at which independent starts find a lens before they look just above it."""
+"""Fraction of the largest value at which independent starts search a lens before they try just above it."""
 
 FEWEST_STARTS, MOST_STARTS, STARTS_OF_OTHERS = 12, 64, 6
-"""Independent starts with the best choice of glasses: for up to four variables, at most, and of each other
-choice; each variable more than four adds as many as the four together."""
+"""Independent starts: for up to four variables, at most, and for each other choice of glasses. Each variable
+above four adds as many as the first four together."""
 
 NEARBY_STARTS, NEARBY = 3, (0.03, 0.1, 0.2)
-"""Starts near the last lens, for each variable; their distances in turn, in ranges of the variables."""
+"""Starts near the last lens per variable, and their distances in turn, in ranges of the variables."""
 
 MOST_SEARCHES = 10
-"""Evaluations of a limit, over those of a search for one lens."""
+"""Evaluations of a limit, in multiples of those of the search for one lens."""
 
 EVALUATIONS = 1500
-"""Most evaluations of one search."""
+"""Largest number of evaluations of one search."""
 
 MOST_VERIFIED = 12
-"""Lenses that are checked at most, from the largest value down, until one passes."""
+"""Largest number of lenses that are checked, from the largest value down, until one passes."""
 
 MOST = 4.0
-"""Multiple of the value asked beyond which no limit is sought."""
+"""Multiple of the required value at which the search for a limit ends."""
 
 BINDING = 2e-3
-"""Constraints within this of their limit, scaled, bind at a limit."""
+"""A constraint is active at a limit if the absolute value of its scaled value is smaller than this."""
 
 Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest value of one kind for which a lens was found, everything else as asked.
+    """The largest value of one kind for which a lens was found, with everything else as specified.
 
     Attributes
     ----------
     name, unit
-        What is meant, and its unit.
+        Name of the value and its unit.
     asked
         Value in the specification; 1 for tolerances, which are multiplied.
     reached
-        Largest value for which a lens was found that passes the check; None where none was found.
+        Largest value with a lens that passes the check; None if none was found.
     ended
-        Whether larger values were tried and not met. False where the search ended at the largest multiple
-        of the value asked that it tries, or at the value asked itself.
+        True if larger values were tried without success. False if the search ended at the largest value that
+        it tries.
     starts
-        Independent starts, none of which found a lens above `reached`; where `reached` is None, starts at all
-        values that were tried.
+        Number of independent starts, none of which found a lens above `reached`; if `reached` is None, the
+        number of starts at all values.
     binding
-        Constraints and bounds that are reached there.
+        Active constraints and bounds at `reached`.
     cut
-        What stopped the search before it was confirmed: ``max_evaluations``, ``max_seconds`` or
-        ``interrupt``; empty where nothing did.
+        Limit that stopped the search before confirmation: ``max_evaluations``, ``max_seconds`` or
+        ``interrupt``; empty if there was none.
     lens
         The lens at `reached`.
     """
@@ -109,16 +109,17 @@ class Limit:
     lens: Lens | None = None
 
     def as_dict(self) -> dict[str, object]:
-        """Return the values as plain data, without the lens."""
+        """Return plain data for JSON, without the lens."""
         return {k: v for k, v in vars(self).items() if k != "lens"} | {"binding": list(self.binding)}
 
     @property
     def confidence(self) -> str:
-        """How sure the limit is, in words."""
+        """Reliability of the limit as text."""
         if self.cut:
             return f"not confirmed: {self.cut} stopped the search"
         if self.reached is None:
-            return f"{self.starts} starts found no lens down to {SHARES[-1]:g} times what is asked, not proof"
+            return f"{self.starts} starts found no lens down to {FRACTIONS[-1]:g} times what is asked, not "
+            "proof"
         if not self.ended:
             return "no larger value was tried"
         return f"{self.starts} independent starts found no lens above it, not proof"
@@ -130,7 +131,7 @@ class LimitsInterrupted(KeyboardInterrupt):
     Attributes
     ----------
     limits
-        What was found so far; the last may be unconfirmed.
+        Limits that were found; the last may be unconfirmed.
     """
 
     def __init__(self, limits: tuple[Limit, ...]) -> None:
@@ -146,25 +147,25 @@ def find_limits(
     near: Mapping[str, Array] | None = None,
     most: float = MOST,
 ) -> tuple[Limit, ...]:
-    """Find the largest field, aperture, pixel pitch and, where a yield is asked for, tolerances.
+    """Find the largest field, aperture, pixel pitch and, if a yield is limited, tolerances.
 
-    A deadline (:func:`lensdesign.common.deadlines.deadline`) stops the search; what it found by then is
-    returned, marked as not confirmed. Yields are those that are predicted; no trials are made.
+    A deadline (:func:`lensdesign.common.deadlines.deadline`) stops the search; its results so far are
+    returned and marked as not confirmed. Yields are predicted, without trials.
 
     Parameters
     ----------
     specification
-        What is asked. Its goal does not matter.
+        The specification. Its goal has no effect.
     report
-        Called with a line of text at each step.
+        Progress callback, called with a line of text at each step (default: none).
     seed
-        For the random starts.
+        Seed of the random starts.
     kinds
-        Which limits are sought; default: those of :func:`kinds_of`.
+        Values whose limits are searched (default: those of :func:`kinds_of`).
     near
-        A point of the unit box for some choices of glasses, by their names; a search may start there, too.
+        Further start points in the unit box, by the name of their choice of glasses (default: none).
     most
-        Multiple of the value asked beyond which no limit is sought.
+        Multiple of the required value at which the search ends.
 
     Returns
     -------
@@ -174,7 +175,7 @@ def find_limits(
     Raises
     ------
     LimitsInterrupted
-        If it is interrupted.
+        If the search is interrupted.
     """
     specification = _without_as_built_goal(specification)
     limits: list[Limit] = []
@@ -189,12 +190,12 @@ def find_limits(
 
 
 def _confirming_starts(variables: int) -> int:
-    """How many independent starts confirm a limit with one choice of glasses."""
+    """Return the number of independent starts that confirm a limit with the best choice of glasses."""
     return min(max(variables - 3, 1) * FEWEST_STARTS, MOST_STARTS)
 
 
 def _without_as_built_goal(specification: Specification) -> Specification:
-    """With another goal in place of one of lenses as built, whose predictions take most of the time."""
+    """Return the specification with a fast goal in place of one on lenses as built."""
     if specification.optimize.goal not in AS_BUILT_GOALS:
         return specification
     settings = specification.optimize.replaced(goal="thinnest lens")
@@ -203,7 +204,7 @@ def _without_as_built_goal(specification: Specification) -> Specification:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """A lens that keeps every constraint: a point of the unit box of one choice of glasses."""
+    """A lens that meets every constraint: a point of the unit box of one choice of glasses."""
 
     value: float
     glasses: str
@@ -211,7 +212,7 @@ class _End:
 
 
 class _BudgetSpent(Exception):
-    """The evaluations of the specification are used up."""
+    """Raised when the evaluations of the specification are used up."""
 
 
 @dataclass
@@ -238,7 +239,7 @@ class _LimitSearch:
         self.seeds = itertools.count(self.seed * 1_000_003)
 
     def run(self) -> Limit:
-        """Find the limit, or what can be said of it until something stops the search."""
+        """Return the limit, or the best value so far if the search is stopped."""
         cut = ""
         try:
             self._first()
@@ -268,20 +269,20 @@ class _LimitSearch:
         return Limit(kind.name, kind.unit, self.asked, value, ended, self.starts, binding, cut, lens)
 
     def _first(self) -> None:
-        """A first lens: as asked, or for less; from what is known, and from fresh starts."""
-        shares = SHARES if self.most <= 1.0 else (1.0, *SHARES)
-        for share in shares:
-            value = share * self.asked
+        """Find a first lens at the required value or below, from known points and from random starts."""
+        fractions = FRACTIONS if self.most <= 1.0 else (1.0, *FRACTIONS)
+        for fraction in fractions:
+            value = fraction * self.asked
             for glasses in self.names:
                 near = [point for name, point in self.near if name == glasses]
                 for point in itertools.chain(near, self._fresh(value, glasses, FRESH_STARTS)):
-                    if self._can(value, glasses, point):
+                    if self._reaches(value, glasses, point):
                         break
             if self.best is not None:
                 return
 
     def _climb(self) -> None:
-        """Raise the value from lens to lens as far as the search from the last one finds another."""
+        """Raise the value step by step, each search starting from the previous lens."""
         end = self.best
         assert end is not None  # there is a first lens
         step, failed_at, top = FIRST_STEP, math.inf, self.most * self.asked
@@ -289,14 +290,14 @@ class _LimitSearch:
             value = min(end.value * (1.0 + step), top)
             if math.isfinite(failed_at):
                 value = 0.5 * (end.value + failed_at)
-            if self._can(value, end.glasses, end.point):
+            if self._reaches(value, end.glasses, end.point):
                 assert self.best is not None  # it was found just now
                 end, step = self.best, 2.0 * step
             else:
                 failed_at = value
 
     def _confirm(self) -> bool:
-        """Whether independent starts get further than the best lens."""
+        """Return whether independent starts find a lens above the best value."""
         end = self.best
         assert end is not None  # it was raised before
         self.starts = 0
@@ -307,7 +308,7 @@ class _LimitSearch:
         for number in range(NEARBY_STARTS * len(end.point)):
             away = NEARBY[number % len(NEARBY)] * rng.standard_normal(len(end.point))
             point = np.clip(end.point + away, 0.0, 1.0)
-            if self._can(value, end.glasses, point):
+            if self._reaches(value, end.glasses, point):
                 return True
         for glasses in sorted(self.names, key=lambda name: name != end.glasses):
             count = _confirming_starts(len(end.point)) if glasses == end.glasses else STARTS_OF_OTHERS
@@ -316,12 +317,12 @@ class _LimitSearch:
                 easier = self._search(EASIER * end.value, glasses, point)
                 if easier is None or easier.outcome.violation > KEPT:
                     continue
-                if self._can(value, glasses, easier.outcome.point):
+                if self._reaches(value, glasses, easier.outcome.point):
                     return True
         return False
 
-    def _can(self, value: float, glasses: str, point: Array) -> bool:
-        """Whether a search from a point finds a lens for a value; it then is the best."""
+    def _reaches(self, value: float, glasses: str, point: Array) -> bool:
+        """Return whether a search from a point finds a lens for a value, and record the lens."""
         self.report(f"{self.kind.name}: {value:.4g} {self.kind.unit}".rstrip() + f", {glasses}")
         found = self._search(value, glasses, point)
         if found is None or found.outcome.violation > KEPT:
@@ -336,7 +337,7 @@ class _LimitSearch:
         return True
 
     def _search(self, value: float, glasses: str, point: Array) -> Found | None:
-        """The end of a search for any lens; None where no lens can be asked for such a value."""
+        """Return the result of a search for a feasible lens; None if the value is not valid."""
         problem = self._problem(value, glasses)
         if problem is None:
             return None
@@ -348,7 +349,7 @@ class _LimitSearch:
         return found
 
     def _fresh(self, value: float, glasses: str, count: int) -> Iterator[Array]:
-        """Random starts, after the specification's own."""
+        """Yield start points: the specification's own, then random ones."""
         problem = self._problem(value, glasses)
         if problem is None:
             return
@@ -368,7 +369,7 @@ class _LimitSearch:
             return None  # a numerical aperture above 1, say, or more than the etendue bound allows
 
     def _verified(self, end: _End) -> tuple[float, Lens, tuple[str, ...]] | None:
-        """The largest value at which the finished lens passes the check, the lens, and what binds it."""
+        """Return the largest value at which the lens passes the check, the lens, and active constraints."""
         for step in range(6):
             value = end.value * (1.0 - step * RESOLUTION)
             problem = self._problem(value, end.glasses)
@@ -385,14 +386,14 @@ class _LimitSearch:
 
 
 def binding(problem: DesignProblem, point: Array, rays: Rays, within: float) -> tuple[str, ...]:
-    """Return the names of constraints and bounds that a point of the unit box reaches.
+    """Return the names of the active constraints and bounds at a point of the unit box.
 
     Parameters
     ----------
     problem, point, rays
-        The specification, the point, and the rays by which it is judged.
+        The problem, the point, and the rays by which it is evaluated.
     within
-        Distance from zero of a scaled constraint that counts as reached.
+        Largest distance from zero of an active scaled constraint.
     """
     _, constraints = problem.rows(point, rays, final=True, derivatives=False)
     worst = ((row.name, float(np.max(row.values, initial=-1.0))) for row in constraints)

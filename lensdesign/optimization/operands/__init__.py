@@ -1,1 +1,1 @@
-"""Goals and constraints of a lens, as rows of scaled values with derivatives."""
+"""Operands of the optimization: goals and constraints as scaled values with derivatives."""

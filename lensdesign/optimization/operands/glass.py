@@ -1,4 +1,4 @@
-"""What glass must keep: thicknesses, slopes, the edges of conics, lengths of the whole."""
+"""Operands of the geometry: thicknesses, slopes, edges of conics and overall lengths."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from lensdesign.analysis.outline import highest_ground_mm
 from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.lens.solid import SHARP
-from lensdesign.optimization.operands.operand import Row, State, finite_operand, heights_of
+from lensdesign.optimization.operands.operand import Operand, State, finite_operand, heights_of
 from lensdesign.optimization.specification.specification import Specification
 
 SEMI_DIAMETER_STEP_MM = 0.01
-"""Semi-diameters that a specification leaves open are rounded up to this."""
+"""Step to which semi-diameters are rounded up if the specification does not state them."""
 
 Height = tuple[float, Array]
 """A radial height in mm, and its derivatives by all variables."""
 
-CONIC_EDGE_SHARE = 0.95
-"""Surfaces stay within this share of the radial height at which their conic ends."""
+CONIC_EDGE_FRACTION = 0.95
+"""Largest radial height of a surface relative to the height at which its conic ends."""
 
 
-def glass_operands(specification: Specification, state: State) -> list[Row]:
-    """Thicknesses, slopes and the edges of conics."""
+def glass_operands(specification: Specification, state: State) -> list[Operand]:
+    """Return the operands of thicknesses, slopes, edges of conics and overall lengths."""
     lens, limits = state.lens, specification.constraints
     heights = [_clear_height(state, i) for i in range(len(lens.surfaces))]
     edge = max(heights, key=lambda h: h[0])
     rows = []
     for i, surface in enumerate(lens.surfaces):
-        for part, end in enumerate(surface.shape.ends()):
-            by = _by(state, i, partial(_end_by, surface.shape, part))[0] * edge[0] ** 2
-            value = float(end) * edge[0] ** 2 - CONIC_EDGE_SHARE**2
+        for section, end in enumerate(surface.shape.ends()):
+            by = _by(state, i, partial(_end_by, surface.shape, section))[0] * edge[0] ** 2
+            value = float(end) * edge[0] ** 2 - CONIC_EDGE_FRACTION**2
             name = f"edge of the conic of surface {i + 1}"
             rows.append(
                 finite_operand(name, np.array([value]), (by + 2.0 * float(end) * edge[0] * edge[1])[None])
@@ -56,17 +56,17 @@ def glass_operands(specification: Specification, state: State) -> list[Row]:
 
 
 def lens_thickness(state: State) -> tuple[float, Array]:
-    """From the first vertex to the last in mm, and its derivatives."""
+    """Return the distance from the first vertex to the last in mm, and its derivatives."""
     return state.lens.exit_vertex_z_mm, np.array([float(v.kind == "thickness") for v in state.variables])
 
 
 def track(state: State) -> tuple[float, Array]:
-    """From the object to the last sensor plane in mm, and its derivatives."""
+    """Return the distance from the object to the last sensor plane in mm, and its derivatives."""
     spaces = ("thickness", "working_distance")
     return state.lens.track_mm, np.array([float(v.kind in spaces) for v in state.variables])
 
 
-def _length_rows(specification: Specification, state: State) -> list[Row]:
+def _length_rows(specification: Specification, state: State) -> list[Operand]:
     limits, rows = specification.constraints, []
     for name, most, found in (
         ("lens thickness", limits.max_lens_thickness_mm, lens_thickness),
@@ -79,16 +79,17 @@ def _length_rows(specification: Specification, state: State) -> list[Row]:
 
 
 def _thickness(state: State, i: int) -> tuple[float, Array]:
-    """Of the space behind a surface on the axis, and its derivatives by all variables."""
+    """Return the axial thickness behind a surface, and its derivatives by all variables."""
     by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
     return state.lens.surfaces[i].thickness_mm or 0.0, by
 
 
 def _ground_height(state: State, i: int, clear: Sequence[Height]) -> Height:
-    """Radius of the edge cylinder behind a surface, and its derivatives by all variables.
+    """Return the radius of the edge cylinder behind a surface, and its derivatives by all variables.
 
-    The design file's, or else an upper bound of the one that the element's drawing has: the chosen diameter
-    is rounded up in steps and jumps with the size of the part, which a search cannot follow.
+    It is that of the design file, or else a continuous upper bound of the radius in the drawing. The
+    drawing's diameter is rounded up in steps and jumps with the size of the part, so it has no useful
+    derivatives.
     """
     edges, lens = state.lens.edges, state.lens
     edge = edges[lens.glass_fronts.index(i)] if edges and i in lens.glass_fronts else SHARP
@@ -102,10 +103,10 @@ def _ground_height(state: State, i: int, clear: Sequence[Height]) -> Height:
 
 
 def _ends_at(state: State, i: int, ground: Height, clear: Sequence[Height]) -> tuple[Height, Height]:
-    """Heights at which the two surfaces of a space end.
+    """Return the heights at which the two surfaces of a space end.
 
-    A conic that ends between the clear apertures and the ground edge goes on as a flat ring; one that ends
-    before is no surface of this lens.
+    A conic that ends between the clear apertures and the ground edge continues as a flat ring. A conic that
+    ends inside a clear aperture is excluded by another operand.
     """
     shapes = (surface.shape for surface in state.lens.surfaces[i : i + 2])
     largest = max(height for height, _ in clear)
@@ -116,8 +117,8 @@ def _ends_at(state: State, i: int, ground: Height, clear: Sequence[Height]) -> t
     return front, back
 
 
-def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:
-    """Of the steepest way over the surface, in each direction."""
+def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Operand:
+    """Return the operand of the slope at the clear edge, in each direction."""
     shape = state.lens.surfaces[i].shape
     limit = math.tan(math.radians(limit_deg)) ** 2
     ux, uy = directions(shape)
@@ -132,8 +133,9 @@ def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: flo
 
 def _gap_row(
     name: str, state: State, i: int, heights: tuple[Height, Height], least: float, scale: float
-) -> Row:
-    """Of the space behind a surface, from a height on its front to one on its back, in each direction."""
+) -> Operand:
+    """Return the operand of the space between a height on its front and one on its back, in each "
+    "direction."""
     shapes = [s.shape for s in state.lens.surfaces[i : i + 2]]
     ux, uy = directions(*shapes)
     thickness, by = _thickness(state, i)
@@ -156,13 +158,13 @@ def _slope_square_by(shape: Shape, x: Array, y: Array, slopes: Sequence[Array], 
     return 2.0 * (slopes[0] * by[0] + slopes[1] * by[1])
 
 
-def _end_by(shape: Shape, part: int, term: str) -> Array:
-    """By complex step, exact to rounding."""
-    return np.array([shape.moved(term, 1e-30j).ends()[part].imag / 1e-30])
+def _end_by(shape: Shape, section: int, term: str) -> Array:
+    """Return the derivative of the end of a section by complex step, exact to rounding."""
+    return np.array([shape.moved(term, 1e-30j).ends()[section].imag / 1e-30])
 
 
 def edge_sag(state: State, i: int) -> tuple[float, Array]:
-    """Mean sag of a surface along the rim of its clear aperture, and its derivatives by all variables."""
+    """Return the mean sag along the rim of a clear aperture, and its derivatives by all variables."""
     shape, (height, height_by) = state.lens.surfaces[i].shape, _clear_height(state, i)
     ux, uy = directions(shape)
     x, y = height * ux, height * uy
@@ -173,10 +175,10 @@ def edge_sag(state: State, i: int) -> tuple[float, Array]:
 
 
 def _clear_height(state: State, i: int) -> tuple[float, Array]:
-    """Clear semi-diameter of a surface: as given, as the stop's, or as its rays need, rounded up.
+    """Return the clear semi-diameter of a surface, with derivatives: as given, the stop's, or its rays'.
 
-    Rounding is taken to add a whole step: thickness and slope then hold for whatever it adds. What rays need
-    at other temperatures, the surface has when it has grown.
+    Rounding up is assumed to add a whole step, so that thickness and slope are valid for any rounding. Rays
+    at other temperatures pass the expanded surface.
     """
     stop = state.traces[0]
     if i == state.lens.stop_index:
@@ -198,8 +200,9 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
 
 
 def _by(state: State, i: int, derivative: Callable[[str], Array]) -> Array:
-    """Derivatives by all variables of what depends on the shape of one surface alone, shape (..., v)."""
-    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.of_shape and v.surface == i}
+    """Return derivatives by all variables of a quantity that depends on one surface's shape, shape (..., "
+    "v)."""
+    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.is_shape_term and v.surface == i}
     found = np.zeros((len(next(iter(own.values()), np.zeros(1))), len(state.variables)))
     for j, values in own.items():
         found[:, j] = values

@@ -1,4 +1,4 @@
-"""Goals and constraints as rows of values with derivatives, and the lens that they are of."""
+"""Operands (goals and constraints with derivatives), and the state of the lens that they evaluate."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.raytrace.gradients import GradientTrace, Variable
 
 LIMIT_MARGIN = 3e-5
-"""Limits are kept by this relative margin, so that a denser check of the result finds them kept too."""
+"""Relative margin by which limits are tightened, so that a denser check of the result finds them met."""
 
 KEPT = 2.0 * LIMIT_MARGIN
-"""A scaled square that exceeds its narrowed limit by no more than this keeps the limit as given."""
+"""Largest excess of a scaled square over its tightened limit that still meets the limit as given."""
 
 
 @dataclass(frozen=True)
 class State:
-    """A lens of the search with its rays; n rays, v variables.
+    """A lens of the search with its rays: n rays, v variables.
 
     Attributes
     ----------
     lens
         The lens, not validated.
     variables
-        What the derivatives are by.
+        Variables of the derivatives.
     fields_mm : ndarray, shape (n, 2)
         Object point of each ray.
     traces
-        One for each wavelength of the lens.
+        Ray trace at each wavelength of the lens.
     as_built
-        What is predicted of it as built, where goals or constraints ask for that.
+        Predictions of the lens as built; None if not needed.
     temperature_c
-        Of the lens; None as designed.
+        Temperature of the lens; None as designed.
     sizes : ndarray, shape (surfaces,)
-        By which its surfaces have grown; None as designed.
+        Factors by which the surfaces have expanded; None as designed.
     heated
-        The same lens at other temperatures, where something is asked of it there.
+        The lens at the other temperatures of the specification.
     losses
-        Its mean reconstruction losses as built, where goal or constraints ask for them.
+        Mean reconstruction losses as built; None if not needed.
     """
 
     lens: Lens
@@ -63,17 +63,17 @@ class State:
 
 
 @dataclass(frozen=True)
-class Row:
+class Operand:
     """Goals or constraints of one kind.
 
     Attributes
     ----------
     name
-        As reports call it.
+        Name in reports.
     values, by : ndarray, shapes (k,) and (k, v)
         Scaled values and their derivatives.
     rays : ndarray of int or None
-        Which ray each value belongs to.
+        Index of the ray of each value; None if the values do not belong to rays.
     """
 
     name: str
@@ -83,16 +83,16 @@ class Row:
 
 
 def squares_of(points: Array, by: Array) -> tuple[Array, Array]:
-    """x^2 + y^2 and its derivatives."""
+    """Return x^2 + y^2 and its derivatives."""
     return np.sum(points**2, axis=-1), 2.0 * np.einsum("na,nav->nv", points, by)
 
 
 def heights_of(trace: GradientTrace, i: int) -> tuple[Array, Array]:
-    """Squares of the radial heights on a surface, and their derivatives."""
+    """Return the squares of the radial heights on a surface, and their derivatives."""
     return squares_of(trace.heights[:, i], trace.heights_by[:, i])
 
 
-def finite_operand(name: str, values: Array, by: Array) -> Row:
-    """A row in which what is not finite is far beyond any limit."""
+def finite_operand(name: str, values: Array, by: Array) -> Operand:
+    """Return an operand in which values that are not finite are replaced by one far beyond any limit."""
     ok = np.isfinite(values) & np.all(np.isfinite(by), axis=-1)
-    return Row(name, np.where(ok, values, UNTRACEABLE), np.where(ok[:, None], by, 0.0))
+    return Operand(name, np.where(ok, values, UNTRACEABLE), np.where(ok[:, None], by, 0.0))

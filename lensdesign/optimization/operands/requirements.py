@@ -1,6 +1,6 @@
-"""The goals and constraints of a specification, as rows of scaled values with derivatives.
+"""Operands of a specification: its goals and constraints as scaled values with derivatives.
 
-Each value is scaled to about 1. A constraint is kept where its value is not above zero.
+Each value is scaled to about 1. A constraint is met if its value is not above zero.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.optimization.operands.glass import glass_operands, lens_thickness, track
 from lensdesign.optimization.operands.operand import (
     LIMIT_MARGIN,
-    Row,
+    Operand,
     State,
     finite_operand,
     heights_of,
@@ -27,13 +27,13 @@ from lensdesign.optimization.specification.specification import Specification
 from lensdesign.raytrace.gradients import GradientTrace
 
 AS_BUILT_SCALE_WAVES = 0.1
-"""Root mean square by which as-built goals are scaled."""
+"""Root mean square wavefront error by which as-built goals are scaled."""
 
 
-def goal_operands(specification: Specification, state: State) -> list[Row]:
-    """What the largest value of is to be made small."""
+def goal_operands(specification: Specification, state: State) -> list[Operand]:
+    """Return the goals, the largest value of which is minimized."""
     goal = specification.optimize.goal
-    lens: Lens = specification  # as it was at the start
+    lens: Lens = specification  # the start lens, a fixed reference for scaling
     if goal in AS_BUILT_GOALS:
         return [_as_built_goal(goal, one) for one in state.all]
     if goal.startswith("smallest spread"):
@@ -58,14 +58,13 @@ def goal_operands(specification: Specification, state: State) -> list[Row]:
         ]
     length, by = track(state) if goal == "shortest track" else lens_thickness(state)
     reference = lens.exit_vertex_z_mm
-    return [Row(goal, np.array([length / reference]), by[None] / reference)]
+    return [Operand(goal, np.array([length / reference]), by[None] / reference)]
 
 
-def constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Row]:
-    """What must not be above zero.
+def constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Operand]:
+    """Return the constraints, which must not be above zero.
 
-    Where the spread's limit is what a search makes as small as it can, only the `final` lens is held
-    against it.
+    If the goal minimizes the limited spread itself, the spread limit applies to the `final` lens only.
     """
     limited = final or not _limits_its_goal(specification)
     rows = [row for one in state.all for row in _light_rows(specification, one, limited)]
@@ -78,9 +77,9 @@ def constraint_operands(specification: Specification, state: State, final: bool 
     return rows + glass_operands(specification, state) + built
 
 
-def _light_rows(specification: Specification, state: State, limited: bool) -> list[Row]:
-    """Where light may go, at each wavelength."""
-    rows: list[Row] = []
+def _light_rows(specification: Specification, state: State, limited: bool) -> list[Operand]:
+    """Return the constraints on spread, footprint and throughput at each wavelength."""
+    rows: list[Operand] = []
     for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
         rows += _spread_rows(specification, state, wavelength, trace, limited)
         for i, limit in enumerate(specification.footprint_limits()):
@@ -94,21 +93,21 @@ def _light_rows(specification: Specification, state: State, limited: bool) -> li
     return rows
 
 
-def _as_built_goal(goal: str, state: State) -> Row:
+def _as_built_goal(goal: str, state: State) -> Operand:
     name = named_at(goal, state.temperature_c)
     if goal == LOSS_GOAL:
-        assert state.losses is not None  # the goal asked for it
+        assert state.losses is not None  # the goal requires it
         losses = state.losses
         return finite_operand(name, losses.losses / losses.scale, losses.losses_by / losses.scale)
-    assert state.as_built is not None  # the goal asked for it
+    assert state.as_built is not None  # the goal requires it
     if goal == "yield":
         return finite_operand(name, np.array([state.as_built.failing]), state.as_built.failing_by[None])
     scale = AS_BUILT_SCALE_WAVES
     return finite_operand(name, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
 
 
-def _as_built_rows(specification: Specification, state: State) -> list[Row]:
-    """How many lenses may fail, and how large their wavefront errors may be."""
+def _as_built_rows(specification: Specification, state: State) -> list[Operand]:
+    """Return the constraints on yield, wavefront errors and losses of lenses as built."""
     limits, found = specification.constraints, state.as_built
     rows = _loss_rows(specification, state)
     if found is None:
@@ -125,7 +124,7 @@ def _as_built_rows(specification: Specification, state: State) -> list[Row]:
     return rows
 
 
-def _loss_rows(specification: Specification, state: State) -> list[Row]:
+def _loss_rows(specification: Specification, state: State) -> list[Operand]:
     most, found = specification.constraints.max_as_built_reconstruction_loss, state.losses
     if most is None or found is None:
         return []
@@ -134,7 +133,7 @@ def _loss_rows(specification: Specification, state: State) -> list[Row]:
 
 
 def _limits_its_goal(specification: Specification) -> bool:
-    """Whether the lens of the smallest goal is the one that keeps the spread's limit best, too."""
+    """Return whether the lens with the smallest goal also has the smallest excess over the spread limit."""
     goal, limit = specification.optimize.goal, specification.constraints.max_spread_deg
     if len(specification.wavelengths_um) == 1:
         return goal.startswith("smallest spread")
@@ -143,7 +142,7 @@ def _limits_its_goal(specification: Specification) -> bool:
 
 def _spread_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
-) -> list[Row]:
+) -> list[Operand]:
     squares = squares_of(trace.cosines, trace.cosines_by)
     limit = specification.spread_limit(wavelength)
     rows = []
@@ -158,14 +157,14 @@ def _spread_rows(
         at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
         name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, state)
         row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
-        rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
+        rows.append(Operand(name, row.values[at], row.by[at], np.flatnonzero(at)))
     return rows
 
 
 def _rectangle_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace
-) -> list[Row]:
-    """Light within the sides of the sensor, x and y apart."""
+) -> list[Operand]:
+    """Return the constraints that light stays within the sides of the sensor, separately in x and y."""
     rows = []
     for i in range(len(specification.sensor.plane_distances_mm)):
         for axis, size in enumerate(specification.sensor.size_mm):
@@ -177,9 +176,9 @@ def _rectangle_rows(
 
 def _throughput_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace
-) -> list[Row]:
-    """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
-    lens, share = state.lens, specification.constraints.min_throughput
+) -> list[Operand]:
+    """Return the constraint that enough rays pass the clear semi-diameters; the worst others are ignored."""
+    lens, fraction = state.lens, specification.constraints.min_throughput
     limits = [
         (i, s.semi_diameter_mm)
         for i, s in enumerate(lens.surfaces)
@@ -193,29 +192,29 @@ def _throughput_rows(
     values = np.array([r.values for r in each])[worst, rays]
     by = np.array([r.by for r in each])[worst, rays]
     name = _named("throughput", wavelength, state)
-    if share == 1.0:
-        return [Row(name, values, by, rays)]
+    if fraction == 1.0:
+        return [Operand(name, values, by, rays)]
     picked = []
     for field in np.unique(state.fields_mm, axis=0):
-        mine = np.flatnonzero(np.all(state.fields_mm == field, axis=1))
-        order = mine[np.argsort(values[mine])]
-        picked.append(order[math.ceil(share * len(order)) - 1])
-    return [Row(name, values[picked], by[picked], np.array(picked))]
+        own = np.flatnonzero(np.all(state.fields_mm == field, axis=1))
+        order = own[np.argsort(values[own])]
+        picked.append(order[math.ceil(fraction * len(order)) - 1])
+    return [Operand(name, values[picked], by[picked], np.array(picked))]
 
 
-def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Row:
+def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Operand:
     values = np.where(trace.ok, squares[0] / scale, UNTRACEABLE)
     by = np.where(trace.ok[:, None], squares[1] / scale, 0.0)
-    return Row(name, values, by, np.arange(len(values)))
+    return Operand(name, values, by, np.arange(len(values)))
 
 
-def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Row:
+def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Operand:
     row = _per_ray(name, squares, limit * (1.0 - LIMIT_MARGIN) ** 2, trace)
-    return Row(name, row.values - 1.0, row.by, row.rays)
+    return Operand(name, row.values - 1.0, row.by, row.rays)
 
 
 def _sine(lens: Lens, wavelength: float) -> float:
-    """Sine of the sensor's spread limit: what spreads are scaled by."""
+    """Return the sine of the sensor's spread limit, by which spreads are scaled."""
     return min(1.0, wavelength / (2.0 * lens.sensor.pixel_pitch_um))
 
 

@@ -1,1 +1,1 @@
-"""What a search is asked for: the specification and its parts."""
+"""The specification of an optimization and its tables."""

@@ -1,4 +1,4 @@
-"""The lenses that a specification's choices of glasses and stops give."""
+"""Combinations of the choices of glasses and stops in a specification."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lensdesign.optimization.specification.specification import Specification
 
 
 def bases_of(specification: Specification) -> Iterator[tuple[str, Lens]]:
-    """The start with each combination of glasses and stops, and what to call it."""
+    """Yield the name and the start lens of each combination of glasses and stops."""
     choices = [v for v in specification.variables if v.discrete]
     for choice in itertools.product(*(v.choices for v in choices)):
         lens = specification.lens
@@ -26,7 +26,7 @@ def bases_of(specification: Specification) -> Iterator[tuple[str, Lens]]:
 
 
 def with_stop(lens: Lens, surface: int) -> Lens:
-    """The lens with its stop, and that stop's size, on another surface, counted from 0."""
+    """Return the lens with its stop, of the same size, on another surface (index from 0)."""
     if surface == lens.stop_index:
         return lens
     semi = lens.surfaces[surface].semi_diameter_mm or lens.stop_semi_diameter_mm

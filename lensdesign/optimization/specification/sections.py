@@ -1,4 +1,4 @@
-"""What a search must keep, and how it goes about it: tables of a specification."""
+"""Tables of a specification: constraints, tolerances, environment and settings of the search."""
 
 from __future__ import annotations
 
@@ -15,46 +15,54 @@ Angle = Annotated[float, Field(gt=0.0, lt=90.0)]
 
 
 class FieldSpread(Section):
-    """A spread limit of its own for one field height."""
+    """A limit of the spread angle for one field height.
+
+    Attributes
+    ----------
+    field_mm
+        Field height.
+    max_spread_deg
+        Largest spread angle at this height.
+    """
 
     field_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
 
 
 class Constraints(Section):
-    """What must hold, over the whole field, the whole stop and all wavelengths.
+    """Constraints over the whole field, the whole stop and all wavelengths.
 
     Attributes
     ----------
     max_spread_deg
-        Largest spread angle; ``"sensor"`` is Eq. 2 of the paper, ``"none"`` no limit.
+        Largest spread angle; ``"sensor"`` means Eq. 2 of the paper, ``"none"`` no limit.
     max_spread_xy_deg
-        Tighter limits of the spread along x and along y: arcsines of the direction cosines.
+        Tighter limits of the spread along x and along y, as arcsines of the direction cosines.
     field_spread
         Tighter limits for single field heights.
     max_footprint_radius_mm
         Largest distance from the axis on each sensor plane (one number, or one for each plane);
-        ``"sensor"`` is half the sensor's shorter side, ``"sensor rectangle"`` all of the sensor, side by
-        side, ``"none"`` no limit.
+        ``"sensor"`` means half the sensor's shorter side, ``"sensor rectangle"`` the sides of the sensor
+        separately, ``"none"`` no limit.
     min_throughput
-        Share of each field's rays that must pass all clear semi-diameters.
+        Smallest fraction of the rays of each field point that pass all clear semi-diameters.
     min_edge_thickness_mm
-        At the ground edge: the cylinder of the edge table, or else the largest clear semi-diameter. Flat
-        rings and bevels do not count.
+        Smallest thickness of glass at the ground edge: the cylinder of the edge table, or else the largest
+        clear semi-diameter. Flat rings and bevels are ignored.
     min_center_thickness_mm
-        On the axis, of each glass element.
+        Smallest thickness of each glass element on the axis.
     min_air_gap_mm
-        Between elements, on the axis and at the ground edge: room for a spacer.
+        Smallest gap between elements, on the axis and at the ground edge, for a spacer.
     max_edge_slope_deg
-        Slope of each surface at its clear edge.
+        Largest slope of each surface at its clear edge.
     max_lens_thickness_mm
-        From the first vertex to the last.
+        Largest distance from the first vertex to the last.
     max_track_mm
-        From the object to the last sensor plane.
+        Largest distance from the object to the last sensor plane.
     max_semi_diameter_mm
         Largest distance from the axis of any ray on any surface.
     min_yield
-        Fraction of lenses as built that keep all limits of the tolerance study.
+        Smallest fraction of lenses as built that keep all limits of the tolerance study.
     max_as_built_rms_waves
         Largest wavefront error as built, root mean square over pupil and lenses, at each object point.
     max_as_built_reconstruction_loss
@@ -85,21 +93,22 @@ class Constraints(Section):
 
 
 class Tolerances(Section):
-    """What a lens is built by.
+    """Manufacturing tolerances of the lens.
 
     Attributes
     ----------
     study
-        Tolerance study, relative to the specification: its perturbations and compensators, and the limits of
-        its merits, all of which a good lens keeps. The design that it names counts for nothing.
+        Path of a tolerance study, relative to the specification. Its perturbations, compensators and limits
+        of merits are used; a good lens keeps all limits. The design that it names is ignored.
     factor
-        By which all tolerances are multiplied.
+        Factor by which all tolerances are multiplied.
     cost
-        In its place: what the tolerances of each lens cost, multiplied alike, its elements included.
+        Cost of each lens including its elements, in place of `factor`: all tolerances are multiplied by the
+        factor that gives this cost.
     costs
-        Table of costs, relative to the specification; that of the toolkit where left out.
+        Path of a table of costs, relative to the specification (default: the table of the toolkit).
     trials
-        Monte Carlo trials of each lens that is compared in the end.
+        Number of Monte Carlo trials of each lens that is compared at the end.
     """
 
     study: str
@@ -116,15 +125,16 @@ class Tolerances(Section):
 
 
 class Environment(Section):
-    """Temperatures at which a lens must do what is asked of it, beside that at which it is designed.
+    """Temperatures, besides that of the design, at which a lens must meet its specification.
 
     Attributes
     ----------
     temperatures_c
-        Of lens, mount and air. At each of them spread, footprint, throughput and wavefronts as built must be
-        what is asked for, with sensor planes where the mount takes them; lengths are as designed.
+        Temperatures of lens, mount and air. At each of them, spread, footprint, throughput and wavefronts as
+        built must meet the constraints, with the sensor planes moved by the mount. Constraints on lengths
+        apply to the lens as designed.
     mount_expansion_per_k
-        Linear expansion of what holds elements, object and sensor apart.
+        Linear expansion coefficient of the mount of elements, object and sensor.
     """
 
     temperatures_c: Annotated[
@@ -138,48 +148,50 @@ class Environment(Section):
     @classmethod
     def _others(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if REFERENCE_C in value:
-            raise ValueError(f"{REFERENCE_C:g} C is the temperature of the design, which counts anyway")
+            raise ValueError(
+                f"{REFERENCE_C:g} C is the temperature of the design, which always counts; remove it"
+            )
         if len(set(value)) < len(value):
             raise ValueError(f"{list(value)}: a temperature is given twice")
         return value
 
 
 LOSS_GOAL = "as-built reconstruction loss"
-"""Goal that takes a merit `reconstruction_loss`."""
+"""Goal that needs a merit `reconstruction_loss`."""
 
 AS_BUILT_GOALS = ("as-built rms", "yield", LOSS_GOAL)
-"""Goals that take tolerances."""
+"""Goals that need tolerances."""
 
 
 class Settings(Section):
-    """How to search.
+    """Settings of the search.
 
     Attributes
     ----------
     goal
-        ``smallest spread`` (the largest share that a wavelength takes of its own limit, Eq. 2),
+        ``smallest spread`` (the largest ratio of spread to limit over the wavelengths, Eq. 2),
         ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
         ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``as-built rms`` (the largest
         wavefront error of built lenses at the tolerances' object points), ``yield`` (the fraction of
         lenses that keep all limits of the study), or ``as-built reconstruction loss`` (the largest mean
         over built lenses of a merit `reconstruction_loss` of the study).
     start
-        ``design`` is the lens in the file, ``plate`` makes its variable surfaces flat, ``random`` draws
-        from the bounds.
+        First start: ``design`` is the lens in the file, ``plate`` the same with flat variable surfaces,
+        ``random`` a random point within the bounds.
     stop
-        ``fixed`` keeps the stop's semi-diameter; ``numerical aperture`` makes it follow the NA.
+        ``fixed`` keeps the semi-diameter of the stop; ``numerical aperture`` adapts it to the NA.
     algorithm
-        One of nlopt's, see :data:`lensdesign.optimization.nlopt_driver.ALGORITHMS`. What searches the whole
-        box is polished by SLSQP.
+        Algorithm of nlopt, see :data:`lensdesign.optimization.nlopt_driver.ALGORITHMS`. The result of a
+        global algorithm is refined by SLSQP.
     starts
-        Most starts of each choice of glasses; those after the first are random.
+        Largest number of starts of each choice of glasses; those after the first are random.
     agreeing
-        Starts are made until so many came to the best lens so far.
+        Number of starts that must lead to the best lens before the search ends.
     max_evaluations
-        Evaluations of a lens for each choice of glasses.
+        Largest number of evaluations of a lens for each choice of glasses.
     max_seconds
-        For everything together, shared by the choices of glasses; None sets no limit. What it cuts depends
-        on the machine.
+        Time limit of the whole search, divided among the choices of glasses; None sets no limit. A result
+        that the limit has shortened depends on the machine.
     """
 
     goal: Literal[

@@ -1,7 +1,7 @@
-"""Specification files: what to optimize, within which bounds, to which end, under which constraints.
+"""Specification files: start lens, variables with bounds, goal and constraints of an optimization.
 
 A specification is a design file with three more tables: ``[optimize]``, ``[constraints]`` and one
-``[[variable]]`` for each thing that may change. The design in it is the start.
+``[[variable]]`` for each variable. The design in it is the start.
 """
 
 from __future__ import annotations
@@ -33,7 +33,37 @@ from lensdesign.optimization.specification.variables import VariableRange
 
 
 class Specification(Lens):
-    """A lens to start from, and what may become of it."""
+    """A start lens with the variables, goal and constraints of its optimization.
+
+    Attributes
+    ----------
+    optimize
+        Settings of the search.
+    constraints
+        Constraints on the lens.
+    tolerances
+        Manufacturing tolerances; None if neither goal nor constraints concern lenses as built.
+    environment
+        Temperatures besides that of the design; None for the design temperature alone.
+    variables
+        Variables with their bounds or choices.
+
+    Examples
+    --------
+    >>> from lensdesign import ObjectSpace, Sensor, Surface
+    >>> specification = Specification(
+    ...     wavelengths_um=(0.55,),
+    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.05, working_distance_mm=20.0),
+    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(4000, 4000), plane_distances_mm=(5.0,)),
+    ...     surfaces=(
+    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=1.1),
+    ...         Surface(radius_mm=-20.0),
+    ...     ),
+    ...     variables=(VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=5.0),),
+    ... )
+    >>> round(specification.spread_limit(0.55), 4)
+    0.0786
+    """
 
     optimize: Settings = Settings()
     constraints: Constraints = Constraints()
@@ -73,8 +103,9 @@ class Specification(Lens):
         radii = self.constraints.max_footprint_radius_mm
         if isinstance(radii, tuple) and len(radii) != len(self.sensor.plane_distances_mm):
             raise ValueError(
-                f"max_footprint_radius_mm holds {len(radii)} values for "
-                f"{len(self.sensor.plane_distances_mm)} sensor planes"
+                f"max_footprint_radius_mm has {len(radii)} values for "
+                f"{len(self.sensor.plane_distances_mm)} sensor planes; give one for each plane, or a single "
+                "one"
             )
         for limit in self.constraints.field_spread:
             if limit.field_mm > self.half_field_mm:
@@ -85,7 +116,7 @@ class Specification(Lens):
         return self
 
     def without_as_built(self) -> Self:
-        """The specification without the constraints that are about lenses as built; its goal stays."""
+        """Return the specification without the constraints on lenses as built; the goal stays."""
         limits = self.constraints.replaced(
             min_yield=None, max_as_built_rms_waves=None, max_as_built_reconstruction_loss=None
         )
@@ -93,30 +124,30 @@ class Specification(Lens):
 
     @property
     def asks_as_built(self) -> bool:
-        """Whether goal or constraints are about lenses as built."""
+        """True if goal or constraints concern lenses as built."""
         return self.asks_yields or self.asks_losses
 
     @property
     def asks_yields(self) -> bool:
-        """Whether goal or constraints are about yields or wavefronts of lenses as built."""
+        """True if goal or constraints concern yields or wavefronts of lenses as built."""
         limits = self.constraints
-        asked = limits.min_yield is not None or limits.max_as_built_rms_waves is not None
-        return asked or self.optimize.goal in ("yield", "as-built rms")
+        limited = limits.min_yield is not None or limits.max_as_built_rms_waves is not None
+        return limited or self.optimize.goal in ("yield", "as-built rms")
 
     @property
     def asks_losses(self) -> bool:
-        """Whether goal or constraints are about reconstruction losses of lenses as built."""
+        """True if goal or constraints concern reconstruction losses of lenses as built."""
         limited = self.constraints.max_as_built_reconstruction_loss is not None
         return limited or self.optimize.goal == LOSS_GOAL
 
     @property
     def as_built(self) -> AsBuilt | None:
-        """The tolerances that goal or constraints ask for; None where none does.
+        """The tolerance study; None if neither goal nor constraints need it.
 
         Raises
         ------
         DesignError
-            As of :func:`lensdesign.optimization.as_built.read_as_built`.
+            If the study cannot be read.
         """
         if self.tolerances is None or not self.asks_as_built:
             return None
@@ -124,11 +155,11 @@ class Specification(Lens):
 
     @property
     def lens(self) -> Lens:
-        """The start, as a plain lens."""
+        """The start as a plain lens."""
         return Lens(**{name: getattr(self, name) for name in Lens.model_fields})
 
     def spread_limit(self, wavelength_um: float) -> float:
-        """Largest allowed sine of the spread angle at a wavelength; inf where there is no limit."""
+        """Return the largest allowed sine of the spread angle at a wavelength; inf without a limit."""
         limit = self.constraints.max_spread_deg
         if limit == "none":
             return math.inf
@@ -137,7 +168,8 @@ class Specification(Lens):
         return math.sin(math.radians(float(limit)))
 
     def footprint_limits(self) -> tuple[float, ...]:
-        """Largest allowed distance from the axis on each sensor plane, in mm; inf for none all round."""
+        """Return the largest allowed distance from the axis on each sensor plane in mm; inf without a "
+        "limit."""
         limit = self.constraints.max_footprint_radius_mm
         planes = len(self.sensor.plane_distances_mm)
         if limit in ("none", "sensor rectangle"):
@@ -150,12 +182,25 @@ class Specification(Lens):
 def load_specification(path: str | os.PathLike[str]) -> Specification:
     """Read a specification file.
 
+    Parameters
+    ----------
+    path
+        Path of the file.
+
+    Returns
+    -------
+    Specification
+
     Raises
     ------
     DesignError
-        If it cannot be read, is wrong, or cannot be met: the etendue bound says so before any search.
+        If the file cannot be read or is not valid, or the etendue bound excludes the specification.
     MaterialError
-        If a glass, one of the choices included, is not known at a wavelength.
+        If the index of a glass, including all choices, is not known at a wavelength.
+
+    Examples
+    --------
+    >>> specification = load_specification("designs/thinnest_singlet_spec.toml")
     """
     path = Path(path)
     data = read_toml(path)
@@ -181,7 +226,7 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
 
 
 def _with_tolerances(specification: Specification, path: Path) -> Specification:
-    """With its files where they lie, and known to fit the lens."""
+    """Return the specification with absolute paths of its study files, after checking the study."""
     if specification.tolerances is None:
         return specification
     files = {}
@@ -196,8 +241,10 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
         specification.as_built.check(specification.lens)
         if specification.asks_yields:
             specification.as_built.check_yields()
-        wanted = specification.constraints.max_as_built_rms_waves is not None
-        if (wanted or specification.optimize.goal == "as-built rms") and not specification.as_built.points_mm:
+        limited = specification.constraints.max_as_built_rms_waves is not None
+        if (
+            limited or specification.optimize.goal == "as-built rms"
+        ) and not specification.as_built.points_mm:
             raise DesignError(
                 f"{path}: as-built rms: no merit of {tolerances.study} limits the refocused wavefront: add "
                 "one of kind rms_waves or strehl, with field_points_mm, to the study"
@@ -213,19 +260,20 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
 
 
 def _check_heat(specification: Specification, temperature_c: float) -> None:
-    """Of its own glasses; and of a study, which may perturb the temperature of no lens that has one."""
+    """Check the thermal data of the glasses, and that the study applies to a lens at a temperature."""
     check_heat(specification.lens)
     if specification.as_built is not None:
         specification.as_built.check(lens_at_temperature(specification.lens, temperature_c))
 
 
 def validate_known(specification: Specification, surface: int, glass: str | float) -> None:
-    """Refuse a glass behind a surface, counted from 1, of which too little is known.
+    """Check that the required data of a glass behind a surface (number from 1) are known.
 
     Raises
     ------
     MaterialError
-        If its index is not known at a wavelength, or, where temperatures are asked for, what heat does.
+        If its index is not known at a wavelength, or its thermal data are not known although the
+        specification has temperatures.
     """
     for wavelength in specification.wavelengths_um:
         refractive_index(glass, wavelength, catalogs=specification.glass_catalogs)
@@ -234,12 +282,12 @@ def validate_known(specification: Specification, surface: int, glass: str | floa
 
 
 def validate_possible(specification: Specification) -> None:
-    """Refuse what no lens can do: FOV x NA (the Lagrange invariant) must fit through sensor and edge.
+    """Check the etendue bound: FOV x NA (the Lagrange invariant) must fit footprint and spread limit.
 
     Raises
     ------
     DesignError
-        With the numbers, before any ray is traced.
+        If no lens can meet the specification; the message has the numbers.
     """
     scene = specification.object
     invariant = scene.field_diameter_mm * scene.numerical_aperture

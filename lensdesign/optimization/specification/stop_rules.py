@@ -1,4 +1,4 @@
-"""When a search must end, and what still fits in: trials of lenses as built, and the check of the result."""
+"""End of a search: division of the time among starts, trials of lenses as built and the final check."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from lensdesign.common.deadlines import now
 from lensdesign.optimization.as_built import AsBuiltReport
 from lensdesign.optimization.specification.specification import Specification
 
-CHECK_SHARE, TRIALS_SHARE = 0.05, 0.4
-"""Fractions of a time limit: kept for the check of the result; most that is kept for trials."""
+CHECK_FRACTION, TRIALS_FRACTION = 0.05, 0.4
+"""Fractions of a time limit that are reserved for the final check, and at most for trials."""
 
 SAMPLED_TRIALS = 20
-"""Trials by which the time of all trials is estimated."""
+"""Number of trials by which the time of all trials is estimated."""
 
 
 @dataclass
 class Ending:
-    """When a search must end, and what remains possible then.
+    """State of the end of a search.
 
     Attributes
     ----------
     began, end
-        By :func:`lensdesign.common.deadlines.now`; `end` is infinite without a time limit.
+        Start and end of the search on the clock of :func:`lensdesign.common.deadlines.now`; `end` is infinite
+        without a time limit.
     interrupted
-        Whether the user stopped the search: the result is then checked, and nothing else.
+        Whether the user has stopped the search. The result is then only checked.
     seed, report
-        As :func:`lensdesign.optimization.search.optimize` has them.
+        Seed and progress callback of :func:`lensdesign.optimization.search.optimize`.
     trial_seconds
         Estimated time of the trials of lenses as built.
     built
-        Trials that were made.
+        Completed trials; None if there are none.
     """
 
     began: float
@@ -44,27 +45,27 @@ class Ending:
     built: AsBuiltReport | None = None
 
     def plan_trials(self, specification: Specification) -> float:
-        """Return when starts must end, so that trials, where there is room for them, and the check fit in."""
+        """Return the time at which starts must end, so that the check and, if possible, the trials fit in."""
         if self.end == math.inf:
             return math.inf
         seconds, study, tolerances = self.end - self.began, specification.as_built, specification.tolerances
         if study is not None and tolerances is not None:
             lenses = 2 + (specification.optimize.start == "design") + len(_temperatures(specification))
-            study.trials([("", study.reference)], 1)  # compiles what there is to compile
+            study.trials([("", study.reference)], 1)  # compiles the kernels first
             before = now()
             study.trials([("", study.reference)], SAMPLED_TRIALS)
             self.trial_seconds = (now() - before) * tolerances.trials * lenses / SAMPLED_TRIALS
-        kept = self.trial_seconds if self.trial_seconds <= TRIALS_SHARE * seconds else 0.0
-        return self.end - CHECK_SHARE * seconds - kept
+        kept = self.trial_seconds if self.trial_seconds <= TRIALS_FRACTION * seconds else 0.0
+        return self.end - CHECK_FRACTION * seconds - kept
 
     @property
     def no_trials(self) -> bool:
-        """Whether no time is left for trials."""
+        """True if no time is left for trials."""
         return self.interrupted or now() + self.trial_seconds > self.end
 
     @property
     def reason(self) -> str:
-        """What leaves no time."""
+        """Reason why no time is left."""
         return "the interrupt" if self.interrupted else f"max_seconds = {self.end - self.began:g}"
 
 

@@ -1,4 +1,4 @@
-"""What may change in a search."""
+"""Variables of an optimization."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from lensdesign.raytrace.gradients import Variable
 
 
 class VariableRange(Section):
-    """One thing that may change.
+    """One variable with its bounds or choices.
 
     Attributes
     ----------
     parameter
         ``radius_mm``, ``conic``, ``asphere_4``, ``asphere_6``, ... (coefficients in mm^-3, mm^-5, ...),
-        ``thickness_mm``, ``working_distance_mm``, ``material`` or ``stop`` (which surface is the stop).
+        ``thickness_mm``, ``working_distance_mm``, ``material`` or ``stop`` (the number of the stop surface).
     surface
-        Which surface, counted from 1; none for the working distance and for the stop.
+        Number of the surface, from 1; None for the working distance and the stop.
     bounds
-        Smallest and largest value, in the parameter's own unit.
+        Smallest and largest value, in the unit of the parameter.
     smallest_radius_mm
-        For a radius, in place of bounds: the surface may be anything from this radius through a plane
-        to the same radius bent the other way.
+        Bound of a radius, in place of `bounds`: the curvature may vary between plus and minus one over this
+        radius.
     choices
-        In place of bounds: the glasses of a material, or the surfaces that may be the stop.
+        Allowed values of a material (glasses) or of the stop (surface numbers), in place of `bounds`.
     """
 
     parameter: str
@@ -66,11 +66,11 @@ class VariableRange(Section):
 
     @property
     def discrete(self) -> bool:
-        """Whether it is one of some choices, each of which is a search of its own."""
+        """True for a variable with choices, each of which requires its own search."""
         return self.parameter in ("material", "stop")
 
     def kind(self) -> str:
-        """Kind as :class:`lensdesign.raytrace.gradients.Variable` names it."""
+        """Return the kind of :class:`lensdesign.raytrace.gradients.Variable`."""
         lengths = ("thickness_mm", "working_distance_mm")
         if self.parameter in lengths:
             return self.parameter.removesuffix("_mm")
@@ -81,16 +81,16 @@ class VariableRange(Section):
 
     @property
     def name(self) -> str:
-        """As reports call it."""
+        """Name in reports."""
         return self.parameter if self.surface is None else f"surface {self.surface} {self.parameter}"
 
     def variable(self) -> Variable:
-        """As the ray derivatives call it."""
+        """Return the variable of the ray derivatives."""
         return Variable(self.kind(), (self.surface or 1) - 1)
 
     def limits(self) -> tuple[float, float]:
-        """Bounds of what is varied inside: curvature for a radius, else the value itself."""
+        """Return the bounds of the internal variable: the curvature for a radius, else the value itself."""
         if self.smallest_radius_mm is not None:
             return -1.0 / self.smallest_radius_mm, 1.0 / self.smallest_radius_mm
-        assert self.bounds is not None  # the validator saw to it
+        assert self.bounds is not None  # the validator requires it
         return self.bounds

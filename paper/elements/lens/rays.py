@@ -14,7 +14,7 @@ from lensdesign.analysis.arrival import arrival_angles
 from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.plots import spot_figure
 from lensdesign.raytrace import compile_system, trace_compiled
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from paper.element import Element, Made, Number, Work
 from paper.style import BLUE, INK, ORANGE, RED, styled_figure
 
@@ -43,7 +43,7 @@ def figure_2b(work: Work) -> Made:
 def figure_2c(work: Work) -> Made:
     """Spots 3 mm behind the exit vertex."""
     lens = work.lens
-    heights = [share * lens.half_field_mm for share in FIELD_SHARES]
+    heights = [share * lens.half_field_mm for share in FIELD_FRACTIONS]
     numbers = tuple(
         Number(
             f"RMS spot diameter, field height {height:.3g} mm",

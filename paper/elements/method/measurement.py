@@ -9,14 +9,14 @@ import numpy as np
 
 from lensdesign import Lens
 from lensdesign.analysis import footprint
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
 from paper.drawing import arrow, bare, box, dimension, draw_glass, draw_rays, label, plane_line
 from paper.element import Element, Made, Number, Work
 from paper.elements.results.retrieval import PAPER_ITERATIONS, SECONDS, SETTINGS
 from paper.style import GREEN, ORANGE, panel, styled_figure
 from paper.twin import retrieved, twin
 from wavesim import ImageSettings, ReconstructionSettings, propagate
-from wavesim.reconstruction.from_field import FEEDBACK, TV_STEP
+from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.sensor import diversity
 from wavesim.targets import object_patch
 
@@ -54,7 +54,7 @@ def figure_3(work: Work) -> Made:
         "stand: at 2 and 22 mm the light just fits the sensor. It says nothing of the amplitudes' scale, on "
         "which its step t depends; here their median is 64 where they are lit."
     )
-    command = "python -m pytest tests/wavesim/reconstruction/test_from_field.py"
+    command = "python -m pytest tests/wavesim/reconstruction/test_phase_retrieval.py"
     return Made(numbers, (command,), difference, (picture,))
 
 
@@ -70,7 +70,7 @@ def _measured(axes: Axes, lens: Lens) -> None:
     near, far = lens.sensor_z_mm
     vertex, half = lens.exit_vertex_z_mm, 0.5 * min(lens.sensor.size_mm)
     draw_glass(axes, lens)
-    fields = zip((share * lens.half_field_mm for share in FIELD_SHARES), FIELD_COLORS, strict=True)
+    fields = zip((share * lens.half_field_mm for share in FIELD_FRACTIONS), FIELD_COLORS, strict=True)
     draw_rays(axes, lens, list(fields), 7)
     plane_line(axes, vertex, half, ls="--", lw=1.0)
     for z, name in ((vertex, "z = 0"), (near, "$H_1$"), (far, "$H_2$")):

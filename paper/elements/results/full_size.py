@@ -42,7 +42,7 @@ def full_size(work: Work) -> Made:
     """Frames of the whole field, and what Appendix A makes of all of them, and of the shortest."""
     size, iterations = work.settings["size"], int(work.settings["iterations"])
     lens = work.lens if size == 1 else scaled(work.lens, size)
-    how: dict[str, Any] = {"engine": "two-level", "chart_at_mm": (BESIDE_MM,)} if size == 1 else {}
+    how: dict[str, Any] = {"engine": "hierarchical", "chart_at_mm": (BESIDE_MM,)} if size == 1 else {}
     settings = ReconstructionSettings(
         method="paper",
         object_pitch_um=OBJECT_PITCH_UM,

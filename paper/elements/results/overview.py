@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign import Lens
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
 from paper.drawing import arrow, bare, dimension, draw_glass, draw_rays, label, plane_line
 from paper.element import Element, Made, Number, Work
 from paper.elements.results.retrieval import SECONDS, SETTINGS
@@ -83,7 +83,7 @@ def _system(axes: Axes, lens: Lens) -> None:
     for y in (-0.7 * half, 0.0, 0.7 * half):
         arrow(axes, [(start - BEAM_MM, y), (start - 1.0, y)])
     draw_glass(axes, lens)
-    fields = zip((share * half for share in FIELD_SHARES), FIELD_COLORS, strict=True)
+    fields = zip((share * half for share in FIELD_FRACTIONS), FIELD_COLORS, strict=True)
     draw_rays(axes, lens, list(fields), 9)
     plane_line(axes, start, half)
     for sign in (-1.0, 1.0):

@@ -31,12 +31,12 @@ def figure_2e(work: Work) -> Made:
     for thing, name in THINGS.items():
         work.tell(f"{iterations} iterations, {name}")
         field = retrieved(scale, thing, "forward model", iterations).field
-        support = spectrum_support(field.values, field.grid.pitch_mm, limit, share=0.999)
+        support = spectrum_support(field.values, field.grid.pitch_mm, limit, fraction=0.999)
         finer = _before_the_pixels(scale, thing, limit)
         fields[name] = field
         numbers += [
             Number(f"highest frequency, {name}: circle of 99.9 %", support.frequency_within_per_mm, "lp/mm"),
-            Number(f"energy beyond {limit:.2f} lp/mm, {name}, retrieved", support.share_beyond),
+            Number(f"energy beyond {limit:.2f} lp/mm, {name}, retrieved", support.fraction_beyond),
             Number(f"energy beyond it in the light itself, {name}", finer),
         ]
     numbers.insert(0, Number("circle of the pixels, 1 / (2 Δ)", limit, "lp/mm", 156.0, 0.5, digits=5))
@@ -61,7 +61,7 @@ def _before_the_pixels(scale: float, thing: Thing, limit_per_mm: float) -> float
     fine = replace(grid, shape=tuple(2 * n for n in grid.shape), pitch_mm=0.5 * grid.pitch_mm)
     engine = engine_for(replace(scene, exit_grid=fine), "eikonal", error=0.1)
     light = engine.forward(case.light.with_values(case.light.values * case.transmission))
-    return spectrum_support(light.values, fine.pitch_mm, limit_per_mm).share_beyond
+    return spectrum_support(light.values, fine.pitch_mm, limit_per_mm).fraction_beyond
 
 
 def _spectra(fields: dict[str, Field], limit: float) -> Figure:

@@ -38,10 +38,10 @@ def test_focal_lengths() -> None:
 
 def test_irradiance_and_fringes_on_the_axis() -> None:
     report = ghost_report(PAPER)
-    assert report.share == pytest.approx(((N - 1.0) / (N + 1.0)) ** 4, rel=1e-12)
+    assert report.fraction == pytest.approx(((N - 1.0) / (N + 1.0)) ** 4, rel=1e-12)
     for one, plane in ((report.on_planes[0], 2.0), (report.on_planes[2], 22.0)):
         ghost, straight = (way(plane) @ m @ way(13.5) for m in (GHOST, STRAIGHT))
-        ratio = report.share * (straight[0, 1] / ghost[0, 1]) ** 2
+        ratio = report.fraction * (straight[0, 1] / ghost[0, 1]) ** 2
         assert one.field_mm == 0.0
         assert one.relative_irradiance == pytest.approx(ratio, rel=1e-5)
         assert one.contrast == pytest.approx(2.0 * math.sqrt(ratio) / (1.0 + ratio), rel=1e-5)

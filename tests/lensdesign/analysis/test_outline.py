@@ -51,7 +51,7 @@ def test_an_element_says_how_its_edge_was_found(paper_lens: Lens) -> None:
     )
     (own,) = drawn_outline(paper_lens.replaced(edges=({"semi_diameter_mm": 12.0},))).edges
     assert (own.origin, own.diameter_mm) == ("design", 24.0)
-    assert "of the design's [[edge]]" in own.statement
+    assert "from the design's [[edge]]" in own.statement
 
 
 def test_a_thin_edge_is_exported_with_its_drawn_outline_and_a_warning() -> None:
@@ -61,7 +61,7 @@ def test_a_thin_edge_is_exported_with_its_drawn_outline_and_a_warning() -> None:
     assert (edge.diameter_mm, edge.origin, edge.fits) == (7.3, "chosen", False)
     assert edge.thickness_mm == pytest.approx(0.3022, abs=1e-4)
     assert edge.statement.endswith("a drawing with general tolerances needs more than 0.7 mm")
-    with pytest.raises(InputError, match=r"diameter.* 7\.3 mm"):
+    with pytest.raises(InputError, match=r"at the chosen ground diameter, 7\.3 mm"):
         drawing_as_stated(lens)
 
 
@@ -100,7 +100,7 @@ def test_searches_know_a_continuous_upper_bound(thickness: float) -> None:
     for c in clear.tolist():
         semi = c
         for _ in range(2):
-            semi = ground_semi_diameter_mm(c, general_edge(max(2.0 * semi, thickness)).room)
+            semi = ground_semi_diameter_mm(c, general_edge(max(2.0 * semi, thickness)).margin)
         exact.append(semi)
         bounds.append(highest_ground_mm(c, thickness)[0])
     assert np.all(np.array(bounds) >= np.array(exact) - 1e-9)

@@ -244,7 +244,7 @@ def test_arrival_angles_without_glass() -> None:
     slopes = (target - found.object_points_mm) / travel
     passes = np.linalg.norm(found.object_points_mm + slopes * DISTANCE, axis=1) <= STOP
     assert np.array_equal(found.ok, passes)
-    assert 0.5 < found.share < 1.0
+    assert 0.5 < found.fraction < 1.0
     expected = np.rad2deg(np.arctan(slopes))
     assert np.allclose(found.angles_deg[found.ok], expected[found.ok], atol=1e-7)
     largest = np.degrees(np.arctan(np.linalg.norm(slopes[passes], axis=1).max()))
@@ -268,7 +268,7 @@ def test_arrival_angles_of_the_paper_lens(paper_lens: Lens, landed: RayTrace, he
     assert found.largest_deg > np.rad2deg(np.arcsin(np.hypot(*cosines.T))).max() - 0.05
     distance = np.linalg.norm(found.cosines[found.ok] - cosines[:, None], axis=2)
     assert distance.min(axis=1).max() < 0.008
-    assert found.share == pytest.approx(1.0 if height < 9.0 else 0.89, abs=0.01)
+    assert found.fraction == pytest.approx(1.0 if height < 9.0 else 0.89, abs=0.01)
 
 
 def test_folds_give_every_ray() -> None:
@@ -291,7 +291,7 @@ def test_folds_give_every_ray() -> None:
 def test_a_point_in_the_dark(paper_lens: Lens) -> None:
     found = arrival_angles(paper_lens, (0.0, 14.0))
     assert not found.ok.any()
-    assert found.share == 0.0
+    assert found.fraction == 0.0
     assert math.isnan(found.largest_deg)
     assert len(found.ok) == 817
     with pytest.raises(InputError, match=r"sensor_point_mm = .*finite"):

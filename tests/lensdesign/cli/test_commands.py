@@ -189,7 +189,7 @@ def test_optimize_that_a_limit_cut_says_so_first(command: Command, tmp_path: Pat
     assert out.splitlines()[0] == (
         "not finished: max_evaluations = 25 cut the search of N-BK7 (start 1 of at most 12)"
     )
-    assert "hint: no other start came to this" in out
+    assert "hint: no other start reached this" in out
     code, out, _ = command("optimize", spec, "-o", output, "--max-evaluations", 25, "--json")
     assert code == 1
     assert len(json.loads(out)["unfinished"]) == 1
@@ -396,7 +396,7 @@ def test_a_lens_off_its_axis_is_imported_with_a_loss(
     write_zmx(load_design(paper_design), file, Pose(decenter_y_mm=0.25))
     code, out, err = command("import", file, "-o", back)
     assert (code, out) == (2, "")
-    assert err.startswith(f"error: {file}: a design cannot hold all of it")
+    assert err.startswith(f"error: {file}: a design cannot represent the whole file")
     assert "decenter_y_mm = 0.25" in err
     assert not back.exists()
     code, _, err = command("import", file, "-o", back, "--lossy")
@@ -535,7 +535,7 @@ def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
     assert out.startswith("B-TWO (doubled_glass.agf)")
     code, _, err = command("glass", "A-ONE", "--catalog", doubled)
     assert code == 0
-    assert f"note: glass A-ONE stands twice with the same index ({doubled}, line 2 and line 8)" in err
+    assert f"note: glass A-ONE is given twice with the same index ({doubled}, line 2 and line 8)" in err
     assert json.loads(command("glass", "A-ONE", "--catalog", doubled, "--json")[1])["notes"]
     refused(command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)")
 
@@ -547,7 +547,7 @@ def test_an_import_says_what_the_lens_does_when_traced(command: Command, tmp_pat
     assert code == 0
     assert "focal length 48.9627 mm, back focal length 47.2888 mm, magnification -3.85193" in out
     assert "the marginal ray of NA 0.1 is 6.06736 mm high at the stop of 6.06736 mm" in out
-    assert "lets through more than the system aperture (object NA 0.1); 6.06736 mm taken" in err
+    assert "exceeds the system aperture (object NA 0.1); its semi-diameter is 6.06736 mm" in err
     figures = json.loads(command(*asked, "--json")[1])["first_order"]
     assert figures["efl_mm"] == pytest.approx(48.9627, abs=1e-4)
     assert load_design(design).stop_semi_diameter_mm == pytest.approx(figures["stop_height_mm"], rel=1e-12)

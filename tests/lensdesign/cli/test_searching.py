@@ -51,7 +51,7 @@ def test_an_exploration_goes_on_where_it_stopped(tmp_path: Path, command: Comman
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        (["--over", "thickness,width"], "is no objective"),
+        (["--over", "thickness,width"], "is not an objective"),
         (["--over", "thickness,yield"], "needs tolerances"),
         (["--over", "thickness,spread", "--glasses", "catalogue:NONE"], "no such catalogue"),
     ],

@@ -10,7 +10,7 @@ from lensdesign.common.lengths import (
     PIXEL_PITCH_UM,
     WAVELENGTH_UM,
     PlausibleLength,
-    doubted_length,
+    implausible_length,
     in_unit,
     numbers_of,
 )
@@ -23,7 +23,7 @@ WIDTH = PlausibleLength(0.1, 10.0, (0.5, 5.0), "is no width")
     [(0.532, None), (532.0, "0.532"), (0.000532, "0.532"), (5320.0, "5.32"), (5.32e-7, "0.532")],
 )
 def test_a_wavelength_in_another_unit_is_questioned(value: float, meant: str | None) -> None:
-    found = doubted_length("wavelengths_um", value, "um", WAVELENGTH_UM)
+    found = implausible_length("wavelengths_um", value, "um", WAVELENGTH_UM)
     if meant is None:
         assert found is None
     else:
@@ -33,21 +33,21 @@ def test_a_wavelength_in_another_unit_is_questioned(value: float, meant: str | N
 
 
 def test_without_another_unit_only_an_absolute_limit_refuses() -> None:
-    assert WIDTH.doubt(200.0, "mm") is None  # neither 0.2 nor any other change makes it usual
-    assert WIDTH.doubt(2000.0, "mm") == "is no width; 2 mm may be meant"
-    assert PIXEL_PITCH_UM.doubt(1e8, "um") == "must be 0.1 to 1000, in micrometres"
+    assert WIDTH.objection(200.0, "mm") is None  # neither 0.2 nor any other change makes it usual
+    assert WIDTH.objection(2000.0, "mm") == "is no width; 2 mm may be meant"
+    assert PIXEL_PITCH_UM.objection(1e8, "um") == "must be 0.1 to 1000, in micrometres"
 
 
 def test_either_sign_is_judged_alike_and_0_is_plausible() -> None:
-    assert WIDTH.doubt(-0.002, "mm") == "is no width; -2 mm may be meant"
-    assert WIDTH.doubt(0.0, "mm") is None
-    assert WIDTH.doubt(math.nan, "mm") is None
-    assert WIDTH.at_most().doubt(0.002, "mm") is None
+    assert WIDTH.objection(-0.002, "mm") == "is no width; -2 mm may be meant"
+    assert WIDTH.objection(0.0, "mm") is None
+    assert WIDTH.objection(math.nan, "mm") is None
+    assert WIDTH.at_most().objection(0.002, "mm") is None
 
 
 def test_a_range_in_another_unit_is_the_same_range() -> None:
-    assert in_unit(WIDTH, "um").doubt(2e6, "um") == "is no width; 2000 um may be meant"
-    assert in_unit(WIDTH, "um").doubt(2e3, "um") is None
+    assert in_unit(WIDTH, "um").objection(2e6, "um") == "is no width; 2000 um may be meant"
+    assert in_unit(WIDTH, "um").objection(2e3, "um") is None
 
 
 def test_numbers_of_nested_values() -> None:

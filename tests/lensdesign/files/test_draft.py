@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign import InputError, Lens, MaterialError, Pose
-from lensdesign.files.assembly import assemble, folded
+from lensdesign.files.assembly import assemble, fold_dummy_planes
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.draft import (
-    Break,
+    CoordinateBreak,
     Draft,
     Imported,
-    Row,
     Supplement,
+    SurfaceRow,
     find_glass,
-    number,
+    parse_number,
     pose_break,
     pose_distances,
     read_lines,
@@ -29,32 +29,32 @@ from lensdesign.files.zemax import read_zmx, write_zmx
 SUPPLEMENT = Supplement(field_diameter_mm=1.0, numerical_aperture=0.05, pixel_pitch_um=3.0, pixels=(10, 10))
 
 
-def row(thickness_mm: float, name: str = "surface", **values: object) -> Row:
-    return Row(name, f"lens, {name}", thickness_mm=thickness_mm, **values)  # type: ignore[arg-type]
+def row(thickness_mm: float, name: str = "surface", **values: object) -> SurfaceRow:
+    return SurfaceRow(name, f"lens, {name}", thickness_mm=thickness_mm, **values)  # type: ignore[arg-type]
 
 
-def lens_rows() -> list[Row]:
+def lens_rows() -> list[SurfaceRow]:
     """An object, a singlet and an image."""
     front = row(5.0, radius_mm=50.0, material=1.5, semi_diameter_mm=4.0, stop=True)
     return [row(100.0, "object"), front, row(90.0, radius_mm=-50.0), row(0.0, "image")]
 
 
-def assembled(rows: list[Row], supplement: Supplement = SUPPLEMENT, lossy: bool = False) -> Imported:
+def assembled(rows: list[SurfaceRow], supplement: Supplement = SUPPLEMENT, lossy: bool = False) -> Imported:
     return assemble(Draft("lens", wavelengths_um=[0.5], rows=rows), supplement, lossy)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_numbers_are_read_as_printed(value: float) -> None:
-    assert number(repr(value), "") == value
-    assert number(f"{value:.17E}".replace("E", "D"), "") == value
+    assert parse_number(repr(value), "") == value
+    assert parse_number(f"{value:.17E}".replace("E", "D"), "") == value
 
 
 @pytest.mark.parametrize(
     "text", ["", "nan", "inf", "-Infinity", "1,5", "1_0", "0x10", "1e999", "١", "1" * 401, "--1"]
 )
 def test_what_is_no_number_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"here: .*finite"):
-        number(text, "here")
+    with pytest.raises(InputError, match=r"here: .* must be a finite number"):
+        parse_number(text, "here")
 
 
 def test_lines_end_as_anyone_ends_them(tmp_path: Path) -> None:
@@ -67,23 +67,23 @@ def test_lines_end_as_anyone_ends_them(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", [False, True])
 def test_only_an_inverse_undoes_a_break(order: bool) -> None:
-    axes = Break((0.1, 0.2), (1.0, 2.0, 0.0), order)
+    axes = CoordinateBreak((0.1, 0.2), (1.0, 2.0, 0.0), order)
     assert axes.inverse().undoes(axes)
     assert not axes.undoes(axes)
-    assert not Break((-0.1, -0.2), (-1.0, -2.0, 0.0), order).undoes(axes)
-    shift = Break((0.1, 0.2), (0.0, 0.0, 0.0), order)
-    assert Break((-0.1, -0.2), (0.0, 0.0, 0.0), order).undoes(shift)
+    assert not CoordinateBreak((-0.1, -0.2), (-1.0, -2.0, 0.0), order).undoes(axes)
+    shift = CoordinateBreak((0.1, 0.2), (0.0, 0.0, 0.0), order)
+    assert CoordinateBreak((-0.1, -0.2), (0.0, 0.0, 0.0), order).undoes(shift)
 
 
 def test_dummy_planes_are_folded_into_the_space_before() -> None:
     rows = lens_rows()
     dummies = [rows[0], row(-10.0), row(10.0), *rows[1:3], row(0.0), row(2.0), rows[-1]]
-    assert [r.thickness_mm for r in folded(dummies)] == [100.0, 5.0, 92.0, 0.0]
+    assert [r.thickness_mm for r in fold_dummy_planes(dummies)] == [100.0, 5.0, 92.0, 0.0]
     lens = assembled(dummies).lens
     assert (len(lens.surfaces), lens.sensor.plane_distances_mm) == (2, (92.0,))
     assert lens.object.working_distance_mm == 100.0
     nothing = [rows[0], row(5.0), row(5.0), rows[-1]]
-    with pytest.raises(InputError, match="planes in air"):
+    with pytest.raises(InputError, match="only planes in air"):
         assembled(nothing)
     kept = [*rows[:3], row(2.0, semi_diameter_mm=3.0), rows[-1]]
     assert len(assembled(kept).lens.surfaces) == 3
@@ -97,7 +97,7 @@ def test_a_pair_of_breaks_is_a_pose(tilt_first: bool) -> None:
     lens = assembled(rows).lens
     distances = pose_distances(lens, pose)
     axes = pose_break(pose)
-    axes = Break(axes.decenter_mm, axes.tilt_deg, tilt_first)
+    axes = CoordinateBreak(axes.decenter_mm, axes.tilt_deg, tilt_first)
     posed = [
         row(distances[0], "object"),
         row(distances[1], axes=axes),
@@ -113,12 +113,12 @@ def test_a_pair_of_breaks_is_a_pose(tilt_first: bool) -> None:
 @pytest.mark.parametrize(
     "axes",
     [
-        Break((0.1, 0.0), (1.0, 0.0, 0.0), reverse=True),
-        Break((0.0, 0.0), (1.0, 2.0, 0.0), reverse=True),
-        Break((0.0, 0.0), (0.0, 0.0, 3.0)),
+        CoordinateBreak((0.1, 0.0), (1.0, 0.0, 0.0), reverse=True),
+        CoordinateBreak((0.0, 0.0), (1.0, 2.0, 0.0), reverse=True),
+        CoordinateBreak((0.0, 0.0), (0.0, 0.0, 3.0)),
     ],
 )
-def test_other_breaks_are_a_loss(axes: Break) -> None:
+def test_other_breaks_are_a_loss(axes: CoordinateBreak) -> None:
     rows = lens_rows()
     broken = [
         rows[0],
@@ -127,7 +127,7 @@ def test_other_breaks_are_a_loss(axes: Break) -> None:
         row(0.0, "second", axes=axes.inverse()),
         rows[-1],
     ]
-    with pytest.raises(InputError, match="first: coordinate break"):
+    with pytest.raises(InputError, match="first: coordinate break that is not a pose"):
         assembled(broken)
     result = assembled(broken, lossy=True)
     assert (result.lens, len(result.dropped)) == (assembled(rows).lens, 2)
@@ -135,13 +135,13 @@ def test_other_breaks_are_a_loss(axes: Break) -> None:
 
 def test_breaks_that_do_nothing_are_no_loss() -> None:
     rows = lens_rows()
-    assert assembled([rows[0], row(0.0, axes=Break()), *rows[1:]]).lens == assembled(rows).lens
+    assert assembled([rows[0], row(0.0, axes=CoordinateBreak()), *rows[1:]]).lens == assembled(rows).lens
 
 
 def test_a_plane_that_ends_a_glass_behind_a_break_is_kept() -> None:
     rows = lens_rows()
     block = row(5.0, radius_mm=-50.0, material=1.7)
-    ended = [*rows[:2], block, row(0.0, axes=Break()), row(80.0), rows[-1]]
+    ended = [*rows[:2], block, row(0.0, axes=CoordinateBreak()), row(80.0), rows[-1]]
     assert [s.material for s in assembled(ended).lens.surfaces] == [1.5, 1.7, None]
 
 
@@ -153,7 +153,7 @@ def test_a_value_given_along_is_taken_even_if_it_is_wrong() -> None:
 
 def test_an_object_at_infinity_needs_a_working_distance() -> None:
     rows = [row(np.inf, "object"), *lens_rows()[1:]]
-    with pytest.raises(InputError, match=r"lens: .*working_distance_mm"):
+    with pytest.raises(InputError, match="lens: the file lacks working_distance_mm; give"):
         assembled(rows)
 
 
@@ -183,7 +183,8 @@ def test_a_stop_without_an_aperture_is_as_wide_as_the_marginal_ray(tmp_path: Pat
     found = assemble(pupil, SUPPLEMENT, False)
     assert found.lens.surfaces[0].semi_diameter_mm == pytest.approx(4.0, rel=1e-12)
     assert found.remarks == (
-        "surface: the stop has no aperture in the file; 4 mm taken, its marginal ray's height",
+        "surface: the stop has no aperture in the file; its semi-diameter is 4 mm, the height of the "
+        "marginal ray",
     )
     cone = Draft("lens", wavelengths_um=[0.5], rows=rows, aperture=("object_na", 0.05))
     semi = assemble(cone, SUPPLEMENT, False).lens.surfaces[0].semi_diameter_mm

@@ -16,8 +16,7 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.common.input_files import LENS_FILE_BYTES
 from lensdesign.files.draft import LossyImportError, Supplement
-from lensdesign.files.zemax import read_zmx, write_zmx
-from lensdesign.files.zemax_records import radius_mm
+from lensdesign.files.zemax import radius_mm, read_zmx, write_zmx
 
 HEADER = """VERS 171115
 DBDT 0 1 1.000E+10 0.000E+00
@@ -47,12 +46,16 @@ SUPPLEMENT = Supplement(
 
 
 def zmx_text(
-    name: str, pupil: float, waves: tuple[float, ...], surfaces: list[tuple[str, ...]], primary: int = 1
+    name: str,
+    pupil: float,
+    wavelengths_um: tuple[float, ...],
+    surfaces: list[tuple[str, ...]],
+    primary: int = 1,
 ) -> str:
     """A file as lens makers write it: object at infinity, then the records of each surface."""
-    lines = [HEADER.format(name=name, pupil=pupil, waves=len(waves)).rstrip()]
-    lines += [f"WAVM {i} {w} 1" for i, w in enumerate(waves, start=1)]
-    lines += [f"WAVM {i} 0.55 1" for i in range(len(waves) + 1, 25)]
+    lines = [HEADER.format(name=name, pupil=pupil, waves=len(wavelengths_um)).rstrip()]
+    lines += [f"WAVM {i} {w} 1" for i, w in enumerate(wavelengths_um, start=1)]
+    lines += [f"WAVM {i} 0.55 1" for i in range(len(wavelengths_um) + 1, 25)]
     lines += [f"PWAV {primary}", "GLRS 1 0", "SURF 0", "  FIMP", "  CURV 0.0", "  DISZ INFINITY"]
     for i, records in enumerate(surfaces, start=1):
         lines += [f"SURF {i}", *(f"  {record}" for record in records)]
@@ -348,7 +351,7 @@ LOSSES = [
     ("  FIMP\r\n  CURV 0.0\r\n  DISZ 0", "  CURV 0.01\r\n  DISZ 0", "surface 4: curved image surface"),
     ("CURV 0.0\r\n  DISZ INF", "CURV 0.1\r\n  DISZ INF", "surface 0: curved object surface"),
     ("DISZ INF", "GLAS F2\r\n  DISZ INF", "surface 0: object in F2, read as air"),
-    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break"),
+    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break that is not a pose"),
 ]
 
 
@@ -363,21 +366,21 @@ def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, messag
 
 
 FAULTS = [
-    ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'"),
-    ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'"),
-    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' stands"),
-    ("DISZ 9.0", "DISZ nan", "'nan' stands"),
-    ("DISZ 9.0", "DISZ 1e999", "'1e999' stands where"),
-    ("DISZ 9.0", "DISZ 1_0", "'1_0' stands where"),
-    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' stands where"),
-    ("DISZ 9.0", "DISZ", r"0 values.* 1"),
-    ("DISZ 9.0", "DISZ 0.0", "0 mm behind surface 1"),
-    ("DISZ 9.0", "DISZ -9.0", "-9 mm behind surface 1"),
-    ("DISZ 9.0", "DISZ INFINITY", "inf mm behind surface 1"),
+    ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'; only sequential"),
+    ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'; only lengths in MM"),
+    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' must be a finite number"),
+    ("DISZ 9.0", "DISZ nan", "'nan' must be a finite number"),
+    ("DISZ 9.0", "DISZ 1e999", "'1e999' must be"),
+    ("DISZ 9.0", "DISZ 1_0", "'1_0' must be"),
+    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' must be"),
+    ("DISZ 9.0", "DISZ", "0 values; at least 1"),
+    ("DISZ 9.0", "DISZ 0.0", "the next surface lies 0 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ -9.0", "the next surface lies -9 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ INFINITY", "the next surface lies inf mm behind surface 1"),
     ("SURF 2", "SURF 7", "SURF '7' where surface 2 must follow"),
-    ("N-BAF10", "N-BAF10X", r"'N-BAF10X'.*N-BAF10"),
-    ("CURV 0.0", "CURV abc", "'abc' stands where"),
-    ("PWAV 2", "PWAV 2.5", r"'2.5' stands"),
+    ("N-BAF10", "N-BAF10X", r"unknown material 'N-BAF10X'; did you mean N-BAF10"),
+    ("CURV 0.0", "CURV abc", "'abc' must be"),
+    ("PWAV 2", "PWAV 2.5", "'2.5' must be a whole number"),
     ("STOP", "GLAS", "GLAS without a name"),
     ("FWGN 1", "NOTE 0 transferlens pixels [1", r"remark transferlens 'pixels' \(line 17\): not readable"),
     (
@@ -404,7 +407,7 @@ def test_faults_are_named(tmp_path: Path, old: str, new: str, message: str | Non
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match=r"working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
+        match=r"lacks working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
     ):
         read_zmx(saved(tmp_path, AC254_050))
 
@@ -435,7 +438,7 @@ def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
 
 def test_more_asphere_terms_than_the_format_holds_are_not_written(tmp_path: Path, paper_lens: Lens) -> None:
     path = tmp_path / "lens.zmx"
-    with pytest.raises(InputError, match=r"surface 2.* 8 asphere.*\.zmx.* 7.*r\^16"):
+    with pytest.raises(InputError, match=r"surface 2: 8 asphere terms; a .zmx file holds 7, up to r\^16"):
         write_zmx(paper_lens.with_surface(1, asphere=(0.0,) * 7 + (1e-30,)), path)
     assert not path.exists()
 
@@ -534,7 +537,7 @@ def test_the_system_aperture_decides_what_rays_fill(tmp_path: Path, record: str,
     sag = 50.0 - math.sqrt(50.0**2 - semi**2)
     assert semi / (60.0 + sag) == pytest.approx(math.tan(math.asin(na)), rel=1e-9)
     assert check_design(lens).numerical_aperture == pytest.approx(na, rel=1e-6)
-    assert any("a stop of 10 mm lets through more than the system aperture" in r for r in result.remarks)
+    assert any("stop of 10 mm exceeds the system aperture" in r for r in result.remarks)
     assert result.first_order is not None
     assert result.first_order.stop_height_mm == pytest.approx(semi, rel=1e-9)
 
@@ -578,7 +581,9 @@ def test_a_stop_within_the_lens_is_filled_by_the_real_marginal_ray(tmp_path: Pat
 @pytest.mark.parametrize("second", ["ENPD 4", "FNUM 4 0", "FLOA", "OBNA 0.2 0"])
 def test_two_system_apertures_are_refused(tmp_path: Path, second: str) -> None:
     text = SINGLET.replace("OBNA 0.1 0", f"OBNA 0.1 0\n{second}")
-    with pytest.raises(InputError, match=r"line 6: .*aperture.*line 5"):
+    with pytest.raises(
+        InputError, match="line 6: a second system aperture that differs from the one of line 5"
+    ):
         read_zmx(saved(tmp_path, text), SENSOR)
 
 
@@ -590,10 +595,10 @@ def test_automatic_semi_diameters_are_no_apertures(tmp_path: Path) -> None:
             saved(tmp_path, SINGLET.replace(second, f"  DISZ 50\n  DIAM 7 {flag} 0 0 1")), SENSOR
         )
         assert result.lens.surfaces[1].semi_diameter_mm == kept
-        said = any(
-            "automatic semi-diameters clip nothing" in r and "surface 2 7 mm" in r for r in result.remarks
+        differences = any(
+            "automatic semi-diameters do not clip" in r and "surface 2 7 mm" in r for r in result.remarks
         )
-        assert said == (kept is None)
+        assert differences == (kept is None)
     clear = read_zmx(
         saved(tmp_path, SINGLET.replace(second, "  DISZ 50\n  DIAM 7 0 0 0 1\n  CLAP 0 6 0")), SENSOR
     )
@@ -656,7 +661,7 @@ def test_the_lens_is_traced_and_compared_with_the_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The biconvex lens's textbook figures; and a reader that misreads is found out."""
-    from lensdesign.files import zemax_records
+    from lensdesign.files import zemax
 
     first = read_zmx(saved(tmp_path, SINGLET), SENSOR).first_order
     assert first is not None
@@ -668,13 +673,13 @@ def test_the_lens_is_traced_and_compared_with_the_records(
     assert first.magnification == pytest.approx(-1.0 / (power * (60.0 + principal) - 1.0), rel=1e-6)
 
     def misread(name: str, value: object) -> None:
-        def take(reader: object, surface: zemax_records.FileSurface, values: list[str], where: str) -> None:
+        def take(reader: object, surface: zemax.FileSurface, values: list[str], location: str) -> None:
             setattr(surface, name, value)
 
-        taken = {"glass": "GLAS", "radius_mm": "CURV", "thickness_mm": "DISZ"}[name]
+        keyword = {"glass": "GLAS", "radius_mm": "CURV", "thickness_mm": "DISZ"}[name]
         with monkeypatch.context() as patched:
-            patched.setitem(zemax_records._OF_SURFACE, taken, take)
-            with pytest.raises(InputError, match="the file's records"):
+            patched.setitem(zemax._OF_SURFACE, keyword, take)
+            with pytest.raises(InputError, match="disagrees with the file"):
                 read_zmx(saved(tmp_path, SINGLET), SENSOR, lossy=True)
 
     misread("glass", ())

@@ -10,7 +10,7 @@ from places import DESIGNS
 from lensdesign import DesignError, Lens, Surface, load_design, save_design, scaled
 from lensdesign.common.toml_files import read_toml
 from lensdesign.files.design import lens_of
-from lensdesign.lens.lengths import LongRadiusWarning, doubted_lengths
+from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths
 
 LENSES = [path for path in sorted(DESIGNS.glob("*.toml")) if "[sensor]" in path.read_text("utf-8")]
 LENSES = [path for path in LENSES if "[[variable]]" not in path.read_text("utf-8")]
@@ -22,7 +22,7 @@ def test_twins_of_all_designs_are_plausible(path: Path, factor: float) -> None:
     lens = load_design(path)
     if any(surface.figure is not None and surface.figure.file is not None for surface in lens.surfaces):
         return  # a measured figure cannot be scaled
-    assert list(doubted_lengths(scaled(lens, factor))) == []
+    assert list(implausible_lengths(scaled(lens, factor))) == []
 
 
 def with_surfaces(lens: Lens, *surfaces: Surface) -> Lens:
@@ -32,19 +32,19 @@ def with_surfaces(lens: Lens, *surfaces: Surface) -> Lens:
 def test_weak_and_flat_surfaces_cement_and_far_objects_are_plausible(paper_lens: Lens) -> None:
     front, back = paper_lens.surfaces
     weak = back.replaced(radius_mm=-1e4, conic=0.0)
-    assert list(doubted_lengths(with_surfaces(paper_lens, front, weak))) == []
+    assert list(implausible_lengths(with_surfaces(paper_lens, front, weak))) == []
     flat = back.replaced(radius_mm=None, conic=0.0)
-    assert list(doubted_lengths(with_surfaces(paper_lens, front, flat))) == []
+    assert list(implausible_lengths(with_surfaces(paper_lens, front, flat))) == []
     cement = Surface(radius_mm=-30.0, thickness_mm=0.01, material=1.56)
     rear = Surface(radius_mm=-30.0, thickness_mm=2.0, material="N-SF11")
-    assert list(doubted_lengths(with_surfaces(paper_lens, front, cement, rear, weak))) == []
+    assert list(implausible_lengths(with_surfaces(paper_lens, front, cement, rear, weak))) == []
     far = paper_lens.object.replaced(
         working_distance_mm=5000.0, numerical_aperture=0.0016, field_diameter_mm=500.0
     )
-    assert list(doubted_lengths(paper_lens.replaced(object=far))) == []
+    assert list(implausible_lengths(paper_lens.replaced(object=far))) == []
     pinhole = paper_lens.object.replaced(numerical_aperture=0.002)
     stopped = with_surfaces(paper_lens, front.replaced(semi_diameter_mm=0.1), back)
-    assert list(doubted_lengths(stopped.replaced(object=pinhole))) == []
+    assert list(implausible_lengths(stopped.replaced(object=pinhole))) == []
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
@@ -52,7 +52,7 @@ def test_a_whole_lens_in_another_unit_is_questioned(paper_lens: Lens, factor: fl
     sensor = paper_lens.sensor
     wrong = scaled(paper_lens.replaced(sensor=sensor.replaced(pixels=(1000, 1000))), factor)
     planes = wrong.sensor.plane_distances_mm
-    (doubt,) = doubted_lengths(wrong.replaced(sensor=sensor.replaced(plane_distances_mm=planes)))
+    (doubt,) = implausible_lengths(wrong.replaced(sensor=sensor.replaced(plane_distances_mm=planes)))
     assert doubt.startswith(
         f"surface 1, semi_diameter_mm = {8.26 * factor:g}: no lens is of this size; 8.26 mm"
     )
@@ -60,7 +60,7 @@ def test_a_whole_lens_in_another_unit_is_questioned(paper_lens: Lens, factor: fl
 
 def test_an_aperture_of_next_to_nothing_is_no_arithmetic_error(paper_lens: Lens) -> None:
     closed = paper_lens.replaced(object=paper_lens.object.replaced(numerical_aperture=1e-300))
-    assert all("may be meant" in doubt for doubt in doubted_lengths(closed))
+    assert all("may be meant" in doubt for doubt in implausible_lengths(closed))
 
 
 def test_lengths_of_edges_are_questioned() -> None:
@@ -112,4 +112,4 @@ def test_real_lenses_are_plausible(paper_lens: Lens, name: str) -> None:
         ),
         sensor=paper_lens.sensor.replaced(plane_distances_mm=tuple(planes)),
     )
-    assert list(doubted_lengths(lens)) == []
+    assert list(implausible_lengths(lens)) == []

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.glb import write_scene
 from lensdesign.raytrace.bundles import pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_SHARES, ray_paths
+from lensdesign.raytrace.paths import FIELD_FRACTIONS, ray_paths
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_rays_run_from_the_object_to_the_last_sensor_plane(
     scene: dict[str, trimesh.Trimesh], paper_lens: Lens
 ) -> None:
     pupil = pupil_hexapolar(2).points
-    for share, name in zip(FIELD_SHARES, ("rays_0_mm", "rays_1.05_mm", "rays_1.5_mm"), strict=True):
+    for share, name in zip(FIELD_FRACTIONS, ("rays_0_mm", "rays_1.05_mm", "rays_1.5_mm"), strict=True):
         tubes = scene[name]
         height = share * paper_lens.half_field_mm
         assert tubes.bounds[0, 2] == pytest.approx(paper_lens.object_z_mm, abs=1e-5)
@@ -108,7 +108,7 @@ def test_colours_are_linear_light(scene: dict[str, trimesh.Trimesh]) -> None:
 
 
 def test_nothing_is_written_where_no_scene_can_be(paper_lens: Lens, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\.glb alone"):
+    with pytest.raises(InputError, match=r"must end in \.glb"):
         write_scene(paper_lens, tmp_path / "lens.stl")
     with pytest.raises(InputError, match="edge thickness"):
         write_scene(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.glb")

@@ -24,7 +24,7 @@ from lensdesign.plots.page import write_view
 from lensdesign.plots.scene import scene_parts
 from lensdesign.plots.window import open_window
 from lensdesign.raytrace.bundles import pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths
 
 Command = Callable[..., tuple[int, str, str]]
 HOSTILE = "</script><script>window.struck = 1</script>&<b>\"'`${1}\\"
@@ -100,7 +100,7 @@ def test_a_page_holds_the_scene(page: str, paper_lens: Lens) -> None:
     assert [p["kind"] for p in parts] == kinds
     assert [p["color"] for p in parts if p["kind"] == "rays"] == list(FIELD_COLORS)
     pupil = pupil_hexapolar(2).points
-    for part, share in zip(parts[-3:], FIELD_SHARES, strict=True):
+    for part, share in zip(parts[-3:], FIELD_FRACTIONS, strict=True):
         paths = ray_paths(paper_lens, (0.0, share * paper_lens.half_field_mm), pupil)
         assert part["points"] == paths.shape[1]
         assert floats(part["lines"]) == pytest.approx(paths.ravel(), abs=1e-5)
@@ -163,11 +163,11 @@ def test_the_same_lens_gives_the_same_page(page: str, paper_lens: Lens, tmp_path
 def test_nothing_is_written_where_no_page_can_be(paper_lens: Lens, tmp_path: Path) -> None:
     kept = tmp_path / "view.html"
     kept.write_text("before")
-    with pytest.raises(InputError, match=r"\.html alone"):
+    with pytest.raises(InputError, match=r"must end in \.html"):
         write_view(paper_lens, tmp_path / "view.png")
     with pytest.raises(InputError, match="edge thickness"):
         write_view(paper_lens.with_surface(0, thickness_mm=4.5), kept)
-    with pytest.raises(InputError, match=r"file stands.*folder"):
+    with pytest.raises(InputError, match="file where a folder is needed"):
         write_view(paper_lens, kept / "view.html")
     assert [p.name for p in tmp_path.iterdir()] == ["view.html"]
     assert kept.read_text() == "before"

@@ -32,7 +32,7 @@ from lensdesign.plots.charts import spread_figure
 from lensdesign.plots.layout import THICK, THIN
 from lensdesign.plots.plots import draw_all, incidence_figure, layout_figure, spot_figure, write_figure
 from lensdesign.plots.scene3d import RenderingError
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, sized_lens
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, sized_lens
 
 
 @pytest.fixture(scope="module")
@@ -260,7 +260,7 @@ def test_spots_land_on_the_design_s_sensor_planes(paper_lens: Lens) -> None:
         )
         assert axes.get_xlim()[1] > 14.9504
         assert dots.get_color() == FIELD_COLORS[number % 3]
-        distance, height = (2.0, 22.0)[number // 3], 1.5 * FIELD_SHARES[number % 3]
+        distance, height = (2.0, 22.0)[number // 3], 1.5 * FIELD_FRACTIONS[number % 3]
         points = np.stack(dots.get_data(), axis=-1)
         spot = rms_spot_diameter(paper_lens, None, height, distance)
         assert points.mean(axis=0) == pytest.approx(spot.centroid_mm, abs=0.02)
@@ -334,7 +334,7 @@ def test_draw_all_without_rendering_says_so(
 ) -> None:
     no_rendering(monkeypatch)
     notes: list[str] = []
-    paths = draw_all(paper_lens, tmp_path / "new", ("png", "svg"), report=notes.append)
+    paths = draw_all(paper_lens, tmp_path / "new", ("png", "svg"), warn=notes.append)
     names = [f"{n}.{f}" for n in ("layout", "spots", "incidence", "spread") for f in ("png", "svg")]
     assert [p.name for p in paths] == names
     assert sorted(p.name for p in (tmp_path / "new").iterdir()) == sorted(names)
@@ -367,7 +367,7 @@ def test_draw_all_with_rendering(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 def test_a_lens_that_does_not_close_has_no_3d_view(tmp_path: Path, paper_lens: Lens) -> None:
     notes: list[str] = []
-    paths = draw_all(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path, report=notes.append)
+    paths = draw_all(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path, warn=notes.append)
     assert [p.name for p in paths] == ["layout.png", "spots.png", "incidence.png", "spread.png"]
     assert len(notes) == 1
     assert "edge thickness is -0." in notes[0]

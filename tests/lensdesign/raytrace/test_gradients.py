@@ -59,7 +59,7 @@ VARIABLES = (
 def stepped(system, object_z, variable):
     """The system with an imaginary step of one variable, and the object plane's z."""
     vertex, shapes = system.vertex.astype(complex), list(system.shapes)
-    if variable.of_shape:
+    if variable.is_shape_term:
         shapes[variable.surface] = shapes[variable.surface].moved(variable.kind, 1j * STEP)
     elif variable.kind == "thickness":
         vertex[0, variable.surface + 1 :, 2] += 1j * STEP
@@ -129,7 +129,7 @@ def differences(function, system, object_z, variable, step=1e-6):
     ends = []
     for sign in (1.0, -1.0):
         vertex, shapes, z = system.vertex.copy(), list(system.shapes), object_z
-        if variable.of_shape:
+        if variable.is_shape_term:
             shapes[variable.surface] = shapes[variable.surface].moved(variable.kind, sign * step)
         elif variable.kind == "thickness":
             vertex[0, variable.surface + 1 :, 2] += sign * step

@@ -41,10 +41,10 @@ def test_figures_follow_and_settle_to_those_of_the_check(bench: Workbench) -> No
 
 
 def test_a_bad_value_is_refused_and_the_last_good_lens_stays(bench: Workbench) -> None:
-    before = bench.lens
+    undo_steps = bench.lens
     assert not bench.edit(RADIUS, "number", "0")
-    assert bench.refused[RADIUS].startswith("surface 2, radius_mm: a radius of 0 is no surface")
-    assert bench.lens is before
+    assert bench.refused[RADIUS].startswith("surface 2, radius_mm: a radius of 0 is not a surface")
+    assert bench.lens is undo_steps
     assert bench.edit(RADIUS, "number", "-12.1")
     assert bench.refused == {}
 
@@ -72,7 +72,7 @@ def test_saving_is_asked_for(bench: Workbench) -> None:
 
 def test_edits_outlive_the_process(bench: Workbench, tmp_path: Path) -> None:
     bench.edit(RADIUS, "number", "-12.2")
-    wait(lambda: bool(bench.aside and bench.aside.read().get("tables")))
+    wait(lambda: bool(bench.autosave and bench.autosave.read().get("tables")))
     again = Workbench(bench.document.path, "", Autosave(bench.document.path, tmp_path / "aside"))
     assert again.lens == bench.lens
     assert not again.is_saved
@@ -83,7 +83,7 @@ def test_who_stopped_listening_is_not_told(bench: Workbench) -> None:
     end = bench.listen(lambda: told.append(1))
     end()
     end()
-    bench.tell()
+    bench.notify()
     assert told == []
 
 

@@ -26,19 +26,19 @@ def edited(editing: Editing, radius: float = -12.5) -> Editing:
 
 def test_what_is_saved_is_the_lens(file: Path) -> None:
     document, editing = opened(file)
-    after = document.saved(edited(editing))
+    redo_steps = document.saved(edited(editing))
     assert load_design(file).surfaces[1].radius_mm == -12.5
-    after.saved(editing)  # it knows its own file
+    redo_steps.saved(editing)  # it knows its own file
     assert load_design(file) == editing.lens
 
 
 def test_a_file_that_changed_on_disk_is_left_alone(file: Path) -> None:
     document, editing = opened(file)
     file.write_text(file.read_text() + "\n# somebody else\n")
-    before = file.read_bytes()
-    with pytest.raises(InputError, match="changed on disk"):
+    undo_steps = file.read_bytes()
+    with pytest.raises(InputError, match="changed on disk since it was opened"):
         document.saved(edited(editing))
-    assert file.read_bytes() == before
+    assert file.read_bytes() == undo_steps
     file.unlink()
     with pytest.raises(InputError, match="gone from the disk"):
         document.saved(edited(editing))
@@ -56,9 +56,9 @@ def test_another_name_must_be_free(file: Path, tmp_path: Path) -> None:
 
 def test_edits_of_the_last_session_come_back_and_can_be_undone(file: Path, tmp_path: Path) -> None:
     document, editing = opened(file)
-    aside = Autosave(file, tmp_path / "aside")
-    aside.keep(tables=tables_text(edited(editing).now.tables), digest=document.digest)
-    assert aside.file.stat().st_mode & 0o077 == 0
+    autosave = Autosave(file, tmp_path / "aside")
+    autosave.keep(tables=tables_text(edited(editing).now.tables), digest=document.digest)
+    assert autosave.file.stat().st_mode & 0o077 == 0
     back = Autosave(file, tmp_path / "aside").restored(document, editing)
     assert back.lens.surfaces[1].radius_mm == -12.5
     assert back.undone().lens == editing.lens
@@ -69,20 +69,20 @@ def test_edits_of_the_last_session_come_back_and_can_be_undone(file: Path, tmp_p
 )
 def test_what_cannot_be_used_is_not(file: Path, tmp_path: Path, content: str) -> None:
     document, editing = opened(file)
-    aside = Autosave(file, tmp_path)
-    aside.file.write_text(content.replace("DIGEST", document.digest))
-    assert aside.restored(document, editing) is editing
+    autosave = Autosave(file, tmp_path)
+    autosave.file.write_text(content.replace("DIGEST", document.digest))
+    assert autosave.restored(document, editing) is editing
 
 
 def test_edits_of_another_file_do_not_come_back(file: Path, tmp_path: Path) -> None:
     document, editing = opened(file)
-    aside = Autosave(file, tmp_path / "aside")
-    aside.keep(tables=tables_text(edited(editing).now.tables), digest="of another")
-    assert aside.restored(document, editing) is editing
+    autosave = Autosave(file, tmp_path / "aside")
+    autosave.keep(tables=tables_text(edited(editing).now.tables), digest="of another")
+    assert autosave.restored(document, editing) is editing
 
 
 def test_two_threads_may_keep_at_one_time(file: Path, tmp_path: Path) -> None:
-    aside = Autosave(file, tmp_path / "aside")
+    autosave = Autosave(file, tmp_path / "aside")
     with ThreadPoolExecutor(4) as threads:
-        list(threads.map(lambda k: aside.keep(**{f"value{k}": k}), range(200)))
-    assert len(aside.read()) == 200
+        list(threads.map(lambda k: autosave.keep(**{f"value{k}": k}), range(200)))
+    assert len(autosave.read()) == 200

@@ -40,7 +40,7 @@ def test_an_edit_gives_the_lens_of_the_file_with_that_value(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("place", "value"),
+    ("table_path", "value"),
     [
         (RADIUS, 0.0),
         (("surface", 0, "material"), "N-BK77"),
@@ -50,12 +50,12 @@ def test_an_edit_gives_the_lens_of_the_file_with_that_value(tmp_path: Path) -> N
     ],
 )
 def test_a_bad_value_is_refused_in_the_words_of_the_command(
-    tmp_path: Path, place: tuple[str | int, ...], value: object
+    tmp_path: Path, table_path: tuple[str | int, ...], value: object
 ) -> None:
     import tomli_w
 
     editing = paper()
-    tables = with_value(editing.now.tables, place, value)
+    tables = with_value(editing.now.tables, table_path, value)
     file = tmp_path / "bad.toml"
     file.write_text(tomli_w.dumps(tables))
     with pytest.raises(InputError) as of_command:
@@ -74,7 +74,7 @@ def test_a_gesture_is_undone_as_one() -> None:
     back = editing.undone()
     assert value_at(back.now.tables, RADIUS) == -12.3
     assert value_at(back.undone().now.tables, RADIUS) == -12.0
-    assert back.undone().undone() is back.undone() or not back.undone().before
+    assert back.undone().undone() is back.undone() or not back.undone().undo_steps
     assert back.redone().now is editing.now
 
 

@@ -8,7 +8,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import Lens, Pose, check_design, load_design
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.figures import FigureRequest, patch_of, rays_of, waves_of
 from studio.model.whatif import WhatIf
 from tolerancing import load_study
@@ -20,7 +20,7 @@ STUDY = str(DESIGNS / "as_built_tolerances.toml")
 
 
 def asked(lens: Lens, what_if: WhatIf = OFF, grade: str = STUDY) -> FigureRequest:
-    return FigureRequest(lens, what_if, workmanship(grade, lens), 0.0)
+    return FigureRequest(lens, what_if, manufacturing_quality(grade, lens), 0.0)
 
 
 def test_settled_rays_are_those_of_the_check(paper_lens: Lens) -> None:
@@ -73,10 +73,10 @@ def test_moving_figures_are_near_the_settled_ones(paper_lens: Lens) -> None:
 def test_a_lens_as_designed_brings_the_chart_back(paper_lens: Lens) -> None:
     found = patch_of(asked(paper_lens, WhatIf()), settled=True).patch
     assert found is not None
-    assert found.seen == pytest.approx(found.nominal)
+    assert found.actual == pytest.approx(found.nominal)
     off = patch_of(asked(paper_lens, WhatIf({"lens.tilt_x_deg": 0.4})), settled=True).patch
     assert off is not None
-    assert abs(off.seen - off.nominal).max() > 0.1
+    assert abs(off.actual - off.nominal).max() > 0.1
 
 
 @pytest.mark.parametrize("name", ["moulded_pair", "rectangular_sensor"])

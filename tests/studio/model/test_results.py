@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from lensdesign import InputError
-from studio.model.results import look_at
+from studio.model.results import read_folder
 
 
 def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
     told = {"kind": "amplitude", "misfit": 0.123456789, "verdict": {"explained": False, "words": "no <b>"}}
     (tmp_path / "reconstruction.json").write_text(json.dumps(told | {"bench": {"tilt_x_deg": 0.1}}))
     (tmp_path / "residuals.png").write_bytes(b"png")
-    seen = look_at(tmp_path, lambda _: None)
+    seen = read_folder(tmp_path, lambda _: None)
     assert (seen.verdict, seen.explained) == ("no <b>", False)
     assert dict(seen.facts) == {"kind": "amplitude", "misfit": "0.123457", "bench, tilt x deg": "0.1"}
     assert seen.pictures == (("residuals.png", b"png"),)
@@ -25,7 +25,7 @@ def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["{", "[]"])
 def test_what_is_none_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError, match="holds none of"):
-        look_at(tmp_path, lambda _: None)
+        read_folder(tmp_path, lambda _: None)
     (tmp_path / "image.json").write_text(text)
     with pytest.raises(InputError, match="cannot read"):
-        look_at(tmp_path, lambda _: None)
+        read_folder(tmp_path, lambda _: None)

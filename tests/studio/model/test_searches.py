@@ -10,7 +10,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import InputError, Lens, load_specification, optimize
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.searches import Search, run_exploration, run_search, specification_text, variables_of
 
 VARIED = ("surface 1 radius_mm", "surface 2 radius_mm", "surface 2 conic")
@@ -28,7 +28,10 @@ def test_a_search_finds_what_the_command_finds(paper_lens: Lens) -> None:
 
 
 def test_what_cannot_be_asked_is_refused(paper_lens: Lens, tmp_path: Path) -> None:
-    for search, said in ((Search(()), "nothing may vary"), (Search(VARIED, "yield"), "choose tolerances")):
+    for search, said in (
+        (Search(()), "no variable is selected"),
+        (Search(VARIED, "yield"), "choose tolerances"),
+    ):
         with pytest.raises(InputError, match=said):
             specification_text(paper_lens, search, tmp_path, None)
     tight = Search(VARIED, constraints={"max_spread_deg": 1.0})
@@ -39,7 +42,7 @@ def test_what_cannot_be_asked_is_refused(paper_lens: Lens, tmp_path: Path) -> No
 def test_goals_as_built_take_the_tolerances_of_the_page(paper_lens: Lens, tmp_path: Path) -> None:
     from studio.model.studies import write_study
 
-    made = workmanship("precision", paper_lens)
+    made = manufacturing_quality("precision", paper_lens)
     write_study(paper_lens, made, 100, tmp_path)
     asked = Search(VARIED, "yield", {"max_lens_thickness_mm": 9.7})
     (tmp_path / "asked.toml").write_text(specification_text(paper_lens, asked, tmp_path, "study.toml"))

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from lensdesign import Lens
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.studies import run_trials, trial_what_if, trials_so_far
 from wavesim import PupilSampler, refocus, rms_waves
 
 
 def test_a_trial_is_seen_as_it_was_scored(paper_lens: Lens, tmp_path: Path) -> None:
-    made = workmanship("high_precision", paper_lens)
+    made = manufacturing_quality("high_precision", paper_lens)
     assert trials_so_far(tmp_path) is None
     assert run_trials(paper_lens, made, 4, tmp_path, lambda _: None) == 4
     found = trials_so_far(tmp_path)

@@ -12,7 +12,7 @@ from places import DESIGNS
 from lensdesign import InputError
 from studio.model.document import opened
 from studio.model.editing import value_at, with_value
-from studio.model.values import STEPS, glasses_like, nice, parsed, place_of, values_of
+from studio.model.values import STEPS, glasses_like, nice, parsed, path_of_key, values_of
 
 
 @pytest.mark.parametrize("name", ["paper_singlet", "moulded_pair", "rectangular_sensor", "phone_lens"])
@@ -20,15 +20,15 @@ def test_every_value_is_that_of_the_file_and_can_be_written_back(name: str) -> N
     _, editing = opened(DESIGNS / f"{name}.toml")
     tables = editing.now.tables
     for value in values_of(tables, tables, editing.lens):
-        assert place_of(value.key) == value.place
-        held = value_at(tables, value.place)
+        assert path_of_key(value.key) == value.table_path
+        held = value_at(tables, value.table_path)
         read = parsed(value.kind, value.text)
         assert read == held or read == pytest.approx(held or 0.0, rel=1e-9)
         if value.number is not None:
             assert value.low <= value.number <= value.high
             assert (value.high - value.low) / value.step == pytest.approx(2 * STEPS)
         if held is not None:
-            editing.changed(with_value(tables, value.place, read), "it is a lens")
+            editing.changed(with_value(tables, value.table_path, read), "it is a lens")
 
 
 def test_a_slider_stands_while_one_drags_and_follows_what_is_typed() -> None:

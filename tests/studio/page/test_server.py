@@ -104,7 +104,7 @@ def opened(browser: Any, served: Served) -> Any:
 
 
 def settled(page: Any) -> None:
-    page.locator(".told[data-state=settled] .constraint").first.wait_for(timeout=MILLISECONDS)
+    page.locator(".text-block[data-state=settled] .constraint").first.wait_for(timeout=MILLISECONDS)
 
 
 def spread(page: Any) -> float:
@@ -239,7 +239,7 @@ def test_a_value_is_stepped_refused_undone_and_saved(serve: Callable[..., Served
     assert float(box.input_value()) == pytest.approx(-12.0 - 9.0 * step)
     box.fill("0")
     box.press("Enter")
-    page.get_by_text("a radius of 0 is no surface").wait_for()
+    page.get_by_text("a radius of 0 is not a surface").wait_for()
     box.fill("-12.5")
     page.keyboard.press("Control+s")  # takes what was typed first
     page.get_by_text(f"saved {served.design}").wait_for()
@@ -313,9 +313,9 @@ def test_tabs_share_the_lens_and_a_killed_server_comes_back(
     assert page.get_by_text(HOSTILE).count() >= 1
     served.kill()
     page.get_by_text("The server has stopped").wait_for()
-    before = served.address
+    undo_steps = served.address
     served.begin()
-    assert served.address == before
+    assert served.address == undo_steps
     page.get_by_text("The server has stopped").wait_for(state="hidden")
     settled(page)
     until(lambda: page.get_by_label(RADIUS, exact=True).input_value() == "-12.4")
@@ -338,10 +338,10 @@ def test_no_request_leaves_the_machine(served: Served, browser: Any) -> None:
     page.close()
 
 
-def until(what: Callable[[], bool], seconds: float = 60.0) -> None:
+def until(description: Callable[[], bool], seconds: float = 60.0) -> None:
     import time
 
     end = time.monotonic() + seconds
-    while not what():
+    while not description():
         assert time.monotonic() < end
         time.sleep(0.05)

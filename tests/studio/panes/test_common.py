@@ -87,8 +87,8 @@ def test_a_page_is_touched_in_its_own_thread_and_sees_the_last_change(
         with ThreadPoolExecutor(THREADS) as threads:
             for rounds in range(1, ROUNDS + 1):
                 caught_up.clear()
-                list(threads.map(lambda _: bench.tell(), range(THREADS)))
+                list(threads.map(lambda _: bench.notify(), range(THREADS)))
                 told = rounds * THREADS
-                bench.tell()
+                bench.notify()
                 assert caught_up.wait(SECONDS)
     assert asked == pages

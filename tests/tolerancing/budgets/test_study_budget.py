@@ -40,7 +40,7 @@ def test_yield_and_requirement_agree_in_fresh_trials(loaded, trials):
         trials.scores,
         0.7,
         fresh=300,
-        report=lambda *progress: counted.append(progress),
+        progress=lambda *progress: counted.append(progress),
     )
     assert found.agrees
     assert found.verified.total == 300
@@ -138,7 +138,7 @@ def test_an_interrupted_budget_gives_what_it_has(loaded, trials, scored):
 
     with pytest.raises(BudgetInterrupted) as stop:
         budget_of_study(
-            loaded.lens, loaded.study, trials.values, trials.scores, 0.7, fresh=100, report=interrupt
+            loaded.lens, loaded.study, trials.values, trials.scores, 0.7, fresh=100, progress=interrupt
         )
     found = stop.value.found
     if scored == 0:

@@ -63,7 +63,7 @@ def test_what_tolerances_cost_and_the_cheapest_that_do(command, write_study, ray
     assert found["cost"] <= found["uniform_cost"]
     both = command("budget", store, "--yield", "0.6", "-o", out, "--costs", "relative", "--weight", "a=1")
     assert (both.returncode, both.stdout) == (2, "")
-    assert "give one of them" in both.stderr
+    assert "give only one of them" in both.stderr
     assert (
         "--process '2=moulded_glass': must be NAME"
         in command("cost", study, "--process", "2=moulded_glass").stderr
@@ -118,7 +118,7 @@ def test_the_yield_of_a_lens_that_seldom_fails(command, write_study, ray_study, 
     found = json.loads(ran.stdout)
     assert 0.0 <= found["yield"]["low"] <= found["yield"]["share"] <= found["yield"]["high"] <= 1.0
     assert found["trials"] == 60
-    assert "as sure as" in command("rare", store, "--trials", "60").stdout
+    assert "plain trials" in command("rare", store, "--trials", "60").stdout
     assert command("rare", store, "--trials", "7").returncode == 2
 
 
@@ -189,7 +189,7 @@ def test_a_merit_that_raises_for_the_nominal_lens_is_one_message_and_status_2(
     assert (ran.returncode, ran.stdout) == (2, "")
     assert ran.stderr == (
         "error: merit 'ratio' cannot score the nominal lens: LookupError: no ratio "
-        "(mine.py, line 2); nothing was run: mend the merit or the design\n"
+        "(mine.py, line 2); no trial was run: correct the merit or the design\n"
     )
     assert not (tmp_path / "a.store").exists()
 
@@ -221,7 +221,7 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
     again = command("start", paper_design, "-o", study)
     assert (again.returncode, again.stderr) == (
         2,
-        f"error: {study} is there already; give another name, or --force to replace it\n",
+        f"error: {study} exists already; give another name, or --force to replace it\n",
     )
     assert command("start", paper_design, "-o", tmp_path / "b", "--grade", "poor").returncode == 2
     # Rays alone, and few, are enough here.
@@ -253,7 +253,7 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
     early = tmp_path / "early.toml"
     broken_off = command("budget", store, "--yield", "0.6", "-o", early, "--verify", "40")
     assert broken_off.returncode == 130
-    assert broken_off.stderr.endswith(f"interrupted; {early} holds what was found until then\n")
+    assert broken_off.stderr.endswith(f"interrupted; {early} holds the best tolerances found so far\n")
     assert "not verified by trials" in broken_off.stdout
     assert all(p.distribution.limit > 0.0 for p in load_study(early).study.perturbations[:2])
 
@@ -337,7 +337,7 @@ def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study,
     assert expected.endswith(" by 1 worker")
     # Older releases of rich end a progress line with a new one.
     assert "".join(rest).strip() == (
-        f"interrupted; what was finished is in {path}, and the same command goes on from there"
+        f"interrupted; the finished results are in {path}, and the same command goes on from there"
     )
     done = len(finished(path))
     again = command("run", tmp_path / "study.toml", "--store", path, "--workers", "1", "--trials", done + 40)

@@ -59,7 +59,7 @@ def test_lens_beside_its_place_takes_contrast(quiet):
 
 def test_noise_takes_contrast_and_belongs_to_the_trial(context, quiet):
     noisy = merit(electrons=100.0)
-    batch = PerturbationBatch((DECENTER,), np.zeros((2, 1)), numbers=(3, 7))
+    batch = PerturbationBatch((DECENTER,), np.zeros((2, 1)), trial_numbers=(3, 7))
     together = noisy.scores(context, batch)
     assert np.all(together < quiet[0] - 0.02)
     assert together[0] != together[1]
@@ -115,7 +115,7 @@ def test_what_is_all_but_black_shows_nothing(chain):
 
 
 def test_refuses_bars_beyond_the_field_stop(chain):
-    with pytest.raises(InputError, match=r"field stop.*patch_mm = 0\.05"):
+    with pytest.raises(InputError, match=r"patch_mm = 0\.05: the image is shifted"):
         chain.contrasts(chain.transmission, np.array([0.0, 20.0]))
 
 

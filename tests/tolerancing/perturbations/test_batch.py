@@ -193,19 +193,19 @@ def test_wavelength_and_dispersion_change_indices(paper_lens):
 def test_irregularities_have_the_size_that_was_drawn(paper_lens, quantity):
     parameter = PerturbedParameter(target="surface 2", parameter=f"irregularity_{quantity}_waves")
     values = np.array([[0.25], [-0.5], [0.0]])
-    batch = batch_of((parameter,), values, 0.0, seed=3, numbers=range(3))
+    batch = batch_of((parameter,), values, 0.0, seed=3, trial_numbers=range(3))
     figure = batch.surface_perturbations(paper_lens, 0.532)[1].figure
     for trial, value in enumerate(values[:, 0]):
         pv, rms = pv_rms_waves(figure.trial(trial), paper_lens.surfaces[1].semi_diameter_mm, "power")
         assert (pv if quantity == "pv" else rms) == pytest.approx(abs(value), rel=0.01, abs=1e-12)
-    alone = batch_of((parameter,), values[1:2], 0.0, seed=3, numbers=[1])
+    alone = batch_of((parameter,), values[1:2], 0.0, seed=3, trial_numbers=[1])
     own = alone.surface_perturbations(paper_lens, 0.532)[1].figure
     assert np.array_equal(own.coefficients[0], figure.coefficients[1])
 
 
 def test_figures_of_one_surface_add_up(paper_lens):
     parameter = PerturbedParameter(target="surface 2", parameter="irregularity_rms_waves")
-    both = batch_of((parameter, parameter), np.array([[0.1, 0.2]]), 0.0, seed=3, numbers=[0])
+    both = batch_of((parameter, parameter), np.array([[0.1, 0.2]]), 0.0, seed=3, trial_numbers=[0])
     parts = [both.shapes[0], both.shapes[1]]
     assert not np.array_equal(*parts)
     total = both.surface_perturbations(paper_lens, 0.532)[1].figure.coefficients

@@ -88,7 +88,7 @@ def test_a_wedge_lifts_the_rim_on_one_side(paper_lens, target, parameter, reach,
             "only tilts and rolls of",
         ),
         ({"target": "lens", "parameter": "tilt_x_deg", "seat": "back"}, "only tilts and rolls of"),
-        ({"target": "element 1", "parameter": "roll_x_deg", "seat": 2.0}, "seat = 2: a roll is on a surface"),
+        ({"target": "element 1", "parameter": "roll_x_deg", "seat": 2.0}, "seat = 2: a roll needs a surface"),
         ({"target": "element 1", "parameter": "roll_x_deg"}, "the front of element 1 is a plane"),
     ],
 )

@@ -174,7 +174,7 @@ def test_a_weak_surface_has_no_fringes_beyond_a_tenth_of_its_radius():
     weak = paper().with_surface(0, radius_mm=4e4)
     table = found(read(weak, "iso10110"), "surface 1", "radius_percent")
     assert table["limit"] == 10.0
-    assert "cut; 3/10(2)" in starting_study(weak, "a.toml", "iso10110")
+    assert "reduced; 3/10(2)" in starting_study(weak, "a.toml", "iso10110")
 
 
 def test_merits_follow_from_the_design():

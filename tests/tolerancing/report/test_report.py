@@ -100,7 +100,7 @@ SECTIONS = [
     "Merits against perturbations",
     "Worst trials",
     "Sweeps, grids and slice counts (as in the paper's Fig. 7)",
-    "Fidelity: cheap and dear merits",
+    "Fidelity: low- and high-fidelity merits",
     "Method, fidelity and error",
     "Versions and reproduction",
 ]
@@ -175,7 +175,7 @@ def test_every_section_is_there_in_order(full):
     assert titles == SECTIONS
     for part in ("Worst offenders", "Correlations", "Compensators", "Root sum square beside Monte Carlo"):
         assert ("h3", part) in page.headings
-    assert ("h3", "What they would show") in page.headings
+    assert ("h3", "Line pairs of these trials") in page.headings
     assert "is not finished" not in text
 
 
@@ -234,12 +234,12 @@ def test_numbers_of_the_page_are_those_of_the_summary(full):
     summary = summarize(store)
     assert summary.good.total == 40
     assert f"Yield: {summary.good.passed} of 40 trials keep every limit" in text
-    assert f'<div class="big">{percent_text(summary.good.share)}</div>' in text
+    assert f'<div class="big">{percent_text(summary.good.fraction)}</div>' in text
     for merit in summary.merits:
         row = next(r for r in page.rows if r[0] == merit.merit.column and r[2] == merit.merit.limit_text)
         numbers = [merit.nominal, *(merit.percentiles[p] for p in (50, 5, 95))]
         assert row[3:7] == [number_text(v) for v in numbers]
-        assert row[7] == percent_text(merit.good.share)
+        assert row[7] == percent_text(merit.good.fraction)
         assert row[8].startswith(f"{percent_text(merit.good.low)} – {percent_text(merit.good.high)}")
         missed = merit.good.total - merit.good.passed
         assert str(missed) in row[1] or row[1].startswith(("pass", "fail"))
@@ -251,7 +251,7 @@ def test_points_know_their_trials(full):
     assert {int(k) for k in texts} == set(page.trials) == set(range(40))
     # One in each scatter plot and rug of both merits, one of them also without compensation.
     counts = {trial: page.trials.count(trial) for trial in range(40)}
-    dear = set(store.dear().trials)
+    dear = set(store.high_fidelity().trials)
     scatters = 2 * 2
     for trial, count in counts.items():
         assert count == scatters + 3 + (trial in dear)
@@ -296,7 +296,7 @@ def test_fidelity_says_what_both_levels_say(full):
     from tolerancing.statistics.control_variates import Seconds, TrialChoice, combined_mean
 
     _, store, _, page = full
-    dear, results = store.dear(), store.trials()
+    dear, results = store.high_fidelity(), store.trials()
     worst = np.array([why == "worst" for why in dear.chosen])
     numbers = np.array(dear.trials)
     chosen = TrialChoice(numbers[worst], numbers[~worst])
@@ -334,7 +334,7 @@ def test_report_of_an_unfinished_run_says_how_far_it_is(write_study, ray_study, 
 
     loaded = load_study(write_study(ray_study.replace("trials = 40", "trials = 30000")))
     with pytest.raises(KeyboardInterrupt):
-        run_study(loaded, tmp_path / "store", workers=1, report=stop)
+        run_study(loaded, tmp_path / "store", workers=1, progress=stop)
     with open_store(tmp_path / "store") as store:
         done = store.trial_count()
         text = write_report(store, tmp_path / "out").html.read_text(encoding="utf-8")

@@ -28,9 +28,7 @@ from tolerancing.report.blocks import (
 from tolerancing.report.data import MOST_POINTS, WORST_POINTS, ReportData
 from tolerancing.report.figures.style import axis_label
 from tolerancing.report.html import html_page, safe_json
-from tolerancing.report.pdf.pdf import write_pdf
-from tolerancing.report.pdf.style import FONT, register_fonts
-from tolerancing.report.pdf.tables import broken_lines
+from tolerancing.report.pdf import FONT, broken_lines, register_fonts, write_pdf
 from tolerancing.report.report import report_of
 from tolerancing.report.sections.series import series_section
 from tolerancing.report.sections.trials import SCALES, pictured_trials, scale_section, score_text
@@ -182,7 +180,7 @@ def sensitivity_steps(study, change):
 def test_the_worst_offender_brings_most_of_the_variance(loaded):
     steps = sensitivity_steps(loaded.study, [lambda f: 0.03 * f, lambda f: 0.04 * f])
     data = data_of(loaded, np.full((10, 1), 4.8), steps=steps)
-    shares = data.variance_shares
+    shares = data.variance_fractions
     widths = [p.distribution.standard_deviation / p.distribution.largest for p in loaded.study.perturbations]
     expected = np.array([0.03 * widths[0], 0.04 * widths[1]]) ** 2
     assert shares[0] == pytest.approx(expected / expected.sum())
@@ -197,7 +195,7 @@ def test_offenders_come_from_ranks_where_steps_are_missing(loaded):
     values = rng.normal(size=(100, 2)) * 0.01
     data = data_of(loaded, 4.8 + values[:, 1:], values)
     assert data.sensitivity is None
-    assert data.variance_shares[0, 1] > 0.9
+    assert data.variance_fractions[0, 1] > 0.9
 
 
 def test_yield_against_scale_is_that_of_the_scaled_trials(loaded):

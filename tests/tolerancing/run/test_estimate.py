@@ -12,7 +12,7 @@ from wavesim.metrics import resolving
 
 @pytest.fixture
 def ticking(monkeypatch):
-    """Each trial takes a second, each dear one ten."""
+    """Each trial takes a second, each high-fidelity trial ten."""
     now = [0.0]
 
     def takes(each):
@@ -28,13 +28,15 @@ def ticking(monkeypatch):
 
 def test_time_is_shared_by_the_workers(ticking, write_study, ray_study):
     loaded = load_study(write_study(ray_study))
-    lacking = {"trials": 100, "dear": 3}
+    missing = {"trials": 100, "high_fidelity": 3}
     steps = [Task(series=0, step=step) for step in range(8)]
-    alone = estimate_run(loaded, lacking, steps, 1, 16)
+    alone = estimate_run(loaded, missing, steps, 1, 16)
     assert alone == RunEstimate(100, 8, 3, 1, 138.0)
-    assert alone.sentence == "100 trials, 8 steps, 3 trials by dear merits: about 2.3 min by 1 worker"
-    assert estimate_run(loaded, lacking, steps, 4, 16).seconds == 34.5
-    cluster = estimate_run(loaded, lacking | {"dear": 0}, steps, 0, 16)
+    assert (
+        alone.sentence == "100 trials, 8 steps, 3 trials by high-fidelity merits: about 2.3 min by 1 worker"
+    )
+    assert estimate_run(loaded, missing, steps, 4, 16).seconds == 34.5
+    cluster = estimate_run(loaded, missing | {"high_fidelity": 0}, steps, 0, 16)
     assert cluster.sentence.endswith("about 108.0 s by one worker of a cluster like this machine")
 
 
@@ -53,7 +55,7 @@ def test_a_step_of_many_slices_takes_longer_than_a_trial(ticking, monkeypatch, w
     monkeypatch.setattr(resolving, "_registering_seconds", lambda _: 0.0)
     loaded = load_study(write_study(ray_study + SLICES))
     counts = [type(part).__name__ for part in loaded.study.series].index("SliceCounts")
-    lacking = {"trials": 0, "dear": 0}
-    few, many = (estimate_run(loaded, lacking, [Task(series=counts, step=k)], 1, 16).seconds for k in (0, 1))
+    missing = {"trials": 0, "high_fidelity": 0}
+    few, many = (estimate_run(loaded, missing, [Task(series=counts, step=k)], 1, 16).seconds for k in (0, 1))
     # 390 slices more of both surfaces, there and back; both transforms of a slice are told as one.
     assert many - few == pytest.approx(390 * 2 * 2 * 0.1)

@@ -61,11 +61,11 @@ def cluster(tmp_path_factory):
 def test_a_worker_that_is_killed_half_way_changes_no_row(loaded, cluster, tmp_path):
     first, _ = cluster.worker(), cluster.worker()
 
-    def report(done, total):
+    def progress(done, total):
         if done > 150:
             first.kill()
 
-    outcome = run_study(loaded, tmp_path / "cluster", trials=300, cluster=cluster.address, report=report)
+    outcome = run_study(loaded, tmp_path / "cluster", trials=300, cluster=cluster.address, progress=progress)
     assert (outcome.trials_run, outcome.workers, first.poll() is not None) == (300, 0, True)
     run_study(loaded, tmp_path / "here", trials=300, workers=1)
     assert rows(tmp_path / "cluster") == rows(tmp_path / "here")
@@ -149,12 +149,12 @@ def test_when_the_last_worker_dies_the_run_says_so_and_ends(loaded, cluster, tmp
     monkeypatch.setattr(module, "WAIT_SECONDS", 2.0)
     only = cluster.worker()
 
-    def report(done, total):
+    def progress(done, total):
         if done > 100:
             only.kill()
 
-    with pytest.raises(RunError, match=r"last worker.*2 s"):
-        run_study(loaded, tmp_path / "store", trials=800, cluster=cluster.address, report=report)
+    with pytest.raises(RunError, match="last worker is gone, and none has joined within 2 s; what was"):
+        run_study(loaded, tmp_path / "store", trials=800, cluster=cluster.address, progress=progress)
     assert "the cluster's last worker is gone; waiting 2 s" in capsys.readouterr().err
     with open_store(tmp_path / "store") as store:
         held = store.trial_count()
@@ -166,10 +166,10 @@ def test_a_worker_that_comes_in_time_goes_on(loaded, cluster, tmp_path, monkeypa
     monkeypatch.setattr(module, "WAIT_SECONDS", 60.0)
     first, killed = cluster.worker(), []
 
-    def report(done, total):
+    def progress(done, total):
         if done > 100 and not killed:
             first.kill()
             killed.append(cluster.worker())
 
-    outcome = run_study(loaded, tmp_path / "store", trials=300, cluster=cluster.address, report=report)
+    outcome = run_study(loaded, tmp_path / "store", trials=300, cluster=cluster.address, progress=progress)
     assert (outcome.trials_run, len(killed)) == (300, 1)

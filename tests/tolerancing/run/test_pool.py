@@ -53,8 +53,8 @@ def pool(write_study, full_study):
 
 def test_tasks_are_done_while_one_process_finds_out_what_must_be_known(pool):
     early, levels = [Task(series=0, step=0), Task(trials=(3, 4))], {"largest_spread_deg": "ray"}
-    assert pool.do(partial(int, "7"), iter(early), levels) == 7
-    handed_out = dict(pool._early)
+    assert pool.run_with_prefetch(partial(int, "7"), iter(early), levels) == 7
+    handed_out = dict(pool._prefetched)
     assert list(handed_out) == early
     assert pool._submit_task(early[1], levels) is handed_out[early[1]]
     assert handed_out[early[1]].result().trials == (3, 4)
@@ -63,16 +63,16 @@ def test_tasks_are_done_while_one_process_finds_out_what_must_be_known(pool):
 
 def test_what_is_early_already_keeps_nothing_else_from_coming_early(pool):
     first, more, levels = Task(series=0, step=0), Task(trials=(0,)), {"largest_spread_deg": "ray"}
-    pool.do(partial(int, "7"), [first], levels)
-    pool.do(partial(int, "8"), [first] * 10 + [more], levels)
-    assert list(pool._early) == [first, more]
+    pool.run_with_prefetch(partial(int, "7"), [first], levels)
+    pool.run_with_prefetch(partial(int, "8"), [first] * 10 + [more], levels)
+    assert list(pool._prefetched) == [first, more]
 
 
 def test_what_was_done_at_other_levels_is_not_taken(pool):
     task, cheapest = Task(trials=(0,)), {"largest_spread_deg": "ray"}
-    pool.do(partial(int, "7"), [task], cheapest)
-    early = pool._early[task]
-    assert pool.do(partial(int, "8"), (), {"largest_spread_deg": "wave"}) == 8
+    pool.run_with_prefetch(partial(int, "7"), [task], cheapest)
+    early = pool._prefetched[task]
+    assert pool.run_with_prefetch(partial(int, "8"), (), {"largest_spread_deg": "wave"}) == 8
     assert pool._submit_task(task, cheapest) is not early
 
 
@@ -119,5 +119,5 @@ def test_python_is_run_by_no_worker_before_the_nominal_lens_is_scored(
 
     monkeypatch.setattr(Processes, "submit", noted)
     run_study(loaded, tmp_path / "store", workers=2, trials=4)
-    assert submitted[:2] == ["make_ready", "first_scores"]
+    assert submitted[:2] == ["prepare_merits", "levels_and_nominal_scores"]
     assert set(submitted[2:]) == {"work_local"}

@@ -49,8 +49,8 @@ def test_one_and_two_workers_make_the_same_rows(full, tmp_path):
     one = run_study(full, tmp_path / "one", workers=1)
     two = run_study(full, tmp_path / "two", workers=2)
     assert (one.workers, two.workers) == (1, 2)
-    assert (one.trials_run, one.steps_run, one.dear_run) == (40, 11, 6)
-    assert (two.trials_run, two.steps_run, two.dear_run) == (40, 11, 6)
+    assert (one.trials_run, one.steps_run, one.high_fidelity_run) == (40, 11, 6)
+    assert (two.trials_run, two.steps_run, two.high_fidelity_run) == (40, 11, 6)
     made = rows(tmp_path / "one")
     assert [len(made[table]) for table in TABLES] == [40, 6, 25, 2, 3, 2]
     assert made == rows(tmp_path / "two")
@@ -66,11 +66,11 @@ def test_broken_run_goes_on_with_what_is_missing(rays, tmp_path):
 
     path = tmp_path / "store"
     with pytest.raises(Killed):
-        run_study(rays, path, workers=1, report=kill)
+        run_study(rays, path, workers=1, progress=kill)
     with open_store(path) as store:
         assert store.trials().trials.tolist() == list(range(16))
     seen = []
-    outcome = run_study(rays, path, workers=1, report=lambda done, total: seen.append((done, total)))
+    outcome = run_study(rays, path, workers=1, progress=lambda done, total: seen.append((done, total)))
     assert outcome.trials_run == 24
     assert seen == [(8, 24), (16, 24), (24, 24)]
     assert run_study(rays, path, workers=1).trials_run == 0
@@ -197,7 +197,7 @@ def test_dear_merits_score_the_worst_and_some_others(full, tmp_path):
     path = tmp_path / "store"
     run_study(full, path, workers=1)
     with open_store(path) as store:
-        dear, spread = store.dear(), store.scores("largest_spread_deg", 40)
+        dear, spread = store.high_fidelity(), store.scores("largest_spread_deg", 40)
         chosen = chosen_trials(store.study, spread)
         assert store.study.fidelity.worst_share == 0.1
     worst = {t for t, why in zip(dear.trials, dear.chosen, strict=True) if why == "worst"}
@@ -216,18 +216,18 @@ def test_dear_merits_wait_for_all_trials_and_follow_more_trials(full, tmp_path):
 
     path = tmp_path / "store"
     with pytest.raises(Killed):
-        run_study(full, path, workers=1, report=kill)
+        run_study(full, path, workers=1, progress=kill)
     with open_store(path) as store:
         assert 0 < store.trial_count() < 40
-        assert len(store.dear()) == 0
-    assert run_study(full, path, workers=1).dear_run == 6
+        assert len(store.high_fidelity()) == 0
+    assert run_study(full, path, workers=1).high_fidelity_run == 6
     outcome = run_study(full, path, workers=1, trials=80)
     assert outcome.trials_run == 40
     run_study(full, tmp_path / "whole", workers=1, trials=80)
     with open_store(path) as store, open_store(tmp_path / "whole") as whole:
-        assert set(whole.dear().trials) <= set(store.dear().trials)
-        assert len(whole.dear()) == 12
-        assert len(store.dear()) == 6 + outcome.dear_run
+        assert set(whole.high_fidelity().trials) <= set(store.high_fidelity().trials)
+        assert len(whole.high_fidelity()) == 12
+        assert len(store.high_fidelity()) == 6 + outcome.high_fidelity_run
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def test_two_runs_on_one_store_share_the_work(rays, tmp_path):
         if not inner:
             inner.append(run_study(rays, path, workers=1))
 
-    outer = run_study(rays, path, workers=1, report=second)
+    outer = run_study(rays, path, workers=1, progress=second)
     assert (outer.trials_run, inner[0].trials_run) == (8, 32)
     run_study(rays, tmp_path / "whole", workers=1)
     assert rows(path) == rows(tmp_path / "whole")
@@ -288,9 +288,12 @@ def test_what_others_finished_is_handed_over_before_a_failure_is_told():
 
 
 def test_a_task_falls_into_its_trials():
-    assert Task((3, 4), ("worst", "random")).parts() == [Task((3,), ("worst",)), Task((4,), ("random",))]
-    assert Task((3, 4)).parts() == [Task((3,)), Task((4,))]
-    assert Task(series=1, step=2).parts() == [Task(series=1, step=2)]
+    assert Task((3, 4), ("worst", "random")).single_trials() == [
+        Task((3,), ("worst",)),
+        Task((4,), ("random",)),
+    ]
+    assert Task((3, 4)).single_trials() == [Task((3,)), Task((4,))]
+    assert Task(series=1, step=2).single_trials() == [Task(series=1, step=2)]
 
 
 def test_a_study_in_memory_of_another_machine_goes_to_workers_whole(full):

@@ -196,16 +196,16 @@ def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tm
         messages = store.trials().messages
     assert [bool(message) for message in messages] == [False, True, True, False]
     assert "SystemExit" in messages[1]
-    assert "status 0" in messages[2]
+    assert "status 0 ended its process" in messages[2]
 
 
-@pytest.mark.parametrize(("way", "workers"), [("sys.exit(0)", 1), ("os._exit(0)", 2)])
-@pytest.mark.parametrize("place", ["import", "nominal"])
-def test_a_merit_that_ends_the_program_at_once_is_told_at_the_start(
-    write_study, ray_study, tmp_path, way, workers, place
+@pytest.mark.parametrize(("workers", "statement"), [(1, "sys.exit(0)"), (2, "os._exit(0)")])
+@pytest.mark.parametrize("location", ["import", "nominal"])
+def test_a_merit_that_always_ends_the_program_is_reported_at_the_start(
+    write_study, ray_study, tmp_path, workers, statement, location
 ):
-    indent = "" if place == "import" else "    "
-    source = f"import os, sys\ndef score(trial):\n    pass\n{indent}{way}\n"
+    indent = "" if location == "import" else "    "
+    source = f"import os, sys\ndef score(trial):\n    pass\n{indent}{statement}\n"
     (tmp_path / "mine.py").write_text(source)
     study = load_study(write_study(ray_study + OWN_MERIT))
     with pytest.raises(TransferLensError, match="end"):
@@ -228,7 +228,7 @@ def test_a_merit_that_a_signal_ends_fails_its_trial_alone(write_study, ray_study
     (tmp_path / "mine.py").write_text(DYING)
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
     announced = []
-    outcome = run_study(study, tmp_path / "a.db", workers=2, trials=3, announce=announced.append)
+    outcome = run_study(study, tmp_path / "a.db", workers=2, trials=3, on_estimate=announced.append)
     assert (outcome.trials_run, outcome.workers, announced) == (3, 2, [])
     with open_store(tmp_path / "a.db") as store:
         trials = store.trials()

@@ -122,14 +122,16 @@ def test_what_is_set_up_for_each_number_of_slices_is_told(study, monkeypatch):
         monkeypatch.setattr(f"tolerancing.merits.reconstruction.{module}.MATRICES", own)
     monkeypatch.setattr(matrices.Matrices, "seconds", lambda self, engine: 1000.0 * engine.slices)
     loaded = load_study(study)
-    lacking = {"trials": TRIALS, "dear": 0}
+    lacking = {"trials": TRIALS, "high_fidelity": 0}
     found = [estimate_run(loaded, lacking, [], workers, 1).seconds for workers in (1, 2)]
     # Trial 0 has been scored for its time, and its number of slices is set up by now at both field points.
     assert found[0] == pytest.approx(2 * 1000.0 * 6, rel=0.01) or found[0] == pytest.approx(
         2 * 1000.0 * 2, rel=0.01
     )
     assert found[1] == pytest.approx(found[0], rel=0.01)
-    swept = estimate_run(loaded, {"trials": 0, "dear": 0}, [Task(series=0, step=k) for k in range(2)], 1, 1)
+    swept = estimate_run(
+        loaded, {"trials": 0, "high_fidelity": 0}, [Task(series=0, step=k) for k in range(2)], 1, 1
+    )
     assert swept.seconds == pytest.approx(found[0], rel=0.01)
 
 

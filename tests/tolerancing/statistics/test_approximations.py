@@ -34,7 +34,7 @@ def store_path(write_study, full_study, tmp_path):
 def test_the_difference_is_that_of_the_trials_with_both_scores(store_path):
     with open_store(store_path) as store:
         (found,) = approximations(store)
-        trials, dear = store.trials(), store.dear()
+        trials, dear = store.trials(), store.high_fidelity()
         study = store.study
     column = [m.label for m in study.merits].index("strehl")
     differences = [

@@ -19,7 +19,7 @@ from tolerancing.statistics.control_variates import (
 )
 from tolerancing.statistics.yields import yield_of
 
-SECONDS = Seconds(cheap=1.0, dear=50.0)
+SECONDS = Seconds(low_fidelity=1.0, high_fidelity=50.0)
 REPEATS = 300
 # Intervals of 95 % cover less often than this in one of a thousand sets of repeats.
 FEWEST_HITS = int(stats.binom.ppf(1e-3, REPEATS, 0.95))
@@ -115,7 +115,7 @@ def test_worst_trials_narrow_the_interval_of_a_high_yield_threefold():
         c, d = skewed(rng, 5000)
         chosen = choose_trials(c - limit, seed, worst=150, random=100)
         seen.append(combined_yield(c - limit, chosen, d[chosen.all] >= limit, SECONDS))
-    assert np.mean([e.narrower_than_dear for e in seen]) > 3.0
+    assert np.mean([e.narrower_than_high_fidelity for e in seen]) > 3.0
     assert np.mean([e.narrower_than_same_time for e in seen]) > 3.0
 
 
@@ -128,7 +128,7 @@ def test_dear_scores_of_all_trials_need_no_model():
     assert mean.standard_error == pytest.approx(d.std(ddof=1) / math.sqrt(200), rel=1e-9)
     good = combined_yield(c, chosen, d[chosen.all] >= 0.0, SECONDS)
     plain = yield_of(d >= 0.0)
-    assert good.estimate == pytest.approx(plain.share)
+    assert good.estimate == pytest.approx(plain.fraction)
     assert good.by_counts == (pytest.approx(plain.low), pytest.approx(plain.high))
     # The curve's own share stands in the variance where it is the larger; here they agree closely.
     assert (good.low, good.high) == (pytest.approx(plain.low, abs=1e-3), pytest.approx(plain.high, abs=1e-3))
@@ -168,7 +168,7 @@ def test_a_cheap_model_that_knows_nothing_does_little_harm():
         c, good = rng.normal(size=1000), rng.random(1000) < 0.7
         chosen = choose_trials(c, seed, worst=0, random=100)
         e = combined_yield(c, chosen, good[chosen.all], SECONDS)
-        narrowing.append(e.narrower_than_dear)
+        narrowing.append(e.narrower_than_high_fidelity)
         hits += e.low <= 0.7 <= e.high
     assert hits >= FEWEST_HITS
     assert np.mean(narrowing) > 0.93
@@ -194,7 +194,7 @@ def test_trials_without_a_score():
     dear = d[chosen.all]
     dear[[0, 1, 30]] = np.nan
     e = combined_mean(c, chosen, dear, SECONDS)
-    assert (e.left_out, e.dear_trials) == (3, 67)
+    assert (e.left_out, e.high_fidelity_trials) == (3, 67)
     assert e.low < e.estimate < e.high
 
 

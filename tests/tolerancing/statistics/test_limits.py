@@ -108,7 +108,7 @@ def test_what_is_out_of_range_is_refused(more):
 def test_limits_of_a_study_are_where_its_merits_are(write_study, ray_study):
     loaded = load_study(write_study(ray_study))
     counted = []
-    found = inverse(loaded, "largest_spread_deg", report=counted.append)
+    found = inverse(loaded, "largest_spread_deg", progress=counted.append)
     (limits,) = found.limits.values()
     scorer = StudyScorer(context_of(loaded.lens, loaded.study), loaded.study)
     score = scorer(np.array([[limits[0].above, 0.0], [limits[0].above * (1.0 + 2.0 * PRECISION), 0.0]]))[:, 0]

@@ -10,9 +10,9 @@ from scipy.stats import chi2
 from lensdesign import InputError
 from tolerancing.run.run import run_study
 from tolerancing.statistics.rare_failures import (
-    EVEN_SHARE,
-    failure_chances,
-    proposed,
+    UNIFORM_FRACTION,
+    draw_trials,
+    failure_probabilities,
     rare_yield,
     weighted_failures,
 )
@@ -32,27 +32,27 @@ def test_estimates_have_no_bias_and_their_intervals_hold_the_truth(blur):
     rng, found, errors = np.random.default_rng(5), [], []
     for _ in range(200):
         squares = np.sum(rng.standard_normal((20_000, COLUMNS)) ** 2, axis=1)
-        drawn, weights = proposed(ndtr((squares - LIMIT) / blur), 300, rng)
-        share, error, plain = weighted_failures(squares[drawn] > LIMIT, weights, len(squares))
-        found.append((share, *wilson(1.0 - share, plain)))
+        drawn, weights = draw_trials(ndtr((squares - LIMIT) / blur), 300, rng)
+        fraction, error, plain = weighted_failures(squares[drawn] > LIMIT, weights, len(squares))
+        found.append((fraction, *wilson(1.0 - fraction, plain)))
         errors.append(error)
-    shares, low, high = np.transpose(found)
-    assert np.mean(shares) == pytest.approx(2e-3, rel=0.05)
-    assert np.std(shares) == pytest.approx(np.mean(errors), rel=0.25)
-    assert np.std(shares) < 0.25 * np.sqrt(2e-3 / 300)
+    fractions, low, high = np.transpose(found)
+    assert np.mean(fractions) == pytest.approx(2e-3, rel=0.05)
+    assert np.std(fractions) == pytest.approx(np.mean(errors), rel=0.25)
+    assert np.std(fractions) < 0.25 * np.sqrt(2e-3 / 300)
     assert np.mean((low <= 1.0 - 2e-3) & (high >= 1.0 - 2e-3)) >= 0.92
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=2, max_size=50), st.integers(0, 2**32))
-def test_weights_undo_the_choice(chances, seed):
-    drawn, weights = proposed(np.array(chances), 40, np.random.default_rng(seed))
-    assert np.all(weights <= 1.0 / EVEN_SHARE * (1.0 + 1e-12))
+def test_weights_undo_the_choice(probabilities, seed):
+    drawn, weights = draw_trials(np.array(probabilities), 40, np.random.default_rng(seed))
+    assert np.all(weights <= 1.0 / UNIFORM_FRACTION * (1.0 + 1e-12))
     assert len(drawn) == len(weights) == 40
 
 
 def test_no_failure_leaves_the_interval_of_evenly_drawn_trials():
-    share, error, plain = weighted_failures(np.zeros(200, bool), np.ones(200), 1000)
-    assert (share, error, plain) == (0.0, 0.0, EVEN_SHARE * 200)
+    fraction, error, plain = weighted_failures(np.zeros(200, bool), np.ones(200), 1000)
+    assert (fraction, error, plain) == (0.0, 0.0, UNIFORM_FRACTION * 200)
 
 
 @pytest.fixture(scope="module")
@@ -80,13 +80,13 @@ def test_a_stored_study_gives_the_yield_of_a_far_longer_plain_run(rare_store, tm
     )
     rare_store.__dict__["loaded"] = type(rare_store.loaded)(**{**vars(rare_store.loaded), "study": moved})
     counted = []
-    found = rare_yield(rare_store, 200, report=counted.append)
+    found = rare_yield(rare_store, 200, progress=counted.append)
     other = moved.model_copy(update={"seed": study.seed + 1})
     plain = score_trials(context_of(rare_store.loaded.lens, other), other, range(4000)).passed.mean()
     assert sum(counted) == 200
     error = np.hypot(found.standard_error, np.sqrt(plain * (1.0 - plain) / 4000))
-    assert abs(found.share - plain) < 4.0 * error
-    assert found.low < found.share < found.high
+    assert abs(found.fraction - plain) < 4.0 * error
+    assert found.low < found.fraction < found.high
     assert found.plain_trials > 400
     assert found.failed > 20
 
@@ -112,6 +112,6 @@ def test_chances_are_those_of_the_models_error():
     rng = np.random.default_rng(8)
     values = rng.standard_normal((3000, 2))
     scores = (values @ [0.3, 0.4] + rng.normal(0.0, 0.1, 3000))[:, None]
-    asked = np.array([[0.0, 0.0], [2.0, 1.0], [0.9, 1.5]])
-    chances = failure_chances(OneMerit, fit_response(values, scores), values, scores, asked)
-    assert chances == pytest.approx(ndtr((asked @ [0.3, 0.4] - 1.0) / 0.1), abs=0.05)
+    modelled = np.array([[0.0, 0.0], [2.0, 1.0], [0.9, 1.5]])
+    probabilities = failure_probabilities(OneMerit, fit_response(values, scores), values, scores, modelled)
+    assert probabilities == pytest.approx(ndtr((modelled @ [0.3, 0.4] - 1.0) / 0.1), abs=0.05)

@@ -41,7 +41,7 @@ def results_of(values, scores, messages=None):
 )
 def test_intervals_are_wilsons(passed, total, low, high):
     good = yield_of(np.arange(total) < passed)
-    assert (good.passed, good.total, good.share) == (passed, total, passed / total)
+    assert (good.passed, good.total, good.fraction) == (passed, total, passed / total)
     assert (good.low, good.high) == (pytest.approx(low, abs=1e-4), pytest.approx(high, abs=1e-4))
 
 
@@ -52,8 +52,8 @@ def test_interval_solves_the_score_equation(total, share):
     z = 1.959963984540054
     for end in (good.low, good.high):
         if 0.0 < end < 1.0:
-            assert (good.share - end) ** 2 == pytest.approx(z * z * end * (1.0 - end) / total, abs=1e-9)
-    assert good.low <= good.share <= good.high
+            assert (good.fraction - end) ** 2 == pytest.approx(z * z * end * (1.0 - end) / total, abs=1e-9)
+    assert good.low <= good.fraction <= good.high
 
 
 def test_nothing_has_no_yield():
@@ -114,7 +114,7 @@ def test_constant_scores_correlate_with_nothing(write_study, ray_study):
 def test_a_summary_shows_itself(small_store):
     summary = summarize(small_store)
     assert repr(summary) == (
-        f"Summary('a study: 6 of 6 trials', all limits: {100.0 * summary.good.share:.1f} % good "
+        f"Summary('a study: 6 of 6 trials', all limits: {100.0 * summary.good.fraction:.1f} % good "
         f"({100.0 * summary.good.low:.1f} to {100.0 * summary.good.high:.1f} %))"
     )
     page = ElementTree.fromstring(f"<div>{summary._repr_html_()}</div>")

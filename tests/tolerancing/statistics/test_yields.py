@@ -18,7 +18,7 @@ from tolerancing.statistics.yields import yield_of
 def test_an_interval_is_that_of_wilson(good):
     found = yield_of(np.arange(18) < good)
     wilson = binomtest(good, 18).proportion_ci(0.95, method="wilson")
-    assert (found.passed, found.total, found.share) == (good, 18, good / 18)
+    assert (found.passed, found.total, found.fraction) == (good, 18, good / 18)
     assert (found.low, found.high) == (pytest.approx(wilson.low), pytest.approx(wilson.high))
 
 
@@ -66,7 +66,7 @@ def test_the_variance_of_a_design_is_that_of_its_replicates():
     variance = np.var([0.5, 0.6, 0.7, 0.8], ddof=1) / 4
     half = float(t.ppf(0.975, 3)) * math.sqrt(variance)
     n = 0.65 * 0.35 / variance * (1.959963984540054 / float(t.ppf(0.975, 3))) ** 2
-    assert found.share == 0.65
+    assert found.fraction == 0.65
     for end in (found.low, found.high):
         assert (0.65 - end) ** 2 == pytest.approx(1.959963984540054**2 * end * (1.0 - end) / n, abs=1e-9)
     assert found.high - found.low == pytest.approx(2.0 * half, rel=0.2)
@@ -76,7 +76,7 @@ def test_the_variance_of_a_design_is_that_of_its_replicates():
 def test_an_interval_of_replicates_holds_its_share_and_has_a_width(passed, first):
     own = replicates("sobol", range(first, first + len(passed)))
     found = yield_of(np.array(passed), own)
-    assert 0.0 <= found.low <= found.share <= found.high <= 1.0
+    assert 0.0 <= found.low <= found.fraction <= found.high <= 1.0
     assert found.high - found.low > 0.0
     if all(passed) or len(passed) == 1:
         assert found == yield_of(np.array(passed))

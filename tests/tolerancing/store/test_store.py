@@ -77,7 +77,7 @@ def test_trials_come_back_as_they_went_in(path):
         assert back.status == ["ok"] * 4 + ["failed", "ok", "ok"]
         assert back.passed.tolist() == [False, True, False, True, False, True, False]
         assert store.trials().trials.tolist() == list(range(7))
-        assert store.lacking(range(2, 10)) == (7, 8, 9)
+        assert store.missing(range(2, 10)) == (7, 8, 9)
         assert np.array_equal(store.scores("strehl", 9)[:7], back.scores[:, 1], equal_nan=True)
         assert np.isnan(store.scores("strehl", 9)[7:]).all()
         assert store.nominal() == pytest.approx(
@@ -98,10 +98,10 @@ def test_blocks_join_without_a_seam(path, monkeypatch):
 
 def test_empty_store_has_arrays_of_the_right_width(path):
     with open_store(path) as store:
-        empty, dear = store.trials(), store.dear()
+        empty, dear = store.trials(), store.high_fidelity()
         assert (len(empty), empty.values.shape, empty.scores.shape) == (0, (0, 2), (0, 2))
         assert (len(dear), dear.scores.shape, store.steps()) == (0, (0, 1), [])
-        assert list(store.trials().trials) == list(store.dear().trials) == []
+        assert list(store.trials().trials) == list(store.high_fidelity().trials) == []
 
 
 def test_rows_that_are_there_never_change(path):
@@ -145,10 +145,10 @@ def test_the_record_of_a_trial_tells_all_that_is_known_of_it(path):
     dear = HighFidelityResults((1,), ("worst",), np.array([[0.25]]), ("",), np.array([3.0]))
     with open_store(path) as store:
         store.add(some_trials(0, 2), dear)
-        assert store.dear().trials == (1,)
+        assert store.high_fidelity().trials == (1,)
         assert not store.lacks_high_fidelity(1)
         assert store.lacks_high_fidelity(0)
-        back = store.dear()
+        back = store.high_fidelity()
         version = store.record().toolkit_version
     assert (back.trials, back.chosen, back.scores.tolist(), back.seconds.tolist()) == (
         (1,), ("worst",), [[0.25]], [3.0],
@@ -214,7 +214,7 @@ def test_full_disk_leaves_whole_batches(path):
         store.add(some_trials(0, 5))
         pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
         store._connection.execute(f"PRAGMA max_page_count = {pages}")
-        with pytest.raises(InputError, match=r"store .*full"):
+        with pytest.raises(InputError, match=r"cannot write the store .*full; "):
             store.add(some_trials(5, 3000))
         assert store.trials().trials.tolist() == list(range(5))
     with open_store(path) as store:
@@ -426,7 +426,7 @@ def test_a_log_whose_store_is_gone_or_damaged_is_not_played_in(path, loaded, dam
 
 
 def test_a_store_in_use_is_not_replaced(path, loaded, monkeypatch):
-    monkeypatch.setattr(file, "FRESH_PATIENCE_SECONDS", 0.05)
+    monkeypatch.setattr(file, "REPLACE_TIMEOUT_SECONDS", 0.05)
     with open_store(path) as store:
         store.start_writing()
         store.add(some_trials(0, 5))
@@ -454,7 +454,7 @@ def test_a_store_on_a_medium_that_cannot_be_written_is_read(path, monkeypatch):
     with open_store(path) as store:
         assert len(store.trials()) == 5
         assert not path.with_name("a.store-shm").exists()
-        with pytest.raises(InputError, match=r"store .*nothing can be written"):
+        with pytest.raises(InputError, match=r"cannot write the store .* cannot be written"):
             store.add(some_trials(5, 5))
         with pytest.raises(InputError, match="cannot write the store"):
             store.start_writing()

@@ -8,7 +8,7 @@ from places import DESIGNS
 
 from lensdesign import DesignError
 from tolerancing.perturbations import draws
-from tolerancing.study.files import load_from_files, load_study, save_study
+from tolerancing.study.files import load_from_files, load_study, save_study, start_study
 
 
 def test_study_is_read_with_its_design(write_study, full_study):
@@ -102,7 +102,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
         (
             "at_most = 4.83",
             "at_most = 5.0\n[[slice_count]]\nslices = [10, 10]\nline_widths_um = [1.0]",
-            r"slice_count 1: .*twice",
+            r"slice_count 1: .*must be different from each other",
         ),
         ("arms = 6", "arms = 1", r"sampling, arms = 1"),
         ('design = "design.toml"', 'design = "none.toml"', r"cannot read .*none.toml"),
@@ -233,3 +233,12 @@ def test_a_study_changed_in_memory_is_saved(write_study, full_study):
     study = load_study(path).study
     save_study(study.replaced(trials=7), path)
     assert load_study(path).study == study.replaced(trials=7)
+
+
+def test_a_started_study_is_one_of_its_design(paper_design, paper_lens, tmp_path):
+    (tmp_path / "studies").mkdir()
+    path = tmp_path / "studies" / "first.toml"
+    start_study(paper_design, path, "commercial")
+    loaded = load_study(path)
+    assert loaded.lens == paper_lens
+    assert "commercial" in loaded.study.title

@@ -60,7 +60,7 @@ def command(monkeypatch, capsys):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_run_with_its_sensitivities(folder, workers):
-    run_study(load_study(folder / "study.toml"), folder / "o.db", workers=workers, announce=lambda _: None)
+    run_study(load_study(folder / "study.toml"), folder / "o.db", workers=workers, on_estimate=lambda _: None)
     with open_store(folder / "o.db") as store:
         steps = store.steps()
         moved = [
@@ -159,13 +159,13 @@ def test_a_run_that_fails_before_its_first_result_leaves_no_store(folder, monkey
     monkeypatch.setattr(module, "estimate_run", broken)
     loaded = load_study(folder / "study.toml")
     with pytest.raises(InputError, match="no such column"):
-        run_study(loaded, folder / "o.db", workers=1, announce=lambda _: None)
+        run_study(loaded, folder / "o.db", workers=1, on_estimate=lambda _: None)
     assert not list(folder.glob("o.db*"))
     monkeypatch.undo()
     run_study(loaded, folder / "o.db", workers=1, trials=4)
     monkeypatch.setattr(module, "estimate_run", broken)
     with pytest.raises(InputError, match="no such column"):
-        run_study(loaded, folder / "o.db", workers=1, announce=lambda _: None)
+        run_study(loaded, folder / "o.db", workers=1, on_estimate=lambda _: None)
     with open_store(folder / "o.db") as store:
         assert store.trial_count() == 4
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wavesim.calibration.calibrated import Calibrated, stop_doubt_of
+from wavesim.calibration.calibrated import Calibrated, stop_warning_of
 from wavesim.scene.bench import Bench
 from wavesim.scene.settings import StopOrigin
 
@@ -24,12 +24,12 @@ def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_an
     name: str, tmp_path: Path
 ) -> None:
     found = calibrated({"light_tilt_x_deg": 0.0, name: 0.1})
-    assert name in found.stop_doubt
-    assert "light_tilt_x_deg" not in found.stop_doubt
+    assert name in found.stop_warning
+    assert "light_tilt_x_deg" not in found.stop_warning
     assert "field_stop_x_mm" in found.table()["undetermined"]
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
-    assert stop_doubt_of(path) == found.stop_doubt
+    assert stop_warning_of(path) == found.stop_warning
 
 
 @pytest.mark.parametrize(
@@ -41,5 +41,5 @@ def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_an
     ],
 )
 def test_a_stated_stop_and_a_nominal_bench_leave_no_doubt(found: Calibrated) -> None:
-    assert not found.stop_doubt
+    assert not found.stop_warning
     assert not found.table()["undetermined"]

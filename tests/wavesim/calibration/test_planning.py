@@ -10,7 +10,7 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration.planning import (
-    SIDE,
+    MOST_PIXELS,
     Plan,
     Plans,
     Twin,
@@ -19,7 +19,7 @@ from wavesim.calibration.planning import (
     plan_frames,
     random_objects,
 )
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import ITERATIONS, Kind, PlanSettings
 from wavesim.sensor.imaging import image
 from wavesim.sensor.windows import diversity, footprint_mm
@@ -106,7 +106,7 @@ def test_a_large_lens_is_tried_on_a_twin() -> None:
     assert twin.diversity == pytest.approx(diversity(lens, patch, (0.5, 5.5)), rel=0.03)
     assert twin.read_noise_electrons == pytest.approx(2.0 * 0.12 / twin.patch_mm)
     across = footprint_mm(scaled(lens, twin.scale), object_patch(lens, twin.patch_mm), 5.5 * twin.scale)
-    assert across / 3.2e-3 < 1.2 * SIDE
+    assert across / 3.2e-3 < 1.2 * MOST_PIXELS
 
 
 def test_the_fewest_frames_that_are_enough_are_recommended() -> None:

@@ -13,7 +13,7 @@ from wavesim_command import ENDED, run_wavesim
 
 from lensdesign import InputError, load_design, save_design, scaled
 from wavesim import image
-from wavesim.calibration.joint.search import JointSearch, SearchState, Told
+from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.cli.bench_files import read_priors
 from wavesim.fields.files import write_field
 from wavesim.scene.bench import Bench, LightErrors
@@ -97,7 +97,7 @@ def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: P
         (("--empty", "twin.toml"), "twin.toml"),
         (("--empty", "."), "holds no frame_*.tif"),
         (("--calibrate", "--priors", DESIGNS / "paper_tolerances.toml"), "is a study of another design"),
-        (("--priors", DESIGNS / "paper_tolerances.toml"), "--priors: means nothing without --calibrate"),
+        (("--priors", DESIGNS / "paper_tolerances.toml"), "--priors: requires --calibrate"),
     ],
 )
 def test_what_cannot_serve_is_refused_and_nothing_written(
@@ -121,17 +121,17 @@ def test_an_interrupted_search_of_the_light_goes_on(
 ) -> None:
     whole, began = JointSearch.run, []
 
-    def cut_off(search: JointSearch, stand: SearchState) -> Told:
-        began.append(len(stand.trail))
+    def cut_off(search: JointSearch, state: SearchState) -> FitResult:
+        began.append(len(state.trail))
         if len(began) > 1:
             raise KeyboardInterrupt
         keep = search.keep
 
-        def kept(stand: SearchState) -> None:
-            keep(stand)  # type: ignore[misc]
+        def kept(state: SearchState) -> None:
+            keep(state)  # type: ignore[misc]
             raise KeyboardInterrupt
 
-        return whole(replace(search, keep=kept), stand)
+        return whole(replace(search, keep=kept), state)
 
     monkeypatch.setattr(JointSearch, "run", cut_off)
     command = "calibrate", "--empty", bench / "empty", "--parameters", "light", "-o", tmp_path
@@ -155,14 +155,14 @@ def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_pa
 def test_more_than_memory_holds_is_refused(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wavesim.calibration.bench_search.memory_limit", lambda _: 2e6)
+    monkeypatch.setattr("wavesim.calibration.calibration_problem.memory_limit", lambda _: 2e6)
     light = "--parameters", "light"
     code, _, err = run("calibrate", *light, "-o", tmp_path / "out")
     assert code == 2
-    assert "beside a complex object no light is sought: --kind amplitude" in err
+    assert "no light is sought: use --kind amplitude" in err
     code, _, err = run("calibrate", *light, "--kind", "amplitude", "-o", tmp_path / "out")
     assert code == 2
-    assert "to seek 10 parameters in 39200 pixels takes 0.00784 GB, and 0.002 GB are" in " ".join(err.split())
+    assert "10 parameters in 39200 pixels needs 0.00784 GB, and 0.002 GB are" in " ".join(err.split())
     assert not (tmp_path / "out").exists()
 
 

@@ -12,11 +12,11 @@ from wavesim_command import frames_and_design, run_wavesim, write_frames
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration import bench_search
+from wavesim.calibration import calibration_problem
 from wavesim.calibration.calibrated import field_stop_of, read_calibration
-from wavesim.calibration.joint.search import JointSearch, SearchState, Told
+from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
-from wavesim.reconstruction import from_frames
+from wavesim.reconstruction import frame_reconstruction
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.scene.bench import Bench
 
@@ -93,15 +93,15 @@ def test_an_interrupted_search_goes_on(
     command = (*frames_and_design(data), "--parameters", "rigid", "--iterations", 3, "--scale", 1)
     whole, began = JointSearch.run, []
 
-    def cut_off(search: JointSearch, stand: SearchState) -> Told:
-        began.append(len(stand.trail))
+    def cut_off(search: JointSearch, state: SearchState) -> FitResult:
+        began.append(len(state.trail))
         keep = search.keep
 
-        def kept(stand: SearchState) -> None:
-            keep(stand)  # type: ignore[misc]
+        def kept(state: SearchState) -> None:
+            keep(state)  # type: ignore[misc]
             raise KeyboardInterrupt
 
-        return whole(replace(search, keep=kept), stand)
+        return whole(replace(search, keep=kept), state)
 
     monkeypatch.setattr(JointSearch, "run", cut_off)
     code, _, err = run_wavesim(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
@@ -109,9 +109,9 @@ def test_an_interrupted_search_goes_on(
     assert "interrupted after" in err
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.npz"]
 
-    def watched(search: JointSearch, stand: SearchState) -> Told:
-        began.append(len(stand.trail))
-        return whole(search, stand)
+    def watched(search: JointSearch, state: SearchState) -> FitResult:
+        began.append(len(state.trail))
+        return whole(search, state)
 
     monkeypatch.setattr(JointSearch, "run", watched)
     code, _, err = run_wavesim(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
@@ -130,8 +130,8 @@ def test_both_in_one_run(
     given: list[object] = []
     searched = JointSearch.run
 
-    def one_step(search: JointSearch, stand: SearchState) -> Told:
-        return searched(replace(search, most_benches=2), stand)
+    def one_step(search: JointSearch, state: SearchState) -> FitResult:
+        return searched(replace(search, most_benches=2), state)
 
     def few(*asked: object) -> tuple[object, ...]:
         """Of each part: the search has tests of its own."""
@@ -142,9 +142,9 @@ def test_both_in_one_run(
         return reconstruct_frames(*arguments, **settings)  # type: ignore[arg-type]
 
     monkeypatch.setattr(JointSearch, "run", one_step)
-    monkeypatch.setattr(bench_search, "chosen_parameters", few)
-    reconstruct_frames = from_frames.reconstruct_frames
-    monkeypatch.setattr(from_frames, "reconstruct_frames", taken)
+    monkeypatch.setattr(calibration_problem, "chosen_parameters", few)
+    reconstruct_frames = frame_reconstruction.reconstruct_frames
+    monkeypatch.setattr(frame_reconstruction, "reconstruct_frames", taken)
     monkeypatch.setattr(
         CauseTrials, "trials", lambda _: []
     )  # two benches are not enough to explain the frames
@@ -170,7 +170,7 @@ def test_both_in_one_run(
     assert taken_bench.placement.pose == written.placement.pose
     code, _, err = run_wavesim(monkeypatch, capsys, "reconstruct", *command, "--calibration", path)
     assert code == 2
-    assert "give one of them" in err
+    assert "give only one of them" in err
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from PIL import Image
 from wavesim_command import ENDED, PLANES_MM, frames_and_design, run_wavesim
 
 from wavesim.reconstruction import forward_model, resumable
-from wavesim.reconstruction import from_object as reconstruction
-from wavesim.reconstruction.retrieval import steps as retrieval_steps
+from wavesim.reconstruction import object_solver as reconstruction
+from wavesim.reconstruction.retrieval import iteration as retrieval_steps
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 
@@ -79,8 +79,8 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     method: str,
     start: str,
 ) -> None:
-    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
-    monkeypatch.setattr(resumable, "KEEP_SHARE", np.inf)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
+    monkeypatch.setattr(resumable, "SAVE_TIME_FRACTION", np.inf)
     monkeypatch.setattr(reconstruction, "AMPLITUDE_START", 2)
     options = (*usual(data), "--method", method, "--start", start, "--iterations", 7)
     options = (*options, "--refocus-mm=-0.002,0.002")

@@ -14,14 +14,14 @@ from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
 from wavesim.engines.whole_field.executors import ThisComputer
-from wavesim.reconstruction import from_frames, resumable
+from wavesim.reconstruction import frame_reconstruction, resumable
 
 Run = Callable[..., tuple[object, str, str]]
 
 
 def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
+    options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
     code, _, err = run(*options, "-o", tmp_path / "here")
     assert code in ENDED, err
     cluster = Cluster(tmp_path)
@@ -38,7 +38,7 @@ def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -
 def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
     uses, most = [0], [1000]
 
     class Away(ThisComputer):
@@ -63,8 +63,8 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
 
         yield take
 
-    monkeypatch.setattr(from_frames, "tiles_in", tiles)
-    options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
+    monkeypatch.setattr(frame_reconstruction, "tiles_in", tiles)
+    options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
     options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
     half = 6  # three iterations on half of the samples
     for most[0], said in ((1, "no iteration was kept"), (half + 4, "goes on from where it was last kept")):

@@ -89,7 +89,7 @@ def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path
         (("--region-mm", "0,0,0.01,-0.01"), "--region-mm = 0,0,0.01,-0.01: must be finite, and the sides"),
         (("--region-mm", "0.02,0,0.02,0.01"), "--region-mm = 0.02,0,0.02,0.01: along x there are samples"),
         (("--region-mm", "0,0,0.001,0.01"), "samples of 0.4256 um; must be 16 x 16 at least"),
-        (("--region-mm", "0.0215,0.0215,0.007,0.007"), "lies beside the field stop"),
+        (("--region-mm", "0.0215,0.0215,0.007,0.007"), "lies outside the field stop"),
     ],
 )
 def test_bad_options_are_one_message_status_two_and_nothing_written(

@@ -98,12 +98,12 @@ def test_progress_is_told_within_an_iteration(
 
     monkeypatch.setattr(runs, "progress_bar", shown)
     monkeypatch.setattr(reconstruction_problem, "imaging_engine", kept)
-    options = ("--engine", "two-level", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
+    options = ("--engine", "hierarchical", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code in ENDED, err
     (engine,) = engines
     count = len(engine.groups)
-    assert bar.shown[0] == "object: engine two-level"
-    assert f"object: engine two-level, super-tile {count} of {count}" in bar.shown
+    assert bar.shown[0] == "object: engine hierarchical"
+    assert f"object: engine hierarchical, super-tile {count} of {count}" in bar.shown
     assert any(re.fullmatch(rf"object: misfit 0\.\d{{5}}, super-tile 1 of {count}", s) for s in bar.shown)
-    assert engine.report is None
+    assert engine.progress is None

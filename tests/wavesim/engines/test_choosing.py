@@ -84,7 +84,7 @@ def test_slices_tell_of_light_that_the_rim_turns_aside(thing: str) -> None:
 
 def test_prediction_is_the_sum_of_squares() -> None:
     engine = engine_for(SCENE, "slices", slices=100, compensation="oblique")
-    parts = [part.relative_error for part in engine.neglected()]
+    parts = [part.relative_error for part in engine.error_terms()]
     assert predict(SCENE, "slices", slices=100, compensation="oblique").relative_error == pytest.approx(
         SAFETY * np.sqrt(np.sum(np.square(parts)))
     )
@@ -93,9 +93,9 @@ def test_prediction_is_the_sum_of_squares() -> None:
 
 def test_memory_and_time_allowed_are_kept() -> None:
     free = choose(SCENE, 0.012)
-    with pytest.raises(SamplingError, match="GB allowed"):
+    with pytest.raises(SamplingError, match="GB \\(allowed"):
         choose(SCENE, 0.012, memory_gb=1e-5)
-    with pytest.raises(SamplingError, match="s allowed"):
+    with pytest.raises(SamplingError, match=r"takes .* s \(allowed"):
         choose(SCENE, 0.012, seconds=1e-9)
     assert free.chosen.peak_bytes > 1e4
 
@@ -172,7 +172,7 @@ class Mirror(Engine):
     def cost(self) -> Cost:
         return Cost(1e-9, 0.0, 8)
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         return (ErrorTerm("the lens", 0.1 * self.share),)
 
     def settings(self) -> dict[str, Any]:

@@ -50,8 +50,8 @@ def test_adjoint(paper_lens: Lens, shape: tuple[int, ...]) -> None:
 
 
 def test_says_that_the_lens_is_left_out(scene: Scene) -> None:
-    (left_out,) = NoLens(scene).neglected()
-    assert "lens" in left_out.what
+    (left_out,) = NoLens(scene).error_terms()
+    assert "lens" in left_out.description
     assert math.isnan(left_out.relative_error)
     assert NoLens(scene).settings() == {}
 

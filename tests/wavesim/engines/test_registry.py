@@ -12,7 +12,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.choosing import engine_for
-from wavesim.engines.registry import ENGINES, engine_class
+from wavesim.engines.registry import ALIASES, ENGINES, engine_class, settings_of
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Scene
@@ -23,7 +23,7 @@ def scene(paper_lens: Lens) -> Scene:
     return Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), 0.532)
 
 
-PLANES_ONLY = ("two-level",)
+PLANES_ONLY = ("hierarchical",)
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -34,6 +34,13 @@ def test_every_engine_is_made_by_its_name(paper_lens: Lens, name: str) -> None:
     assert type(engine) is engine_class(name)
     assert engine.name == name
     assert engine.scene is scene
+
+
+def test_a_former_name_gives_the_same_engine() -> None:
+    for former, name in ALIASES.items():
+        assert former not in ENGINES
+        assert engine_class(former) is engine_class(name)
+        assert settings_of(former) == settings_of(name)
 
 
 def test_settings_reach_the_engine(scene: Scene) -> None:

@@ -61,7 +61,7 @@ print(json.dumps([run(scene, way) for way in ("forward", "adjoint")]))
     [
         ("eikonal", {"error": 0.01}, 1.0, 0.1, 2400),
         ("eikonal", {"error": 0.01}, 1 / 8, 0.1, 900),
-        ("two-level", {}, 1.0, 0.375, 3000),
+        ("hierarchical", {}, 1.0, 0.375, 3000),
         ("slices", {"slices": 3, "compensation": "oblique"}, 1 / 48, 0.02, None),
         ("wpm", {}, 1 / 100, 0.008, None),
     ],

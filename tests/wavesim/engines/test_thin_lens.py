@@ -141,9 +141,9 @@ def test_stop_takes_in_the_real_cone(paper_lens: Lens) -> None:
 
 
 def test_neglected_grows_with_aberrations(paper_lens: Lens) -> None:
-    (little,) = ThinLens(line_scene()).neglected()
+    (little,) = ThinLens(line_scene()).error_terms()
     scene = Scene(paper_lens, Grid((50,), 1e-3, -13.5), Grid((50,), 1e-3, 12.7), 0.532)
-    (much,) = ThinLens(scene).neglected()
+    (much,) = ThinLens(scene).error_terms()
     assert little.relative_error < 0.5 < 1.0 < much.relative_error
 
 

@@ -21,11 +21,11 @@ def test_a_quarter_of_the_factor_is_the_whole(
     factor = transfer(fft_frequencies(shape, pitch_mm), 0.532, 1.0, distance_mm)
     way = TransferFunction(Grid(shape, pitch_mm, 1.0), 0.532, distance_mm, np.complex128)
     np.testing.assert_allclose(spectrum * way, spectrum * factor, atol=1e-12)
-    np.testing.assert_allclose(way.times(spectrum.copy(), back=True), spectrum * factor.conj(), atol=1e-12)
+    np.testing.assert_allclose(way.times(spectrum.copy(), adjoint=True), spectrum * factor.conj(), atol=1e-12)
     assert way.factor.size <= (1 + shape[0] // 2) * (1 + shape[-1] // 2)
-    assert way.is_none == bool(np.all(factor == 1.0))
+    assert way.is_identity == bool(np.all(factor == 1.0))
 
 
 def test_no_distance_is_no_way() -> None:
-    assert TransferFunction(Grid((6, 5), 3.2e-3, 1.0), 0.532, 0.0, np.complex64).is_none
-    assert not TransferFunction(Grid((6, 5), 2e-4, 1.0), 0.532, 0.0, np.complex64).is_none
+    assert TransferFunction(Grid((6, 5), 3.2e-3, 1.0), 0.532, 0.0, np.complex64).is_identity
+    assert not TransferFunction(Grid((6, 5), 2e-4, 1.0), 0.532, 0.0, np.complex64).is_identity

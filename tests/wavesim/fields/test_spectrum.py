@@ -26,8 +26,8 @@ def test_share_beyond_is_that_of_the_whole(rows: int) -> None:
     for start in range(0, count, rows):
         blocks.add(field[start : start + rows].astype(np.complex64))
     for limit in (50.0, 100.0, 156.0):
-        whole = spectrum_support(field, pitch, limit).share_beyond
-        assert blocks.share_beyond(limit) == pytest.approx(whole, rel=0.05)
+        whole = spectrum_support(field, pitch, limit).fraction_beyond
+        assert blocks.fraction_beyond(limit) == pytest.approx(whole, rel=0.05)
 
 
 def test_what_keeps_below_the_limit_does_not_leak_beyond() -> None:
@@ -35,14 +35,14 @@ def test_what_keeps_below_the_limit_does_not_leak_beyond() -> None:
     wave = np.exp(2j * np.pi * 140.3 * x)[None, :] * np.ones((600, 1))
     blocks = BlockSpectrum(1.6e-3)
     blocks.add(wave.astype(np.complex64))
-    assert blocks.share_beyond(156.0) < 1e-6
-    assert blocks.share_beyond(135.0) > 0.999
+    assert blocks.fraction_beyond(156.0) < 1e-6
+    assert blocks.fraction_beyond(135.0) > 0.999
 
 
 def test_darkness_has_no_spectrum() -> None:
     blocks = BlockSpectrum(1e-3)
     blocks.add(np.zeros((100, 90), np.complex64))
-    assert math.isnan(blocks.share_beyond(10.0))
+    assert math.isnan(blocks.fraction_beyond(10.0))
 
 
 def test_spectrum_of_known_waves() -> None:
@@ -51,10 +51,12 @@ def test_spectrum_of_known_waves() -> None:
     x = pitch * np.arange(count)
     values = 7.0 + 3.0 * np.cos(2 * np.pi * 40.0 * x) + np.cos(2 * np.pi * 170.0 * x)
     found = spectrum_support(np.tile(values, (300, 1)), pitch, 156.25)
-    assert found.share_beyond == pytest.approx(0.1)
+    assert found.fraction_beyond == pytest.approx(0.1)
     assert found.frequency_within_per_mm == pytest.approx(170.0)
-    assert spectrum_support(values, pitch, 156.25, share=0.89).frequency_within_per_mm == pytest.approx(40.0)
-    assert spectrum_support(values, pitch, 171.0).share_beyond == pytest.approx(0.0, abs=1e-12)
+    assert spectrum_support(values, pitch, 156.25, fraction=0.89).frequency_within_per_mm == pytest.approx(
+        40.0
+    )
+    assert spectrum_support(values, pitch, 171.0).fraction_beyond == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +64,7 @@ def test_spectrum_of_known_waves() -> None:
     [
         (lambda: spectrum_support(np.ones((9, 9)), 1e-3, 100.0), "mean"),
         (lambda: spectrum_support(np.ones((9, 9)), 0.0, 100.0), "pitch_mm"),
-        (lambda: spectrum_support(np.eye(9), 1e-3, 100.0, share=1.0), "share"),
+        (lambda: spectrum_support(np.eye(9), 1e-3, 100.0, fraction=1.0), "fraction"),
     ],
 )
 def test_refused(call: Callable[[], object], message: str) -> None:

@@ -43,7 +43,7 @@ class Scaled(Engine):
     def cost(self) -> Cost:
         return Cost(self.pause_seconds, 2.0 * self.pause_seconds, BALLAST_BYTES)
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         return ()
 
     def settings(self) -> dict[str, Any]:

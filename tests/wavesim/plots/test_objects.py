@@ -97,4 +97,4 @@ def test_phases_share_a_row_and_profiles_need_no_chart() -> None:
     true = found.with_values(np.ones(grid.shape))
     figure = object_figure(found, np.ones(grid.shape, bool), truth=true)
     assert sum(bool(axes.images) for axes in figure.axes) == 4
-    assert sum("through the middle" in axes.get_title() for axes in figure.axes) == 2
+    assert sum("through the centre" in axes.get_title() for axes in figure.axes) == 2

@@ -189,7 +189,7 @@ def test_nothing_is_written_where_no_page_can_be(tmp_path: Path) -> None:
     for chosen, path, words in (
         (layers, tmp_path / "view.png", r"written as \.html alone"),
         ([], kept, "one layer or more"),
-        (layers, kept / "view.html", "file stands where a folder is needed"),
+        (layers, kept / "view.html", "file where a folder is needed"),
     ):
         with pytest.raises(InputError, match=words):
             write_zoom_page(chosen, path)

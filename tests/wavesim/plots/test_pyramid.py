@@ -56,14 +56,14 @@ def test_phases_are_halved_as_complex_numbers() -> None:
     turn = np.where(np.indices((4, 4)).sum(axis=0) % 2, 3.0, -3.0)
     for values in (np.exp(1j * turn), turn):
         level = picture_levels(values, "phase_rad", least=2)[1]
-        assert np.abs(level.shown(level.kept)) == pytest.approx(np.pi, abs=1e-5)
+        assert np.abs(level.shown(level.stored)) == pytest.approx(np.pi, abs=1e-5)
     # A dark sample's phase does not count.
     half_dark = np.array([[1e-9j, 1e-9j], [1.0, 1.0]])
     level = picture_levels(half_dark, "phase_rad", least=1)[1]
-    assert level.shown(level.kept) == pytest.approx(0.0, abs=1e-6)
+    assert level.shown(level.stored) == pytest.approx(0.0, abs=1e-6)
     # The moduli of opposite phases do not cancel.
     level = picture_levels(np.exp(1j * np.array([[0.0, np.pi]] * 2)), "amplitude", least=1)[1]
-    assert level.shown(level.kept) == pytest.approx(1.0)
+    assert level.shown(level.stored) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (512, 512), (700, 1301)])

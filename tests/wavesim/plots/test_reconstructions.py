@@ -8,7 +8,7 @@ import pytest
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.plots.reconstructions import convergence_figure, starts_figure
-from wavesim.reconstruction.from_field import Retrieved, stagnation
+from wavesim.reconstruction.phase_retrieval import Retrieved, stagnation
 
 GRID = Grid((24, 32), 1e-3, 0.0, (0.01, 0.0))
 

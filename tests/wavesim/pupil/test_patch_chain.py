@@ -258,8 +258,8 @@ def test_bars_have_their_area_and_their_axis(plane: PatchChain, line: PatchChain
 
 
 def test_neglected_grows_with_the_patch_and_the_displacement(line: PatchChain) -> None:
-    here, far = line.neglected()[0].relative_error, line.neglected(30.0)[0].relative_error
-    wide = PatchChain(PAPER, line=True, patch_um=68.0).neglected()[0].relative_error
+    here, far = line.error_terms()[0].relative_error, line.error_terms(30.0)[0].relative_error
+    wide = PatchChain(PAPER, line=True, patch_um=68.0).error_terms()[0].relative_error
     assert wide == pytest.approx(4.0 * here, rel=0.05)
     assert here < 0.01 < far < 0.1
 

@@ -67,7 +67,7 @@ def test_detour_in_free_space(dimensions: int) -> None:
     before, behind = FRONT_MM / cosine**3, BEHIND_MM / cosine**3
     expected = STOP_MM * math.sqrt(0.5 * scene.wavenumber_per_mm * (1.0 / before + 1.0 / behind))
     np.testing.assert_allclose(edge.rate, expected, rtol=2e-3)
-    assert not edge.turned.any()
+    assert not edge.conjugate.any()
 
 
 @pytest.mark.parametrize(("dimensions", "allowed"), [(1, 0.025), (2, 0.045)])

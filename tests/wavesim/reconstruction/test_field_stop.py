@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.reconstruction.found import FoundObject
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.found_object import FoundObject
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.imaging import Imaged, image
 from wavesim.targets.illumination import field_stop
 from wavesim.targets.patch import object_patch
@@ -77,7 +77,7 @@ def test_the_stop_is_found_from_the_frames() -> None:
 
 
 def test_nothing_is_found_where_all_is_stated() -> None:
-    with pytest.raises(InputError, match="leave nothing to be found"):
+    with pytest.raises(InputError, match="field_stop_at_mm"):
         found_with(field_stop="find", field_stop_mm=STOP_MM, field_stop_at_mm=AT_MM)
 
 

@@ -82,7 +82,7 @@ def test_light_of_a_wide_source_is_that_of_its_directions_added_up(model_parts: 
         for mode in modes
     ]
     for number, one in enumerate(found):
-        expected = sum(m.share * a[number] ** 2 for m, a in zip(modes, apart, strict=True))
+        expected = sum(m.weight * a[number] ** 2 for m, a in zip(modes, apart, strict=True))
         assert np.allclose(one**2, expected, atol=1e-10 * expected.max())
         assert np.linalg.norm(one - apart[0][number]) > 0.1 * np.linalg.norm(one)
 

@@ -22,10 +22,8 @@ from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics import transmitted_band
 from wavesim.metrics.judgement import truth_metrics
-from wavesim.reconstruction import forward_model, from_object
+from wavesim.reconstruction import forward_model, object_solver
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_field import retrieve
-from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.memory import (
     DRAWN_BYTES,
     PICTURE_BYTES,
@@ -42,7 +40,9 @@ from wavesim.reconstruction.memory import (
     retrieval_bytes,
     run_arrays,
 )
-from wavesim.reconstruction.recording import bands, pixel_means, planes
+from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.reconstruction.phase_retrieval import retrieve
+from wavesim.reconstruction.recording import bands, exit_field, pixel_means
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
@@ -80,7 +80,7 @@ class Nothing(Engine):
     def cost(self) -> Cost:
         return Cost(0.1, 0.0, 0)
 
-    def neglected(self) -> tuple:
+    def error_terms(self) -> tuple:
         return ()
 
     def settings(self) -> dict:
@@ -104,11 +104,11 @@ def arrays_of(
 STEPS = {
     (ForwardModel, "noise_of_step"): (STARTING, Phase.READING),
     (ForwardModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
-    (ForwardModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
-    (planes.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
-    (planes.ExitField, "replace"): (Phase.CHANGING, Phase.CHANGING),
-    (ForwardModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
-    (from_object, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
+    (ForwardModel, "_at_exit"): (Phase.LENS, Phase.COMPUTING_INTENSITIES),
+    (exit_field.PlaneRecord, "change_samples"): (Phase.CHANGING_FIELD, Phase.CHANGING_FIELD),
+    (exit_field.ExitField, "replace_amplitudes"): (Phase.CHANGING_FIELD, Phase.CHANGING_FIELD),
+    (ForwardModel, "_adjoint_to_object"): (Phase.ADJOINT, Phase.SMOOTHING),
+    (object_solver, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
     (Scratch, "make"): (STEPPING, STEPPING),
     (ForwardModel, "amplitudes"): (Phase.ENDING, Phase.ENDING),
 }
@@ -118,16 +118,16 @@ STEPS = {
 @contextmanager
 def peaks_of_phases(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[Phase, int]]:
     """The most bytes that a descent holds in each phase."""
-    seen: dict[Phase, int] = defaultdict(int)
+    peaks: dict[Phase, int] = defaultdict(int)
     now = Phase.READING
 
     def begin(phase: Phase) -> None:
         nonlocal now
-        seen[now] = max(seen[now], tracemalloc.get_traced_memory()[1])
+        peaks[now] = max(peaks[now], tracemalloc.get_traced_memory()[1])
         tracemalloc.reset_peak()
         now = phase
 
-    def watched(work: Any, own: Phase, after: Phase) -> Any:
+    def traced(work: Any, own: Phase, after: Phase) -> Any:
         def done(*arguments: Any, **settings: Any) -> Any:
             if now in (STARTING, Phase.ENDING) and own is not Phase.DRAWING_NOISE:
                 return work(*arguments, **settings)
@@ -140,10 +140,10 @@ def peaks_of_phases(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[Phase, int
         return done
 
     for (place, name), phases in STEPS.items():
-        monkeypatch.setattr(place, name, watched(getattr(place, name), *phases))
+        monkeypatch.setattr(place, name, traced(getattr(place, name), *phases))
     tracemalloc.start()
     try:
-        yield seen
+        yield peaks
         begin(Phase.ENDING)
     finally:
         tracemalloc.stop()
@@ -175,10 +175,10 @@ def test_each_phase_holds_what_is_listed(
     """In memory and in files."""
     for place, name, value in (
         (forward_model, "ROWS", 2),
-        (planes, "ROWS", 2),
+        (exit_field, "ROWS", 2),
         (pixel_means, "COLUMNS", 4),
         (bands, "BAND", 400),
-        (bands, "NEW", 2),
+        (bands, "NEW_ROWS", 2),
     ):
         monkeypatch.setattr(place, name, value)  # blocks are small beside a whole field
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
@@ -207,8 +207,8 @@ def test_each_phase_holds_what_is_listed(
         beyond = {}
         for phase, peak in peaks.items():
             need = need_of(tuple(replace(one, during=one.during & phase) for one in arrays))
-            told = need.least_bytes if in_files else need.most_bytes
-            beyond[phase] = (peak - told) / (COMPLEX64 * math.prod(shape))
+            expected = need.least_bytes if in_files else need.most_bytes
+            beyond[phase] = (peak - expected) / (COMPLEX64 * math.prod(shape))
         assert all(-0.01 < one < 0.12 for one in beyond.values()), (in_files, beyond)  # least array: 0.125
 
 
@@ -243,8 +243,8 @@ import pathlib, resource, sys
 import numpy as np
 sys.path.insert(0, {tests!r})
 from test_memory import Nothing, arrays_of
-from wavesim.reconstruction.from_field import retrieve
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.phase_retrieval import retrieve
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.reconstruction.memory import reconstruction_bytes
 from wavesim.runtime.scratch import Scratch
 
@@ -295,7 +295,7 @@ def engine() -> Nothing:
     return Nothing(SHAPE)
 
 
-def told(engine: Any, during: Phase, **settings: Any) -> tuple[float, float]:
+def expected(engine: Any, during: Phase, **settings: Any) -> tuple[float, float]:
     """Most and least bytes for each sample in some phases, the process itself left out."""
     usual = {"method": "object", "kind": "amplitude", "fill_factor": 1.0, "frames_bytes": 0}
     usual |= {"shown": engine.scene.object_grid.shape, "carried": 0, "truth": False}
@@ -352,14 +352,14 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
     in_memory, in_files = peak(lambda: compare(Scratch())), peak(lambda: compare(Scratch(tmp_path, 0.0)))
     assert in_files < 0.75 * in_memory
     # Light, truth and what was found, in complex64; two planes' amplitudes, deviations and residuals.
-    most, least = told(engine, during=Phase.JUDGING | Phase.COMPARING, truth=True)
+    most, least = expected(engine, during=Phase.JUDGING | Phase.COMPARING, truth=True)
     assert 0.97 * (in_memory + 48.0) < most < 1.1 * (in_memory + 48.0)
     assert 0.97 * (in_files + 16.0) < least < 1.1 * (in_files + 16.0)
 
 
 def test_what_is_told_at_the_end_is_what_is_still_held(engine: Nothing) -> None:
     """When pictures are drawn, what the lens passes of fields is gone, and what is shown is no copy."""
-    most, least = told(engine, during=Phase.DRAWING, truth=True)
+    most, least = expected(engine, during=Phase.DRAWING, truth=True)
     drawn = PICTURE_BYTES / engine.scene.object_grid.size + SCREEN_BYTES + DRAWN_BYTES
     assert most - drawn == pytest.approx(48.0)
     assert least - drawn == pytest.approx(16.0)
@@ -379,7 +379,7 @@ def test_the_paper_s_way_takes_what_is_told(engine: Nothing) -> None:
     taken = peak(lambda: retrieve_resumably(engine, light, given, iterations=2)) + 8.0 + 16.0
     sizes = Sizes.of(engine, (0.0, 20.0))
     arrays = given_arrays(sizes) + _paper_arrays(sizes)
-    most = need_during(arrays, Phase.PASSING).most_bytes / engine.scene.object_grid.size
+    most = need_during(arrays, Phase.RETRIEVING).most_bytes / engine.scene.object_grid.size
     assert 0.9 * taken < most < 1.3 * taken
 
 

@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from places import GOLDEN
 
-from lensdesign import load_design
+from lensdesign import Lens, load_design, scaled
 from lensdesign.lens.figure import figure_from_zernike
-from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from wavesim import read_frames
+from wavesim.fields.field import Field
 from wavesim.fields.files import read_field
+from wavesim.metrics.comparison import random_field
+from wavesim.rays.maps import RIM_ARMS, inside_border, moved
+from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem
+from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
 from wavesim.scene.bench import Bench, LightErrors
+from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
-from wavesim.scene.settings import ReconstructionSettings
+from wavesim.scene.settings import PatchSettings, ReconstructionSettings
 from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.imaging import image
 from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.mounting import planes_at
+from wavesim.sensor.windows import exit_scene
+from wavesim.targets.patch import lit_patch
 
 BENCH = GOLDEN / "bench"
 SETTINGS = ReconstructionSettings(kind="amplitude", patch_mm=0.16)
@@ -81,3 +89,99 @@ def test_frames_of_another_model_are_those_of_the_bench_that_they_state() -> Non
     assert over_noise(case, planes_at(recorded, farther), true) > 3.0
     brighter = replace(bench, plane_backgrounds=(0.02, 0.02))
     assert over_noise(case, planes_at(recorded, brighter), true) > 3.0
+
+
+WIDTH_MM = 0.06
+
+
+def told(lens: Lens, thing: str | Field, **settings: Any) -> tuple[float, float]:
+    """Share of scattered light that frames tell, and what would be as much of it at the rim in truth."""
+    patch, light = lit_patch(lens, PatchSettings(patch_mm=WIDTH_MM))
+    of_object: dict[str, Any] = {} if isinstance(thing, Field) else {"patch_mm": WIDTH_MM}
+    made = image(lens, thing, engine="eikonal", error=0.2, **of_object, **settings)
+    scene = exit_scene(lens, patch, made.sensor, made.recording.plane_distances_mm[0])
+    found = light_of_frames(scene, made.frames, light)
+    assert found.field is light
+    behind = light.with_values(light.values * made.target.transmission.values)
+    return found.even, made.engine.edge_illumination(Light(behind.with_values(behind.values))) ** 2
+
+
+@pytest.fixture(scope="module")
+def twin(paper_lens: Lens) -> Lens:
+    return scaled(paper_lens, 1 / 32)
+
+
+@pytest.mark.parametrize("ground", ["bright", "dark"])
+def test_charts_scatter_little(twin: Lens, ground: str) -> None:
+    even, true = told(twin, "usaf", ground=ground, exposures=(1.0, 30.0, 1000.0))
+    assert 0.3 * true < even < 4.0 * true
+    assert even < 0.1
+
+
+def test_speckle_is_even_light(twin: Lens) -> None:
+    patch, _ = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    speckle = random_field(patch.grid, patch.wavelength_um, twin.object.numerical_aperture)
+    even, true = told(twin, speckle.with_values(speckle.values / np.abs(speckle.values).max()))
+    assert even == pytest.approx(true, rel=0.4)
+    assert even > 0.6
+
+
+def test_where_no_pixel_sees_the_border_all_light_may_be_scattered(twin: Lens) -> None:
+    patch, light = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    made = image(twin, "usaf", patch_mm=WIDTH_MM, engine="eikonal", error=0.2)
+    few = slice(0, 8)
+    narrow = made.sensor.replaced(pixels=(8, 8))
+    scene = exit_scene(twin, patch, narrow, made.recording.plane_distances_mm[0])
+    frames = [type(frame)(frame.counts[few, few], frame.settings) for frame in made.frames]
+    assert light_of_frames(scene, frames, light).even == 1.0
+
+
+def test_a_few_changed_pixels_do_not_change_it(twin: Lens) -> None:
+    patch, light = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    made = image(twin, "usaf", patch_mm=WIDTH_MM, engine="eikonal", error=0.2)
+    scene = exit_scene(twin, patch, made.sensor, made.recording.plane_distances_mm[0])
+    before = light_of_frames(scene, made.frames, light).even
+    first, *others = made.frames
+    counts = first.counts.copy()
+    rows, columns = np.indices(counts.shape) - 0.5 * (np.array(counts.shape) - 1.0)[:, None, None]
+    dark = np.flatnonzero(counts.ravel() < np.quantile(counts, 0.6))
+    outermost = dark[np.argsort(np.hypot(rows, columns).ravel()[dark])]
+    for place in (0.3, 0.5, 0.6, 0.7):
+        counts.ravel()[outermost[int(place * len(outermost))]] = 4000
+    changed = light_of_frames(scene, (replace(first, counts=counts), *others), light).even
+    assert changed == pytest.approx(before, rel=0.2)
+
+
+@pytest.mark.parametrize("kind", ["single", "neighbours", "scattered", "dark", "all exposures"])
+def test_a_few_changed_pixels_change_little(twin: Lens, kind: str) -> None:
+    """Whatever they hold: damaged bytes, hot pixels, hits of cosmic rays."""
+    patch, light = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    made = image(twin, "usaf", patch_mm=WIDTH_MM, engine="eikonal", error=0.2, exposures=(1.0, 30.0, 1000.0))
+    scene = exit_scene(twin, patch, made.sensor, made.recording.plane_distances_mm[0])
+    whole = light_of_frames(scene, made.frames, light).even
+    ys, xs = _ring(scene)
+    rng = np.random.default_rng(3)
+    picked = {
+        "single": [len(ys) // 3],
+        "neighbours": np.arange(len(ys) // 2, len(ys) // 2 + 6),
+        "scattered": rng.choice(len(ys), 10, replace=False),
+        "dark": rng.choice(len(ys), 10, replace=False),
+        "all exposures": rng.choice(len(ys), 5, replace=False),
+    }[kind]
+    frames = []
+    for number, frame in enumerate(made.frames):
+        counts = frame.counts.copy()
+        if kind == "all exposures" or number in (0, 2):
+            counts[ys[picked], xs[picked]] = 0 if kind == "dark" else frame.settings.top_counts
+        frames.append(type(frame)(counts, frame.settings))
+    assert light_of_frames(scene, frames, light).even == pytest.approx(whole, rel=0.25)
+
+
+def _ring(scene: Any) -> tuple[Any, Any]:
+    """Rows and columns of the pixels next to the border of the footprint, inside."""
+    pupil = open_pupil(scene, scene.object_grid.centre_mm, scene.exit_grid.z_mm, RIM_ARMS)
+    rim = trace_bundle(scene, np.zeros(2), pupil.rim, scene.exit_grid.z_mm).sensor_mm
+    width = 0.08 * float(np.mean(np.linalg.norm(rim - rim.mean(axis=0), axis=1)))
+    axes = (scene.exit_grid.y_mm, scene.exit_grid.x_mm)
+    inside, within = (inside_border(moved(rim, by), axes) for by in (-0.2 * width, -width))
+    return np.nonzero(inside & ~within)

@@ -10,7 +10,7 @@ from lensdesign import load_design, scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_field import RetrievalState
+from wavesim.reconstruction.phase_retrieval import RetrievalState
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.scene import Scene
@@ -40,15 +40,15 @@ def test_keeping_takes_no_more_than_its_share(monkeypatch: pytest.MonkeyPatch, t
 
     monkeypatch.setattr(resumable, "time", clock)
     monkeypatch.setattr(Checkpoint, "keep", slow)
-    keep = resumable.keeper(checkpoint, resumable.KEEP_SHARE)
+    keep = resumable.state_saver(checkpoint, resumable.SAVE_TIME_FRACTION)
     assert keep is not None
     for _ in range(1000):
         clock.now += 1.0
         keep(state)
-    assert kept[0] == 100.0 + resumable.KEEP_SECONDS
+    assert kept[0] == 100.0 + resumable.SAVE_INTERVAL_S
     pauses = np.diff(kept)
-    np.testing.assert_allclose(pauses, 4.0 / resumable.KEEP_SHARE + 4.0)
-    assert 4.0 * len(kept) < 1.1 * resumable.KEEP_SHARE * (clock.now - 100.0)
+    np.testing.assert_allclose(pauses, 4.0 / resumable.SAVE_TIME_FRACTION + 4.0)
+    assert 4.0 * len(kept) < 1.1 * resumable.SAVE_TIME_FRACTION * (clock.now - 100.0)
 
 
 def test_it_goes_on_from_what_was_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -62,8 +62,8 @@ def test_it_goes_on_from_what_was_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     planes = [Measurement(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]
     checkpoint = Checkpoint(tmp_path / "checkpoint.npz", "key")
     whole, maps = retrieve_resumably(engine, light, planes, iterations=5)
-    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
-    monkeypatch.setattr(resumable, "KEEP_SHARE", np.inf)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
+    monkeypatch.setattr(resumable, "SAVE_TIME_FRACTION", np.inf)
 
     def stop(k: int, _: float) -> None:
         if k == 3:

@@ -18,8 +18,8 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_object import Reconstructed, SolverState, reconstruct
-from wavesim.reconstruction.resumable import keeper, progress_kept
+from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
+from wavesim.reconstruction.resumable import saved_state, state_saver
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.scene import Scene
@@ -53,8 +53,8 @@ def resumably(
         kind="amplitude",
         iterations=6,
         progress=progress,
-        resume=progress_kept(checkpoint, scratch or Scratch()),
-        keep=keeper(checkpoint),
+        resume=saved_state(checkpoint, scratch or Scratch()),
+        keep=state_saver(checkpoint),
         scratch=scratch,
     )
 
@@ -71,7 +71,7 @@ def cut_off(taken: tuple[Any, Field, list[Measurement]], checkpoint: Checkpoint)
 def test_what_was_kept_is_let_go_of_after_an_iteration(
     taken: tuple[Any, Field, list[Measurement]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
     checkpoint = Checkpoint(tmp_path / "checkpoint.npz", "key")
     assert not checkpoint.kept
     cut_off(taken, checkpoint)

@@ -11,7 +11,7 @@ import scipy.fft
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.source_width import coherent_deg, found_width, washed_out
+from wavesim.reconstruction.source_width import blur_ratio, coherent_deg, find_source_width
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ReconstructionSettings
@@ -46,7 +46,7 @@ class FarField(Engine):
     def cost(self) -> Cost:
         return Cost(0.1, 0.0, 0)
 
-    def neglected(self) -> tuple:
+    def error_terms(self) -> tuple:
         return ()
 
     def settings(self) -> dict:
@@ -76,20 +76,22 @@ def planes_in(engine: Engine, light: Field, width_deg: float) -> list[Measuremen
 
 
 @pytest.mark.parametrize("share", [0.0, 1.2])
-def test_the_width_of_a_source_is_found_with_the_object(share: float) -> None:
+def test_the_width_of_a_source_is_found_with_the_object(fraction: float) -> None:
     """In widths at which light is coherent over half of the object."""
     engine = FarField()
     light = lit_by(engine)
-    width_deg = share * coherent_deg(light)
+    width_deg = fraction * coherent_deg(light)
     settings = ReconstructionSettings(kind="amplitude")
-    told: list[str] = []
-    found, start = found_width(engine, light, planes_in(engine, light, width_deg), settings, told.append)
+    messages: list[str] = []
+    found, start = find_source_width(
+        engine, light, planes_in(engine, light, width_deg), settings, messages.append
+    )
     assert found == pytest.approx(width_deg, rel=0.05)
-    assert told[0] == f"width of the source: {coherent_deg(light):.3g} deg"
+    assert messages[0] == f"width of the source: {coherent_deg(light):.3g} deg"
     assert start.grid == light.grid
 
 
-def test_planes_tell_how_much_they_are_washed_out() -> None:
+def test_blur_ratio_follows_from_the_planes() -> None:
     engine = FarField()
     light = lit_by(engine)
     random = np.random.default_rng(5)
@@ -100,4 +102,4 @@ def test_planes_tell_how_much_they_are_washed_out() -> None:
         seen = [np.sqrt(p**2 + ratio * (w**2 - p**2)) for p, w in zip(point, wide, strict=True)]
         recorded = [Measurement(d, one) for d, one in zip(DISTANCES_MM, seen, strict=True)]
         model = ForwardModel(engine, light, recorded, 1.0)
-        assert washed_out(recorded, model, wide, point) == pytest.approx(ratio, abs=2e-3)
+        assert blur_ratio(recorded, model, wide, point) == pytest.approx(ratio, abs=2e-3)

@@ -91,14 +91,14 @@ def test_linear_values_stay_on_all_samples(rows: int, columns: int, odd: bool, w
 
 
 def test_a_whole_field_begins_on_half_of_its_samples() -> None:
-    imaged = image(LENS, "usaf", patch_mm=0.15, engine="two-level", exposures=(1.0, 30.0), seed=1)
+    imaged = image(LENS, "usaf", patch_mm=0.15, engine="hierarchical", exposures=(1.0, 30.0), seed=1)
     said: list[str] = []
     found = reconstruct_frames(
         LENS,
         imaged.frames,
         patch_mm=0.15,
         kind="amplitude",
-        engine="two-level",
+        engine="hierarchical",
         iterations=5,
         truth=imaged.target.transmission,
         progress=lambda what, done, count: said.append(what),

@@ -6,13 +6,12 @@ import os
 import threading
 import time
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from wavesim.runtime import threads
-from wavesim.runtime.threads import for_blocks, rows_in, share
+from wavesim.runtime.threads import for_blocks, rows_in
 
 
 @given(st.integers(0, 50), st.integers(1, 20), st.integers(1, 4))
@@ -22,17 +21,6 @@ def test_blocks_cover_all_in_order(count: int, block: int, threads: int) -> None
         found = for_blocks(lambda start, stop: (start, stop), count, block)
     assert [k for start, stop in found for k in range(start, stop)] == list(range(count))
     assert all(stop - start <= block for start, stop in found)
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_parts_cover_a_range(count: int) -> None:
-    touched = np.zeros(10, int)
-
-    def work(start: int, stop: int) -> None:
-        touched[start:stop] += 1
-
-    share(work, len(touched), count)
-    assert touched.tolist() == [1] * 10
 
 
 @pytest.mark.parametrize("wrong", range(10))

@@ -1,4 +1,4 @@
-"""A source as directions and wavelengths: their shares and what they average."""
+"""A source as directions and wavelengths: their weights and what they average."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def test_a_point_is_one_direction() -> None:
 def test_a_disc_has_the_coherence_of_its_closed_form(distance: float) -> None:
     """Van Cittert and Zernike: 2 J1(x) / x between two points; x is the phase across half the source."""
     modes = Source(width_deg=2.0).modes(0.5)
-    assert sum(mode.share for mode in modes) == pytest.approx(1.0)
-    found = sum(mode.share * np.exp(1j * distance * mode.tilt_deg[0]) for mode in modes)
+    assert sum(mode.weight for mode in modes) == pytest.approx(1.0)
+    found = sum(mode.weight * np.exp(1j * distance * mode.tilt_deg[0]) for mode in modes)
     assert found == pytest.approx(2.0 * j1(distance) / distance, abs=2e-3)
 
 
@@ -30,8 +30,8 @@ def test_a_disc_has_the_coherence_of_its_closed_form(distance: float) -> None:
 def test_seven_directions_have_nearly_the_coherence_of_a_disc(distance: float, axis: int) -> None:
     modes = Source(width_deg=2.0).few_modes(0.5)
     assert len(modes) == 7
-    assert sum(mode.share for mode in modes) == pytest.approx(1.0)
-    found = sum(mode.share * np.exp(1j * distance * mode.tilt_deg[axis]) for mode in modes)
+    assert sum(mode.weight for mode in modes) == pytest.approx(1.0)
+    found = sum(mode.weight * np.exp(1j * distance * mode.tilt_deg[axis]) for mode in modes)
     assert found == pytest.approx(2.0 * j1(distance) / distance, abs=0.015)
     assert POINT.few_modes(0.5) == POINT.modes(0.5)
 
@@ -39,7 +39,7 @@ def test_seven_directions_have_nearly_the_coherence_of_a_disc(distance: float, a
 def test_a_band_has_the_coherence_of_its_closed_form() -> None:
     modes = Source(bandwidth_nm=20.0).modes(0.5)
     for waves in (10.0, 30.0):  # of delay
-        found = sum(m.share * np.exp(2j * np.pi * waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
+        found = sum(m.weight * np.exp(2j * np.pi * waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
         assert found == pytest.approx(math.sin(0.04 * np.pi * waves) / (0.04 * np.pi * waves), abs=1e-3)
 
 

@@ -142,8 +142,8 @@ def test_an_engine_is_chosen_for_each_wavelength_of_a_band(nominal: Imaged) -> N
 
 
 def test_tiles_of_a_whole_field_record_on_upright_planes_alone() -> None:
-    with pytest.raises(InputError, match="sensor_tilt_deg: engine two-level"):
-        seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="two-level")
+    with pytest.raises(InputError, match="sensor_tilt_deg: engine hierarchical"):
+        seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="hierarchical")
 
 
 def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> None:
@@ -170,5 +170,5 @@ def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> Non
 
 
 def test_a_ghost_that_an_engine_cannot_carry() -> None:
-    with pytest.raises(InputError, match="engine two-level carries none"):
-        seen(ghost=0.01, engine="two-level")
+    with pytest.raises(InputError, match="engine hierarchical carries none"):
+        seen(ghost=0.01, engine="hierarchical")

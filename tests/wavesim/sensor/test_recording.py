@@ -35,7 +35,7 @@ PLANES_MM = (0.0625, 0.6875)
 CAMERA = Electronics(full_well_electrons=1e8, read_noise_electrons=0.0, bits=16, offset_counts=0.0)
 TILES = (
     "--engine",
-    "two-level",
+    "hierarchical",
     "--patch-mm",
     0.05,
     "--error",
@@ -62,7 +62,7 @@ class Scenery:
         self.scene = exit_scene(self.lens, patch, self.windows[0], PLANES_MM[0], oversampling=OVERSAMPLING)
 
     def engine(self, name: str, scene: Scene) -> Engine:
-        narrow = {"tile_width_mm": 0.006} if name == "two-level" else {}
+        narrow = {"tile_width_mm": 0.006} if name == "hierarchical" else {}
         place = name, scene.exit_grid
         if place not in self.engines:
             self.engines[place] = engine_for(scene, name, error=0.03, **narrow)
@@ -84,7 +84,7 @@ def test_bands_give_the_frames_that_free_space_gives(
 ) -> None:
     monkeypatch.setattr(image_recording, "BAND_ROWS", 100)
     recording = Recording(PLANES_MM, CAMERA, None, stage_errors_mm=(0.0, 0.004), shift_um=(1.3, -0.7))
-    bands, beyond = scenery.imaged("two-level", recording)
+    bands, beyond = scenery.imaged("hierarchical", recording)
     free, expected_beyond = scenery.imaged("eikonal", recording)
     for one, other in zip(bands, free, strict=True):
         seen, expected = estimate_intensity(one)[0], estimate_intensity(other)[0]
@@ -96,7 +96,7 @@ def test_a_run_that_was_cut_off_goes_on(
     scenery: Scenery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = Recording(PLANES_MM[:1], CAMERA, 3)
-    whole, _ = scenery.imaged("two-level", recording)
+    whole, _ = scenery.imaged("hierarchical", recording)
     carry, carried = OnCpu.carry, list[Any]()
 
     def counted(self: OnCpu, way: Any, group: Any, values: Any) -> Any:
@@ -107,13 +107,13 @@ def test_a_run_that_was_cut_off_goes_on(
 
     monkeypatch.setattr(OnCpu, "carry", counted)
     with pytest.raises(KeyboardInterrupt):
-        scenery.imaged("two-level", recording, folder=tmp_path)
+        scenery.imaged("hierarchical", recording, folder=tmp_path)
     assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
     carried.clear()
     monkeypatch.setattr(OnCpu, "carry", carry)
     told: list[tuple[str, int, int]] = []
     again, _ = scenery.imaged(
-        "two-level", recording, folder=tmp_path, progress=lambda *what: told.append(what)
+        "hierarchical", recording, folder=tmp_path, progress=lambda *what: told.append(what)
     )
     for one, other in zip(again, whole, strict=True):
         assert np.array_equal(one.counts, other.counts)
@@ -144,7 +144,7 @@ def test_the_command_ends_plainly_where_a_disk_is_full_and_goes_on(
     code, out, err = run_wavesim(monkeypatch, capsys, *command)
     assert code == 0
     assert err.startswith("memory: about ")
-    assert "two-level" in out
+    assert "hierarchical" in out
     assert not (tmp_path / "out" / PARTS).exists()
 
 
@@ -171,10 +171,10 @@ from pathlib import Path
 import tempfile
 scenery = Scenery()
 recording = Recording(PLANES_MM, CAMERA, 1)
-engine = scenery.engine("two-level", scenery.scene)
+engine = scenery.engine("hierarchical", scenery.scene)
 need = need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
 with tempfile.TemporaryDirectory() as folder:
-    make = lambda scene: scenery.engine("two-level", scene)
+    make = lambda scene: scenery.engine("hierarchical", scene)
     image_patch(engine, scenery.behind, scenery.sensor, scenery.windows, recording, make, folder=Path(folder))
 # Not ru_maxrss: that counts the process by which this one was started.
 told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
@@ -219,7 +219,7 @@ def test_frames_from_a_cluster_are_those_made_here(
 
 
 def test_the_need_grows_with_what_is_recorded(scenery: Scenery) -> None:
-    engine = scenery.engine("two-level", scenery.scene)
+    engine = scenery.engine("hierarchical", scenery.scene)
     recordings = (Recording(PLANES_MM, CAMERA, exposures=times) for times in ((1.0,), (1.0, 30.0, 1000.0)))
     needs = [
         need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))

@@ -81,10 +81,10 @@ def test_samples_about_a_rectangle_hold_it(share: tuple[float, ...]) -> None:
 
 def test_a_region_of_a_few_samples_or_beyond_the_plane_is_refused() -> None:
     with pytest.raises(
-        InputError, match=rf"holds 6 x 6 samples .* {LEAST_SAMPLES} x {LEAST_SAMPLES} at least"
+        InputError, match=rf"holds 6 x 6 samples .* at least {LEAST_SAMPLES} x {LEAST_SAMPLES}"
     ):
         region_grid(GRID, (0.0, 0.0, 2e-3, 2e-3))
-    with pytest.raises(InputError, match=r"along x .*-0\.024"):
+    with pytest.raises(InputError, match=r"along x from -0\.024 to"):
         region_grid(GRID, (0.02, 0.0, 0.02, 0.01))
 
 
@@ -116,7 +116,7 @@ def test_a_region_is_where_it_says(shape: tuple[int, int], where: tuple[float, .
     [
         ((0.0, 0.0, 0.0, 1.0), "sides greater than 0"),
         ((0.0, math.nan, 1.0, 1.0), "must be finite"),
-        ((0.016, 0.0, 0.012, 0.01), r"region_mm = 0\.016,0,0\.012,0\.01: along x .* -0\.02 to 0\.02 mm"),
+        ((0.016, 0.0, 0.012, 0.01), r"region_mm = 0\.016,0,0\.012,0\.01: .* along x .* -0\.02 to 0\.02 mm"),
         ((0.0, 0.0, 0.01, 0.03), r"along y .* -0\.01 to 0\.01 mm"),
     ],
 )

@@ -1,1 +1,1 @@
-"""The whole chain as a merit: object, frames through the perturbed lens, reconstruction."""
+"""Merits of the whole chain: object, frames recorded through the perturbed lens, reconstruction."""

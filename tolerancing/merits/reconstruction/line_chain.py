@@ -1,4 +1,4 @@
-"""The whole chain on a meridional line: object, frames of a perturbed lens, reconstruction."""
+"""The whole imaging chain on a meridional line: object, frames of a perturbed lens, reconstruction."""
 
 from __future__ import annotations
 
@@ -38,14 +38,8 @@ if TYPE_CHECKING:
 EngineName = Literal["eikonal", "slices"]
 Compensation = Literal["vertical", "oblique"]
 
-SAMPLES_PER_LINE = 2.0
-"""Samples of the reconstructed object across the finest line, at least."""
-
 FULL_WELL_FRACTION = 0.8
-"""Fraction of full well in the brightest pixel."""
-
-LEAST_REFOCUS = 0.02
-"""Depths of focus, wavelength / NA^2, up to which the object plane of the model is left where it is."""
+"""Signal of the brightest pixel, as a fraction of full well."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +49,11 @@ class ReconstructionEngine:
     Attributes
     ----------
     name : {"eikonal", "slices"}
+        Name of the engine.
     slices : int
         Slices of each surface.
     compensation : {"vertical", "oblique"}
-        Of the phase within a slice.
+        Direction of the phase compensation within a slice.
     """
 
     name: EngineName
@@ -67,7 +62,7 @@ class ReconstructionEngine:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """For :func:`wavesim.engine_for`."""
+        """Keyword arguments of :func:`wavesim.engine_for`."""
         if self.name == "eikonal":
             return {}
         return {"slices": self.slices, "compensation": self.compensation}
@@ -75,28 +70,30 @@ class ReconstructionEngine:
 
 @dataclass(frozen=True, eq=False)
 class LineChain:
-    """One region of the object on a meridional line, seen by one lens.
+    """Imaging and reconstruction of one region of the object on a meridional line.
 
     Attributes
     ----------
     lens : Lens
         The nominal lens.
     field_mm : float
-        Height of the region's middle, along y.
+        Height of the centre of the region, along y.
     region_mm : float
-        Length of the region, which a field stop bounds.
+        Length of the region, which is limited by a field stop.
     planes_mm : tuple of float
-        Where the sensor records, from the exit vertex.
-    kind, line_widths_um
-        As of :class:`LineObject`.
+        Distances of the sensor planes from the exit vertex.
+    kind : {"lines", "amplitude", "complex"}
+        Kind of the object; see :class:`LineObject`.
+    line_widths_um : tuple of float
+        Line widths of the sets of bars.
     wavelength_um : float
         Vacuum wavelength.
     imaging : {"eikonal", "slices"}
-        The engine that carries the object's light to the sensor.
+        Engine that propagates the light of the object to the sensor.
     imaging_slices : int
-        Oblique slices of each surface of that engine, where it is of slices.
+        Number of oblique slices of each surface, for the imaging engine ``slices``.
     margin_mm : float
-        On either side of the region, for light of an object that is sought beside the object plane.
+        Margin on both sides of the region, needed if the object is reconstructed in a shifted plane.
     """
 
     lens: Lens
@@ -112,11 +109,12 @@ class LineChain:
 
     @cached_property
     def scene(self) -> Scene:
-        """From the region to the pixels of the first plane; the line's pixels are those along y."""
+        """Scene from the region to the pixels of the first plane, along y."""
         aperture = self.lens.object.numerical_aperture
         pitch_um = OBJECT_FINENESS * 0.5 * self.wavelength_um / aperture
         if self.line_widths_um:
-            pitch_um = min(pitch_um, min(self.line_widths_um) / SAMPLES_PER_LINE)
+            # At least two samples across the finest line.
+            pitch_um = min(pitch_um, min(self.line_widths_um) / 2.0)
         count = scipy.fft.next_fast_len(max(8, math.ceil(1e3 * self.region_mm / pitch_um)))
         pitch_mm = self.region_mm / count
         grid = Grid((count,), pitch_mm, self.lens.object_z_mm, (0.0, self.field_mm))
@@ -124,27 +122,32 @@ class LineChain:
 
     @cached_property
     def object(self) -> LineObject:
-        """What is imaged."""
+        """The imaged object."""
         aperture = self.lens.object.numerical_aperture
         return LineObject(
             self.kind, self.line_widths_um, self.scene.object_grid, aperture, self.wavelength_um
         )
 
-    def recorded(
+    def record(
         self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
     ) -> list[Measurement]:
-        """Amplitudes that the pixels record behind a perturbed system, on every plane.
+        """Simulate the amplitudes that the pixels record behind a perturbed system, on every plane.
 
         Parameters
         ----------
         system
-            Lens, object, sensor and light as they are.
+            The perturbed system.
         electrons
-            In the brightest pixel of each plane; None for the mean intensity without noise.
+            Electrons in the brightest pixel of each plane; None: mean intensity without noise.
         bits
-            Of a count.
+            Bits of a count.
         noise
             Seed of the noise.
+
+        Raises
+        ------
+        InputError
+            If no light reaches the sensor.
         """
         from wavesim import propagate
         from wavesim.sensor.mounting import light_on
@@ -152,22 +155,26 @@ class LineChain:
         nominal = replace(self.scene, exit_grid=self._sensor_grid(0, system))
         settings = {"slices": self.imaging_slices, "compensation": "oblique"}
         engine = _engine(placed_scene(nominal, system), self.imaging, settings)
-        behind = light_on(self._light(self.scene).with_values(self.object.transmission), system)
-        first = engine.forward(behind)
+        first = engine.forward(
+            light_on(self._light(self.scene).with_values(self.object.transmission), system)
+        )
         planes = []
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            for number, distance in enumerate(self.planes_mm):
-                grid = self._sensor_grid(number, system)
+            for index, distance in enumerate(self.planes_mm):
+                grid = self._sensor_grid(index, system)
                 field = first if grid == first.grid else propagate(first, grid, coarse_output=True)
                 planes.append((distance - self.planes_mm[0], pixel_amplitude(field.values)))
         if not all(np.any(amplitude > 0.0) for _, amplitude in planes):
-            raise InputError("no light falls on the sensor: the region's light lies beside it")
+            raise InputError(
+                f"field height {self.field_mm:g} mm: no light reaches the sensor, because the image of the "
+                "region lies outside it"
+            )
         if electrons is None:
             return [Measurement(*plane) for plane in planes]
         return self._with_noise(planes, electrons, bits, noise)
 
-    def reconstructed(
+    def reconstruct(
         self,
         planes: Sequence[Measurement],
         engine: ReconstructionEngine,
@@ -176,20 +183,20 @@ class LineChain:
         refocus_um: float = 0.0,
         iterations: int,
     ) -> LineScores:
-        """What a reconstruction from recorded amplitudes leaves of the object.
+        """Reconstruct the object from recorded amplitudes and score the result.
 
         Parameters
         ----------
         planes
-            As of :meth:`recorded`.
+            Amplitudes from :meth:`record`.
         engine
-            The engine of the reconstruction.
+            Engine of the reconstruction.
         model
-            What the reconstruction knows of lens and bench.
+            System that the reconstruction assumes; default: the nominal system.
         refocus_um
-            How much nearer to the lens than its place the object is sought.
+            Shift of the reconstructed object plane towards the lens.
         iterations
-            Largest number.
+            Largest number of iterations.
         """
         found, _ = retrieve_on_line(
             self.model(engine, model, refocus_um),
@@ -197,23 +204,25 @@ class LineChain:
             is_complex=self.object.is_complex,
             iterations=iterations,
         )
-        return self.object.judge(found)
+        return self.object.score(found)
 
     def model(
         self, engine: ReconstructionEngine, model: Placement = NOMINAL, refocus_um: float = 0.0
     ) -> LineModel:
-        """The reconstruction's model of how the object makes amplitudes; parameters as of `reconstructed`.
+        """Return the reconstruction's forward model; parameters as for :meth:`reconstruct`.
 
         Raises
         ------
         InputError
-            If the object is sought farther from its place than the margin about the region allows.
+            If the shift of the object plane is larger than the margin of the region allows.
         """
-        moved = abs(refocus_um) > LEAST_REFOCUS * self.wavelength_um / self.lens.object.numerical_aperture**2
-        if moved and abs(refocus_um) > self.largest_refocus_um:
+        # A shift below 2 % of the depth of focus, wavelength / NA^2, is ignored.
+        depth_um = self.wavelength_um / self.lens.object.numerical_aperture**2
+        is_shifted = abs(refocus_um) > 0.02 * depth_um
+        if is_shifted and abs(refocus_um) > self.largest_refocus_um:
             raise InputError(
-                f"rays show the region sharp {refocus_um:.3g} um from its place; allowed: up to "
-                f"{self.largest_refocus_um:.3g} um either way"
+                f"the region is in focus {refocus_um:.3g} um from the object plane; allowed: "
+                f"{-self.largest_refocus_um:.3g} to {self.largest_refocus_um:.3g} um; use refocus = false"
             )
         if engine.name == "slices" and model == NOMINAL:
             operator: LineOperator = MATRICES.matrix(self._model_engine(engine))
@@ -225,15 +234,15 @@ class LineChain:
             operator.scene.object_grid,
             light.wavelength_um,
         )
-        return LineModel(operator, to_operator if moved else None, self._passages(model), light)
+        return LineModel(operator, to_operator if is_shifted else None, self._propagators(model), light)
 
     @property
     def largest_refocus_um(self) -> float:
-        """Refocus whose steepest light stays within the margin about the region."""
+        """Largest shift of the object plane for which marginal rays stay within the margin."""
         return 1e3 * self.margin_mm / math.tan(math.asin(min(self.lens.object.numerical_aperture, 0.99)))
 
     def setup(self, engine: ReconstructionEngine) -> dict[Hashable, float]:
-        """The matrix of an engine of slices and the seconds that it takes; nothing where it is there."""
+        """Return the key of an engine's matrix and the seconds to compute it; empty if it is cached."""
         built = self._model_engine(engine)
         return {} if built.key() in MATRICES else {built.key(): MATRICES.seconds(built)}
 
@@ -248,27 +257,27 @@ class LineChain:
         return {}
 
     def _model_scene(self, model: Placement) -> Scene:
-        """From the region with its margin to the first plane, as the reconstruction knows it."""
+        """Return the scene of the reconstruction's model, from the region with margin to the first plane."""
         scene = placed_scene(replace(self.scene, exit_grid=self._sensor_grid(0, model)), model)
         grid = scene.object_grid
-        beside = math.ceil(self.margin_mm / grid.pitch_mm)
-        return replace(scene, object_grid=replace(grid, shape=(grid.shape[0] + 2 * beside,)))
+        margin = math.ceil(self.margin_mm / grid.pitch_mm)
+        return replace(scene, object_grid=replace(grid, shape=(grid.shape[0] + 2 * margin,)))
 
     def _light(self, scene: Scene) -> Field:
-        """A plane wave along the axis in the field stop, which is the region itself."""
+        """Return a plane wave along the axis in the field stop, which is the region itself."""
         grid = scene.object_grid
         return Field(grid, np.ones(grid.shape, complex), scene.wavelength_um)
 
-    def _sensor_grid(self, number: int, system: Placement) -> Grid:
+    def _sensor_grid(self, index: int, system: Placement) -> Grid:
         sensor = self.lens.sensor
-        z_mm = self.lens.exit_vertex_z_mm + self.planes_mm[number] + system.plane_distance_mm(number)
+        z_mm = self.lens.exit_vertex_z_mm + self.planes_mm[index] + system.plane_distance_mm(index)
         pitch = 1e-3 * sensor.pixel_pitch_um / SAMPLES_PER_PIXEL
         count = SAMPLES_PER_PIXEL * sensor.pixels[1]
         return Grid((count,), pitch, z_mm, (0.0, system.sensor_shift_mm[1]))
 
-    def _passages(self, system: Placement) -> tuple[FreeSpacePropagator | None, ...]:
+    def _propagators(self, system: Placement) -> tuple[FreeSpacePropagator | None, ...]:
         first = self._sensor_grid(0, system)
-        grids = [self._sensor_grid(number, system) for number in range(len(self.planes_mm))]
+        grids = [self._sensor_grid(index, system) for index in range(len(self.planes_mm))]
         return tuple(None if g == first else FreeSpacePropagator(first, g, self.wavelength_um) for g in grids)
 
     def _with_noise(
@@ -278,7 +287,7 @@ class LineChain:
         bits: int,
         noise: np.random.SeedSequence | None,
     ) -> list[Measurement]:
-        """What frames of one exposure tell of amplitudes."""
+        """Return the amplitudes that follow from noisy frames of one exposure."""
         from wavesim import Electronics
         from wavesim.sensor import recorded_planes
         from wavesim.sensor.exposures import plane_seeds
@@ -305,7 +314,7 @@ class LineChain:
 
 
 def _engine(scene: Scene, name: str, settings: dict[str, Any]) -> Engine:
-    """An engine, without its warning of few slices, which may be what a study is about."""
+    """Return an engine without its warning about few slices, whose number a study may vary on purpose."""
     from wavesim import engine_for
 
     with warnings.catch_warnings():

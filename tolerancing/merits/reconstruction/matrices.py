@@ -1,4 +1,4 @@
-"""Engines on a line as matrices, which a process keeps for all trials that use them."""
+"""Matrices of engines on a line, cached by each process for all trials that use them."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from wavesim.fields.guards import SamplingWarning
 from wavesim.scene.engine import Engine, Grids
 
 MOST_BYTES = 1_500_000_000
-"""Memory of the matrices that a process keeps; the one that was used longest ago is dropped first."""
+"""Memory limit of the cached matrices of a process; the least recently used matrix is dropped first."""
 
 
 @dataclass(frozen=True, eq=False)
 class MatrixOperator:
-    """An engine on a line as a matrix, for many uses of an engine that takes long.
+    """Matrix of an engine on a line, for repeated use of a slow engine.
 
     Attributes
     ----------
     scene : Grids
-        Between which grids it carries.
+        Object grid and exit grid.
     matrix : ndarray of complex64, shape (exit samples, object samples)
-        The engine.
+        Matrix of the linear operator.
     """
 
     scene: Grids
@@ -35,11 +35,11 @@ class MatrixOperator:
 
     @classmethod
     def of(cls, engine: Engine) -> MatrixOperator:
-        """The matrix of an engine, which carries each object sample by itself."""
+        """Compute the matrix of an engine by propagating each object sample."""
         scene = engine.scene
         matrix = np.empty((scene.exit_grid.size, scene.object_grid.size), np.complex64)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SamplingWarning)  # few slices may be what a study is about
+            warnings.simplefilter("ignore", SamplingWarning)  # a study may use few slices on purpose
             for column in range(scene.object_grid.size):
                 values = np.zeros(scene.object_grid.size, complex)
                 values[column] = 1.0
@@ -48,47 +48,47 @@ class MatrixOperator:
         return cls(scene, matrix)
 
     def forward(self, field: Field) -> Field:
-        """A field on the exit grid."""
+        """Return the field on the exit grid."""
         values = self.matrix @ field.values.astype(np.complex64)
         return Field(self.scene.exit_grid, values.astype(complex), field.wavelength_um)
 
     def adjoint(self, field: Field) -> Field:
-        """The adjoint, for <f, g> = cell * sum(conj(f) g)."""
+        """Apply the adjoint for the inner product <f, g> = cell * sum(conj(f) g)."""
         cells = self.scene.exit_grid.cell / self.scene.object_grid.cell
         values = (field.values.conj().astype(np.complex64) @ self.matrix).conj()
         return Field(self.scene.object_grid, cells * values.astype(complex), field.wavelength_um)
 
 
 class Matrices:
-    """Matrices by the keys of their engines, and how long they take to make."""
+    """Cache of matrices by the keys of their engines, with an estimate of computing times."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[str, MatrixOperator] = OrderedDict()
-        self._told = self._taken = 0.0
+        self._cache: OrderedDict[str, MatrixOperator] = OrderedDict()
+        self._estimated_seconds = self._measured_seconds = 0.0
 
     def __contains__(self, key: str) -> bool:
-        return key in self._kept
+        return key in self._cache
 
     def matrix(self, engine: Engine) -> MatrixOperator:
-        """The matrix of an engine; made where it is not there."""
+        """Return the matrix of an engine, computed at its first use."""
         key = engine.key()
-        if key not in self._kept:
+        if key not in self._cache:
             start = time.perf_counter()
-            self._kept[key] = MatrixOperator.of(engine)
-            self._taken += time.perf_counter() - start
-            self._told += _told_seconds(engine)
-            while len(self._kept) > 1 and sum(one.matrix.nbytes for one in self._kept.values()) > MOST_BYTES:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
+            self._cache[key] = MatrixOperator.of(engine)
+            self._measured_seconds += time.perf_counter() - start
+            self._estimated_seconds += _engine_seconds(engine)
+            while len(self._cache) > 1 and sum(m.matrix.nbytes for m in self._cache.values()) > MOST_BYTES:
+                self._cache.popitem(last=False)
+        self._cache.move_to_end(key)
+        return self._cache[key]
 
     def seconds(self, engine: Engine) -> float:
-        """Time that a matrix takes: what its engine states, corrected by what others took."""
-        ratio = self._taken / self._told if self._told > 0.0 else 1.0
-        return ratio * _told_seconds(engine)
+        """Return the time to compute a matrix: the engine's estimate, corrected by measured times."""
+        ratio = self._measured_seconds / self._estimated_seconds if self._estimated_seconds > 0.0 else 1.0
+        return ratio * _engine_seconds(engine)
 
 
-def _told_seconds(engine: Engine) -> float:
+def _engine_seconds(engine: Engine) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         cost = engine.cost()
@@ -96,4 +96,4 @@ def _told_seconds(engine: Engine) -> float:
 
 
 MATRICES = Matrices()
-"""Those of this process."""
+"""Cache of this process."""

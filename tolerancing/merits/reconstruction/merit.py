@@ -1,8 +1,8 @@
-"""The merit `reconstruction`: what the whole chain leaves of an object, for a lens at its own size.
+"""The merit `reconstruction`: quality of an object reconstructed through the whole imaging chain.
 
-An object on a meridional line sends its light through the perturbed lens to the planes where the sensor
-stands. Its pixels record amplitudes. From them the reconstruction finds the object through its own model of
-the lens, which may be of another engine, and nominal, calibrated or true.
+Light of an object on a meridional line propagates through the perturbed lens to the sensor planes, where the
+pixels record amplitudes. The reconstruction finds the object from these amplitudes with its own model of the
+lens. The model may use another engine, and may be nominal, calibrated or exact.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, points_text, refocus_text
 from tolerancing.merits.context import Context, Points
 from tolerancing.merits.line_pairs import NOISE_STREAM
-from tolerancing.merits.reconstruction.objects import ObjectKind, needed_mm
+from tolerancing.merits.reconstruction.objects import ObjectKind, required_length_mm
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter, validate_in_meridian
 from wavesim.scene.placement import NOMINAL, Placement
@@ -34,55 +34,57 @@ Figure = Literal["correlation", "contrast", "lost_correlation"]
 Model = Literal["nominal", "calibrated", "true"]
 
 FRAMES = 3
-"""Keeps the noise of these frames apart from that of other merits."""
+"""Spawn key of the noise of these frames, which differs from the keys of other merits."""
 
 LEAST_CORRELATION = 0.97
-"""Correlation that the unperturbed chain must reach; with less the planes or the region tell too little."""
+"""Smallest accepted correlation of the unperturbed chain. Below it, planes or region are not sufficient."""
 
 
 class Reconstruction(Merit):
     """Correlation of the reconstructed object, or contrast of its lines, after the whole chain.
 
-    Merits that differ in figure, line width, limit and name alone share one run of the chain in each trial.
+    Merits that differ only in figure, line width, limit and name share one run of the chain in each trial.
 
     Attributes
     ----------
     figure
-        ``correlation`` of found and true object about their means, ``contrast`` of its lines, or
-        ``lost_correlation``, 1 less the correlation.
+        ``correlation`` of reconstructed and true object about their means, ``contrast`` of its lines, or
+        ``lost_correlation``, which is 1 minus the correlation.
     object
-        ``lines`` on an even bright ground, or on a ground of random transmission: ``amplitude`` or
+        ``lines`` on a uniform bright ground, or on a ground of random transmission: ``amplitude`` or
         ``complex``.
     line_widths_um
-        Widths of the object's sets of five bars, which lie side by side.
+        Line widths of the sets of five bars, which lie side by side.
     line_width_um
-        Whose contrast is meant; the finest lines where left out.
+        Lines whose contrast is evaluated; default: the finest lines.
     region_mm
-        Length of the region about each field point, which a field stop bounds.
+        Length of the region about each field point, which is limited by a field stop.
     field_mm
         Object point (0, y).
     field_points_mm
-        Several object points in its place; the worst of their scores counts.
+        Several object points instead of one; the worst of their scores counts.
     planes_mm
-        Where the sensor records, from the exit vertex; the design's planes where left out.
-    electrons, bits
-        In the brightest pixel of each plane, with shot noise, 2 electrons of read noise and rounding to
-        counts of so many bits; without electrons pixels tell the mean intensity on them exactly.
+        Distances of the sensor planes from the exit vertex; default: the planes of the design.
+    electrons
+        Electrons in the brightest pixel of each plane, with shot noise, 2 electrons of read noise and
+        rounding to counts; default: mean intensity of each pixel without noise.
+    bits
+        Bits of a count.
     imaging_engine, imaging_slices
-        What carries the light to the sensor: ``eikonal``, or oblique ``slices``, so many of each surface.
+        Engine that propagates light to the sensor: ``eikonal``, or ``slices`` with this number of oblique
+        slices of each surface.
     reconstruction_engine, slices, compensation
-        What the reconstruction's model is made of: ``eikonal``, or ``slices``, how many of each surface, and
-        whether their compensation is ``vertical`` (the paper's) or ``oblique``.
+        Engine of the reconstruction's model: ``eikonal``, or ``slices`` with this number of slices of each
+        surface and ``vertical`` (as in the paper) or ``oblique`` compensation.
     model
-        What the reconstruction knows of the lens: ``nominal``; ``calibrated``, the study's compensators at
-        the values that they take in each trial; or ``true``, all as it is.
+        Lens that the reconstruction assumes: ``nominal``; ``calibrated``, with the study's compensators
+        fitted to each trial; or ``true``, the perturbed lens itself.
     iterations
-        Largest number.
+        Largest number of iterations.
     refocus
-        Whether the object is sought in the plane in which rays through the lens, less the model, show it
-        sharp.
+        Whether the object is reconstructed in the plane in which rays show it in focus.
     line
-        The chain runs on a meridional line along y; the plane is not supported.
+        The chain is simulated on a meridional line along y; a plane is not supported.
     """
 
     figure: Figure = "correlation"
@@ -117,29 +119,31 @@ class Reconstruction(Merit):
         if self.field_points_mm and "field_mm" in self.model_fields_set:
             raise ValueError("give field_mm or field_points_mm, not both")
         if len(set(self.line_widths_um)) < len(self.line_widths_um):
-            raise ValueError(f"line_widths_um = {list(self.line_widths_um)}: one stands there twice")
+            raise ValueError(
+                f"line_widths_um = {list(self.line_widths_um)}: must be different from each other"
+            )
         if self.line_width_um is not None and self.line_width_um not in self.line_widths_um:
             listed = ", ".join(f"{width:g}" for width in self.line_widths_um)
             raise ValueError(
-                f"line_width_um = {self.line_width_um:g}: allowed: those of line_widths_um, {listed}"
+                f"line_width_um = {self.line_width_um:g}: allowed: the values of line_widths_um, {listed}"
             )
         if self.line_width_um is not None and self.figure != "contrast":
             raise ValueError(
-                f"line_width_um: figure = {self.figure!r} is that of the whole object; leave it out"
+                f"line_width_um: figure = {self.figure!r} is evaluated on the whole object; remove this key"
             )
-        if needed_mm(self.line_widths_um) > self.region_mm:
+        if required_length_mm(self.line_widths_um) > self.region_mm:
             raise ValueError(
                 f"region_mm = {self.region_mm:g}: the lines of line_widths_um need "
-                f"{needed_mm(self.line_widths_um):.3g} mm or more"
+                f"{required_length_mm(self.line_widths_um):.3g} mm or more"
             )
         for x, y in self.points:
             if x:
-                raise ValueError(f"field point ({x:g}, {y:g}): the chain runs on a line along y; give x = 0")
+                raise ValueError(f"field point ({x:g}, {y:g}): must be on the meridional line along y, x = 0")
         given = {"slices", "compensation"} & self.model_fields_set
         if self.reconstruction_engine == "eikonal" and given:
-            raise ValueError(f"{min(given)}: means nothing with reconstruction_engine = 'eikonal'")
+            raise ValueError(f"{min(given)}: has no effect with reconstruction_engine = 'eikonal'; remove it")
         if self.imaging_engine == "eikonal" and "imaging_slices" in self.model_fields_set:
-            raise ValueError("imaging_slices: means nothing with imaging_engine = 'eikonal'")
+            raise ValueError("imaging_slices: has no effect with imaging_engine = 'eikonal'; remove it")
         if len(self.planes_mm) == 1 or list(self.planes_mm) != sorted(set(self.planes_mm)):
             raise ValueError(f"planes_mm = {list(self.planes_mm)}: must be two or more, increasing")
         return self
@@ -150,14 +154,14 @@ class Reconstruction(Merit):
         return self.field_points_mm or (self.field_mm,)
 
     @property
-    def judged_width_um(self) -> float:
-        """Width of the lines whose contrast is meant."""
+    def evaluated_width_um(self) -> float:
+        """Width of the lines whose contrast is evaluated."""
         return self.line_width_um or min(self.line_widths_um)
 
     @property
     def details(self) -> tuple[str, ...]:
-        what = {"correlation": "correlation", "lost_correlation": "lost correlation"}.get(
-            self.figure, f"contrast of lines of {self.judged_width_um:g} um"
+        figure = {"correlation": "correlation", "lost_correlation": "lost correlation"}.get(
+            self.figure, f"contrast of lines of {self.evaluated_width_um:g} um"
         )
         engines: str = self.reconstruction_engine
         if engines == "slices":
@@ -167,7 +171,7 @@ class Reconstruction(Merit):
             light = f"{self.electrons:g} electrons in the brightest pixel, {self.bits} bits"
         planes = ", ".join(f"{z:g}" for z in self.planes_mm)
         return (
-            what,
+            figure,
             f"object of {self.object}" if self.object == "lines" else f"{self.object} object with lines",
             f"a region of {self.region_mm:g} mm on a meridional line",
             *((f"planes at {planes} mm",) if planes else ()),
@@ -210,22 +214,22 @@ class Reconstruction(Merit):
         return False
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
-        found = [self._found(context, batch, point[1]) for point in self.points]
-        scores = np.array([[self._figure(one) for one in own] for own in found])
+        results = [self._results(context, batch, point[1]) for point in self.points]
+        scores = np.array([[self._figure(one) for one in of_point] for of_point in results])
         return np.asarray(scores.min(axis=0) if self.at_least is not None else scores.max(axis=0))
 
-    def _figure(self, found: LineScores) -> float:
+    def _figure(self, result: LineScores) -> float:
         if self.figure == "contrast":
-            return found.contrasts[self.line_widths_um.index(self.judged_width_um)]
-        return found.correlation if self.figure == "correlation" else 1.0 - found.correlation
+            return result.contrasts[self.line_widths_um.index(self.evaluated_width_um)]
+        return result.correlation if self.figure == "correlation" else 1.0 - result.correlation
 
-    def _found(self, context: Context, batch: PerturbationBatch, height_mm: float) -> list[LineScores]:
-        """What the chain leaves of the object at one field height, in each trial; run once for a batch."""
-        key = ("line chain", self._spec(height_mm), self._recovery)
-        return context.once(batch, key, lambda: self._run(context, batch, height_mm))
+    def _results(self, context: Context, batch: PerturbationBatch, height_mm: float) -> list[LineScores]:
+        """Return the scores of all trials at one field height; the chain runs once for a batch."""
+        key = ("line chain", self._imaging_settings(height_mm), self._reconstruction_settings)
+        return context.cached_for(batch, key, lambda: self._run(context, batch, height_mm))
 
-    def _spec(self, height_mm: float) -> tuple[Any, ...]:
-        """What frames depend on."""
+    def _imaging_settings(self, height_mm: float) -> tuple[Any, ...]:
+        """Return the settings that frames depend on, except noise."""
         return (
             height_mm,
             self.region_mm,
@@ -239,22 +243,22 @@ class Reconstruction(Merit):
         )
 
     @property
-    def _recovery(self) -> tuple[Any, ...]:
-        """What the reconstruction depends on, beside the frames' own settings."""
+    def _reconstruction_settings(self) -> tuple[Any, ...]:
+        """Settings that a reconstruction depends on, in addition to the imaging settings."""
         noise = (self.electrons, self.bits)
         engine = (self.reconstruction_engine, self.slices, self.compensation)
         return (*noise, *engine, self.model, self.iterations)
 
     def chain(self, context: Context, height_mm: float) -> LineChain:
-        """The chain at one field height, checked to reconstruct the object with the unperturbed lens.
+        """Return the chain at one field height after a check of its reconstruction by the unperturbed lens.
 
         Raises
         ------
         InputError
-            If it does not.
+            If the unperturbed chain does not reach `LEAST_CORRELATION`.
         """
-        key = ("line chain", self._spec(height_mm), self.electrons, self.bits, self.iterations)
-        return context.kept(key, lambda: self._checked_chain(context, height_mm))
+        key = ("line chain", self._imaging_settings(height_mm), self.electrons, self.bits, self.iterations)
+        return context.cached(key, lambda: self._checked_chain(context, height_mm))
 
     def _checked_chain(self, context: Context, height_mm: float) -> LineChain:
         from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
@@ -273,15 +277,15 @@ class Reconstruction(Merit):
                 **({} if self.refocus else {"margin_mm": 0.0}),
             )
 
-        chain = context.kept(("line chain", self._spec(height_mm)), make)
-        planes = chain.recorded(NOMINAL, self.electrons, self.bits, self._noise(context, 0))
-        found = chain.reconstructed(planes, ReconstructionEngine("eikonal"), iterations=self.iterations)
-        if not found.correlation >= LEAST_CORRELATION:
+        chain = context.cached(("line chain", self._imaging_settings(height_mm)), make)
+        planes = chain.record(NOMINAL, self.electrons, self.bits, self._noise(context, 0))
+        result = chain.reconstruct(planes, ReconstructionEngine("eikonal"), iterations=self.iterations)
+        if not result.correlation >= LEAST_CORRELATION:
             raise InputError(
                 f"region_mm = {self.region_mm:g} at a field height of {height_mm:g} mm: the unperturbed "
-                f"chain finds the object with a correlation of {found.correlation:.3f}, and must reach "
-                f"{LEAST_CORRELATION:g} for a study to tell what perturbations cost: take object = 'lines', "
-                "a larger region, more planes_mm or electrons"
+                f"chain reaches a correlation of {result.correlation:.3f}, and must reach "
+                f"{LEAST_CORRELATION:g} to show the effect of perturbations: use object = 'lines', a larger "
+                "region_mm, more planes_mm or more electrons"
             )
         return chain
 
@@ -303,7 +307,7 @@ class Reconstruction(Merit):
         }
 
     def engine_of(self, slices: float) -> ReconstructionEngine:
-        """The engine of a reconstruction by so many slices; 0 stands for the merit's own number."""
+        """Return the engine of a reconstruction with this number of slices; 0 means the merit's `slices`."""
         from tolerancing.merits.reconstruction.line_chain import ReconstructionEngine
 
         if self.reconstruction_engine == "eikonal":
@@ -313,29 +317,27 @@ class Reconstruction(Merit):
     def _run(self, context: Context, batch: PerturbationBatch, height_mm: float) -> list[LineScores]:
         chain = self.chain(context, height_mm)
         systems = context.placements(batch, self.wavelength_um)
-        frames_key = ("line frames", self._spec(height_mm), self.electrons, self.bits)
-        numbers = batch.numbers or (0,) * len(batch)
-        recorded = context.once(
+        frames_key = ("line frames", self._imaging_settings(height_mm), self.electrons, self.bits)
+        numbers = batch.trial_numbers or (0,) * len(batch)
+        recorded = context.cached_for(
             batch,
             frames_key,
             lambda: [
-                chain.recorded(system, self.electrons, self.bits, self._noise(context, number))
+                chain.record(system, self.electrons, self.bits, self._noise(context, number))
                 for system, number in zip(systems, numbers, strict=True)
             ],
         )
-        models, refocus_um = (
-            self._models(context, batch, systems),
-            self._refocus_um(context, batch, height_mm),
-        )
+        models = self._models(context, batch, systems)
+        refocus_um = self._refocus_um(context, batch, height_mm)
         return [
-            chain.reconstructed(
+            chain.reconstruct(
                 planes,
                 self.engine_of(slices),
                 model=model,
-                refocus_um=sharp,
+                refocus_um=shift_um,
                 iterations=self.iterations,
             )
-            for planes, slices, model, sharp in zip(
+            for planes, slices, model, shift_um in zip(
                 recorded, batch.reconstruction_slices(), models, refocus_um, strict=True
             )
         ]
@@ -343,7 +345,7 @@ class Reconstruction(Merit):
     def _models(
         self, context: Context, batch: PerturbationBatch, systems: list[Placement]
     ) -> list[Placement]:
-        """What the reconstruction knows of lens and bench in each trial."""
+        """Return the system that the reconstruction assumes in each trial."""
         if self.model == "nominal":
             return [NOMINAL] * len(batch)
         if self.model == "true":
@@ -355,7 +357,7 @@ class Reconstruction(Merit):
         return [replace(one, wavelength_um=None) for one in context.placements(adapted, self.wavelength_um)]
 
     def _refocus_um(self, context: Context, batch: PerturbationBatch, height_mm: float) -> list[float]:
-        """How much nearer to the lens each trial's object is sought."""
+        """Return the shift of each trial's reconstructed object plane towards the lens."""
         if not self.refocus or self.model == "true":
             return [0.0] * len(batch)
         from wavesim import refocus

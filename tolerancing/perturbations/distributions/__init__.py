@@ -1,4 +1,4 @@
-"""How a perturbation scatters: distributions by their quantiles."""
+"""Distributions of perturbations, defined by their quantiles."""
 
 import lazy_loader
 

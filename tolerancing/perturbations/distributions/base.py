@@ -1,8 +1,8 @@
-"""What every distribution has: quantiles, a centre, a standard deviation and a tolerance.
+"""Base class of distributions: quantiles, a centre, a standard deviation and a tolerance.
 
-A distribution turns a probability into a value. Whatever makes the probabilities
-(:mod:`tolerancing.perturbations.draws`, :mod:`tolerancing.perturbations.dependence`) therefore stays apart
-from the shapes of the distributions.
+A distribution turns a probability into a value. The modules that make the probabilities
+(:mod:`tolerancing.perturbations.draws`, :mod:`tolerancing.perturbations.dependence`) therefore do not depend
+on the shapes of the distributions.
 """
 
 from __future__ import annotations
@@ -17,12 +17,18 @@ from lensdesign.errors import InputError
 
 
 class Distribution(Section):
-    """A distribution about `mean`; all values in the unit of the parameter that it perturbs.
+    """A distribution about `mean`. All values are in the unit of the perturbed parameter.
 
     Attributes
     ----------
     mean
         Systematic deviation from nominal.
+
+    Examples
+    --------
+    >>> from tolerancing.perturbations.distributions.bounded import Uniform
+    >>> Uniform(half_width=0.2).quantile(0.75)
+    0.1
     """
 
     kind: ClassVar[str]
@@ -32,15 +38,15 @@ class Distribution(Section):
 
     @property
     def file_name(self) -> str | None:
-        """A file beside the study that holds the distribution."""
+        """Name of the file that the distribution reads, relative to the study; None if it reads no file."""
         return None
 
     def loaded(self, folder: Path) -> Self:
-        """The distribution with what its file holds; relative to a folder."""
+        """Return the distribution with the data of its file, read relative to `folder`."""
         return self
 
     def quantile(self, probability: Array) -> Array:
-        """Value below which a share `probability`, within 0 and 1, of all parts lies."""
+        """Return the value below which a fraction `probability` (0 to 1) of all parts lies."""
         raise NotImplementedError
 
     @property
@@ -50,7 +56,7 @@ class Distribution(Section):
 
     @property
     def largest(self) -> float:
-        """Largest deviation from the centre, either way, that counts as the tolerance."""
+        """Largest deviation from the centre, of either sign, that counts as the tolerance."""
         raise NotImplementedError
 
     @property
@@ -59,20 +65,20 @@ class Distribution(Section):
         return self.mean
 
     def scaled(self, factor: float) -> Self:
-        """The same distribution with its width, but not its centre, multiplied.
+        """Return the same distribution with its width multiplied and its centre unchanged.
 
         Raises
         ------
         InputError
             If the factor is not a finite number above 0.
         DesignError
-            If a width becomes larger or smaller than a width can be.
+            If a width leaves its allowed range.
         """
         check_factor(factor)
         return self.replaced(**{name: factor * getattr(self, name) for name in self.widths})
 
 
 def check_factor(factor: float) -> None:
-    """Refuse what no width can be multiplied by."""
+    """Raise an InputError unless `factor` is a finite number above 0."""
     if not 0.0 < factor < math.inf:
         raise InputError(f"scale = {factor!r}: must be a finite number above 0")

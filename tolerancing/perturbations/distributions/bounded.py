@@ -1,4 +1,4 @@
-"""Symmetric distributions of which all parts lie within a half width."""
+"""Symmetric distributions whose values all lie within a half width of the mean."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Bounded(Distribution):
 
 
 class Uniform(Bounded):
-    """All values within `half_width` of the mean, alike."""
+    """Uniform distribution within `half_width` of the mean."""
 
     kind = "uniform"
 
@@ -37,7 +37,7 @@ class Uniform(Bounded):
 
 
 class Triangular(Bounded):
-    """Density that falls evenly from the mean to nothing at `half_width`."""
+    """Density that falls linearly from the mean to zero at `half_width`."""
 
     kind = "triangular"
 
@@ -56,7 +56,7 @@ class Parabolic(Bounded):
     kind = "parabolic"
 
     def quantile(self, probability: Array) -> Array:
-        # The share beyond t, (2 - 3 t + t^3) / 4, is sin^2 angle where t = 2 cos((pi + 2 angle) / 3).
+        # The fraction beyond t, (2 - 3 t + t^3) / 4, is sin^2 angle where t = 2 cos((pi + 2 angle) / 3).
         side, tail = _side_and_tail(probability)
         angle = np.arcsin(np.sqrt(tail)) * (2.0 / 3.0)
         return self.mean + self.half_width * side * (np.cos(angle) - math.sqrt(3.0) * np.sin(angle))
@@ -80,7 +80,7 @@ class EndPoint(Bounded):
 
 
 def _side_and_tail(probability: Array) -> tuple[Array, Array]:
-    """Which side of the mean a value lies on, -1 or 1, and the share of parts beyond it on that side."""
+    """Return the side of the mean (-1 or 1) of each value, and the fraction of parts beyond the value."""
     probability = np.asarray(probability)
     lower = probability < 0.5
     return np.where(lower, -1.0, 1.0), np.where(lower, probability, 1.0 - probability)

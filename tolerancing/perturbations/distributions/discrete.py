@@ -1,4 +1,4 @@
-"""Single values, each as likely as the others."""
+"""Discrete values of equal probability."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tolerancing.perturbations.distributions.base import Distribution, check_fac
 
 
 class Discrete(Distribution):
-    """Single values, each as likely as the others; `mean` shifts them.
+    """Discrete values of equal probability; `mean` shifts all of them.
 
     Attributes
     ----------
     values
-        Two or more, increasing.
+        Two or more values in increasing order.
     """
 
     kind = "discrete"

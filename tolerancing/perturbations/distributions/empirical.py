@@ -1,4 +1,4 @@
-"""Deviations as they were measured."""
+"""Distribution of measured deviations."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from lensdesign.errors import InputError
 from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
 MOST_BYTES = 10_000_000
-"""Of a file of measured values."""
+"""Largest allowed size of a file of measured values."""
 
 
 @dataclass(frozen=True)
 class _Measured:
-    """Measured values in rising order; equal if their digests are."""
+    """Measured values in increasing order; two objects are equal if their digests are equal."""
 
     digest: str
     values: Array = field(compare=False, repr=False)
 
 
 class Empirical(Distribution):
-    """Deviations as they were measured, a column of a CSV file with a header line; `mean` shifts them.
+    """Distribution of measured deviations from a column of a CSV file with a header line; `mean` shifts them.
 
-    A study file's reader reads the values together with the study (:meth:`loaded`). A distribution that is
-    made in Python reads them at their first use. Between the measured values, in rising order, quantiles are
-    interpolated linearly.
+    The reader of a study file reads the values together with the study (:meth:`loaded`). A distribution made
+    in Python reads them at their first use. Quantiles are interpolated linearly between the measured values
+    in increasing order.
 
     Attributes
     ----------
     file
-        The CSV file, relative to the study file; in Python, to the current folder.
+        The CSV file, relative to the study file; in Python, relative to the current folder.
     column
-        Name of the column, as the header line gives it.
+        Name of the column in the header line.
     """
 
     kind = "empirical"
@@ -59,24 +59,24 @@ class Empirical(Distribution):
         return str(self.file)
 
     def loaded(self, folder: Path) -> Self:
-        """This distribution together with its measured values.
+        """Return this distribution together with its measured values.
 
         Raises
         ------
         InputError
-            If `file`, relative to `folder`, cannot be read or is larger than `MOST_BYTES`, has no such
-            column or several, lacks a finite number in a cell, or has not two different ones.
+            If `file`, relative to `folder`, cannot be read or is larger than `MOST_BYTES`; if it has no such
+            column or several; if a cell is not a finite number; or if there are no two different values.
         """
         return self._with(_read_column(folder / self.file, self.column))
 
     @property
     def values(self) -> Array:
-        """The measured values in rising order; read at their first use if they have not been read before."""
+        """The measured values in increasing order, read from the file at their first use."""
         return self._read().values
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the measured values in rising order."""
+        """SHA-256 of the measured values in increasing order."""
         return self._read().digest
 
     def quantile(self, probability: Array) -> Array:
@@ -102,7 +102,7 @@ class Empirical(Distribution):
 
     @property
     def _middle(self) -> float:
-        """Expected value of the measured values; between two neighbours all are alike."""
+        """Expected value; the density is uniform between two neighbouring measured values."""
         return float(np.mean(0.5 * self.values[:-1] + 0.5 * self.values[1:]))
 
     def _read(self) -> _Measured:
@@ -117,24 +117,26 @@ class Empirical(Distribution):
 
 
 def _measured(values: Array) -> _Measured:
-    ordered = np.sort(values) + 0.0  # there is one zero
+    ordered = np.sort(values) + 0.0  # turns -0.0 into 0.0, so that equal values have equal digests
     ordered.flags.writeable = False
     return _Measured(hashlib.sha256(ordered.astype("<f8").tobytes()).hexdigest(), ordered)
 
 
 def _read_column(path: Path, column: str) -> Array:
-    """A column of a table, whose first line names the columns."""
+    """Read a column of a table whose first line names the columns."""
     table = read_table(path, MOST_BYTES)
-    values = [_value(cell, column, where) for cell, where in table.column(column)]
+    values = [_value(cell, column, location) for cell, location in table.column(column)]
     if len(values) < 2:
-        raise InputError(f"{path}: column {column!r} holds {len(values)} values: must be at least 2")
+        raise InputError(f"{path}: column {column!r} has {len(values)} values: must be at least 2")
     if min(values) == max(values):
-        raise InputError(f"{path}: column {column!r} holds nothing but {values[0]:g}: it must scatter")
+        raise InputError(
+            f"{path}: column {column!r} has only the value {values[0]:g}: give two different values"
+        )
     return np.array(values)
 
 
-def _value(text: str, column: str, where: str) -> float:
-    value = read_number(text, where, column)
+def _value(text: str, column: str, location: str) -> float:
+    value = read_number(text, location, column)
     if not abs(value) <= 1e9:
-        raise InputError(f"{where}: {column} = {value}: must be a finite number, 1e9 at most either way")
+        raise InputError(f"{location}: {column} = {value}: must be a finite number from -1e9 to 1e9")
     return value

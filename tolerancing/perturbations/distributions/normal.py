@@ -1,4 +1,4 @@
-"""Normal distributions, whole and truncated."""
+"""Normal distribution and truncated normal distribution."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lensdesign.common.section import Positive
 from tolerancing.perturbations.distributions.base import Distribution
 
 NARROWEST_LIMIT, WIDEST_LIMIT = 1e-3, 30.0
-"""Limits of a truncated normal distribution, in sigma, beyond which it is another distribution."""
+"""Allowed range of the limit of a truncated normal distribution, in sigma."""
 
 
 class Normal(Distribution):
@@ -39,7 +39,7 @@ class Normal(Distribution):
 
 
 class TruncatedNormal(Distribution):
-    """Normal distribution of which parts farther than `limit` from the mean are sorted out."""
+    """Normal distribution without the parts that are farther than `limit` from the mean."""
 
     kind = "truncated_normal"
     widths = ("sigma", "limit")

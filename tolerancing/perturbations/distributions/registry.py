@@ -21,4 +21,4 @@ DISTRIBUTIONS: dict[str, type[Distribution]] = {
         Discrete,
     )
 }
-"""Distributions by the name that a study file gives."""
+"""Distributions by their name in a study file."""

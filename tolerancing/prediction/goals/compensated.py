@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from tolerancing.merits.compensators import steadied
+from tolerancing.merits.compensators import regularised
 from tolerancing.prediction.compensation import bounded_least_squares
 from tolerancing.prediction.goals.joint import WAVEFRONT_SOFTNESS
 
@@ -52,19 +52,19 @@ class CompensatedWaves:
         d, limits = self.amounts.shape[1], self.limits
         if not len(limits):
             return self.amounts, np.zeros((len(self.amounts), 0), bool)
-        wanted = -(self.amounts @ self.total[:d, d:]) * limits
-        shares, free = bounded_least_squares(self._normal, wanted)
-        return np.concatenate([self.amounts, shares * limits], axis=1), free
+        right_side = -(self.amounts @ self.total[:d, d:]) * limits
+        fractions, free = bounded_least_squares(self._normal, right_side)
+        return np.concatenate([self.amounts, fractions * limits], axis=1), free
 
     @cached_property
     def _normal(self) -> Array:
         """Normal equations of the compensators' values as fractions of their limits."""
         d = self.amounts.shape[1]
-        return steadied(self.total[d:, d:] * self.limits * self.limits[:, None])
+        return regularised(self.total[d:, d:] * self.limits * self.limits[:, None])
 
     @property
     def together(self) -> Array:
-        """Amounts of the changes and values of the compensators, shape (t, d + k)."""
+        """Return the amounts of the changes and values of the compensators, shape (t, d + k)."""
         return self._solved[0]
 
     def squares(self, point: int) -> Array:
@@ -84,14 +84,14 @@ class CompensatedWaves:
 
     def _adjoint(self, response: Array, free: NDArray[np.bool_]) -> Array:
         """The vectors l of each lens, shape (t, k)."""
-        wanted = response[:, -len(self.limits) :] * self.limits
-        found = np.zeros_like(wanted)
+        right_side = response[:, -len(self.limits) :] * self.limits
+        found = np.zeros_like(right_side)
         patterns, own = np.unique(free, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             rows = np.flatnonzero(own.ravel() == number)
             if np.any(pattern):
                 part = self._normal[np.ix_(pattern, pattern)]
-                found[np.ix_(rows, pattern)] = np.linalg.solve(part, wanted[np.ix_(rows, pattern)].T).T
+                found[np.ix_(rows, pattern)] = np.linalg.solve(part, right_side[np.ix_(rows, pattern)].T).T
         return found * self.limits
 
 
@@ -103,7 +103,7 @@ class WavefrontLoads:
     ----------
     waves : CompensatedWaves
     point : int
-        Which of its object points.
+        Index of the object point.
     limit_waves : float
     """
 

@@ -1,4 +1,4 @@
-"""A lens of a search at one wavelength, its perturbations, and both a complex step of a variable away.
+"""A lens of a search at one wavelength and its perturbations, with derivatives by complex step.
 
 First-order responses to perturbations are differentiated by design variables by complex step through
 :mod:`tolerancing.prediction.paths`, along rays that keep their points on the stop. What a perturbation is in
@@ -28,13 +28,13 @@ from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
 SEARCH_DRAWS = 2048
-"""Sobol draws of a study's perturbations by which a search knows its yield."""
+"""Number of Sobol draws that estimate the yield in a search."""
 
 RIM_POINTS = 16
 """Rays that determine the clear height of a surface that has none."""
 
 FLATTEST_PER_MM = 1e-7
-"""Curvature that stands for a plane, whose radius cannot err."""
+"""Curvature that replaces a plane, whose radius cannot have a tolerance."""
 
 STEP, SHARE = 1e-30, 1e-4
 """The complex step; and the fraction of a variable's range over which perturbations are differenced."""
@@ -42,13 +42,13 @@ STEP, SHARE = 1e-30, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """What scatters in a study and what compensates it, in the order of all matrices of a search.
+    """Perturbations and compensators of a study, in the order of all matrices of a search.
 
     Attributes
     ----------
     study : Study
     factor
-        By which the tolerances of a lens are multiplied.
+        Factor that multiplies the tolerances of a lens.
     """
 
     study: Study
@@ -61,7 +61,7 @@ class Scatter:
 
     @cached_property
     def sizes(self) -> Array:
-        """Roughly how large each of them is."""
+        """Approximate size of each perturbation and compensator."""
         study = self.study
         return np.array([*(p.tolerance for p in study.perturbations), *(c.limit for c in study.compensators)])
 
@@ -72,7 +72,7 @@ class Scatter:
 
     @cached_property
     def amounts(self) -> Array:
-        """How much of each change each drawn lens has, shape (draws, d)."""
+        """Amount of each change in each drawn lens, shape (draws, d)."""
         return amounts_of(sample_perturbations(replace_draws(self.study, SEARCH_DRAWS), range(SEARCH_DRAWS)))
 
 
@@ -83,9 +83,9 @@ class DesignPoint:
     ----------
     scatter
     problem, point
-        Where the lens stands.
+        Search problem, and position of the lens in its unit box.
     variables
-        What derivatives are by; none for none.
+        Indices of the variables of the derivatives; empty for no derivatives.
     wavelength
         Index of the specification's wavelength.
 
@@ -283,7 +283,7 @@ def sized(lens: Lens, clear_mm: Array) -> Lens:
 
 
 def bent(lens: Lens) -> Lens:
-    """The lens with planes that are bent by next to nothing, so that radii may err by nothing."""
+    """Return the lens with planes replaced by very small curvatures, so that radii can have tolerances."""
     surfaces = []
     for surface in lens.surfaces:
         keys = [k for k in surface.shape_keys if k.startswith("radius") and getattr(surface, k) is None]

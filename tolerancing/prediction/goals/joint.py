@@ -1,6 +1,6 @@
 """The joint yield of a study's limits as a smooth function of what each drawn lens scores.
 
-A lens is good if it keeps all limits. Each limit gives drawn lenses a load: the square of what is limited
+A lens is good if it meets all limits. Each limit gives drawn lenses a load: the square of what is limited
 over the square of the limit, beyond 1 for a lens that fails. A drawn lens turns from good to bad over the
 softness of the limit that it misses most.
 """
@@ -36,7 +36,7 @@ class DrawnLoads(Protocol):
 
     @property
     def loads(self) -> Array:
-        """Shape (t,)."""
+        """Return the loads, shape (t,)."""
 
     @property
     def softness(self) -> float | None: ...

@@ -23,7 +23,7 @@ from lensdesign.optimization.problem import DesignProblem
 from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.prediction.goals.design import SHARE, bent, rim_heights, sized
 from tolerancing.prediction.losses import LossChains, drawn_losses, loss_chains, loss_paths
-from tolerancing.study.evaluate import make_ready
+from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study
 
 SEARCH_DRAWS = 32
@@ -42,11 +42,11 @@ class SearchedLosses:
     ----------
     study : Study
     reference : Lens
-        The study's own lens, whose chain stands for those of all lenses.
+        The study's own lens, whose chain approximates those of all lenses.
     factor
-        By which the tolerances of a lens are multiplied.
+        Factor that multiplies the tolerances of a lens.
     source : str
-        Where the study comes from.
+        Name of the study file.
     """
 
     study: Study
@@ -60,13 +60,13 @@ class SearchedLosses:
         return tuple(merit for merit in self.study.merits if isinstance(merit, ReconstructionLoss))
 
     def check(self, lens: Lens) -> None:
-        """Make sure that the study's lens can stand for lenses of a search.
+        """Check that the chain of the study's lens is valid for lenses of a search.
 
         Raises
         ------
         DesignError
         """
-        make_ready(self.study)
+        prepare_merits(self.study)
         try:
             for merit in self.merits:
                 merit.check(lens)
@@ -119,8 +119,8 @@ class SearchedLosses:
         losses, by = np.empty(len(chains)), np.zeros((len(chains), count))
         for m, (merit, own) in enumerate(zip(self.merits, chains, strict=True)):
 
-            def coefficients(place: Array, merit: ReconstructionLoss = merit, own: LossChains = own) -> Array:
-                lens = sized(problem.lens_at(place), rim_heights(problem, place))
+            def coefficients(point: Array, merit: ReconstructionLoss = merit, own: LossChains = own) -> Array:
+                lens = sized(problem.lens_at(point), rim_heights(problem, point))
                 amounts = self.factor(lens) * self._amounts
                 return own.coefficients(loss_paths(lens, self.study, merit), amounts)
 

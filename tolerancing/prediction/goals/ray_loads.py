@@ -62,7 +62,7 @@ class FollowedRays:
     Parameters
     ----------
     design
-        Its compensators count for nothing: they adapt a model, not the lens.
+        The design. Its compensators have no effect, because they adapt the model and not the lens.
     rays
         Object points and stop points.
     """
@@ -77,14 +77,14 @@ class FollowedRays:
 
     @cached_property
     def responses(self) -> Array:
-        """Of positions and direction cosines to the changes, shape (n, 2, 2, d)."""
+        """Derivatives of positions and direction cosines by the changes, shape (n, 2, 2, d)."""
         design, paths = self.design, self.traced.still
         motions = Motions(paths, design.figures(paths))
         found = np.stack(arrivals_by(motions, design.lens.stop_index), axis=1)
         return self._perturbed(found @ motions_of(design.changes) * design.multiplier)
 
     def responses_by(self, variable: int) -> Array:
-        """Their derivatives by a variable, of the same shape."""
+        """Return the derivatives of the responses by a variable, of the same shape."""
         design, paths = self.design, self.traced.moved(variable)
         changes, multiplier = design.moved_changes(variable)
         motions = Motions(paths, design.moved_figures(paths, self.traced.still, variable))
@@ -101,9 +101,9 @@ class FollowedRays:
         compensators = len(self.design.scatter.limits)
         return responses[..., : responses.shape[-1] - compensators]
 
-    def part(self, which: NDArray[np.int64]) -> FollowedRays:
-        """Some of the rays."""
-        return FollowedRays(self.design, self.rays.take(which))
+    def subset(self, which: NDArray[np.int64]) -> FollowedRays:
+        """Return a subset of the rays."""
+        return FollowedRays(self.design, self.rays.select(which))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +114,9 @@ class RayLoads:
     ----------
     merit : LargestSpread or FootprintRadius
     followed : FollowedRays
-        All rays that are judged.
+        All evaluated rays.
     amounts : ndarray, shape (t, d)
-        Of the drawn lenses' changes.
+        Amounts of the changes of the drawn lenses.
     """
 
     merit: RayMerit
@@ -131,17 +131,17 @@ class RayLoads:
 
     @cached_property
     def _candidates(self) -> FollowedRays:
-        """Rays that can be the outermost of some lens."""
+        """Rays that can be the outermost ray of some lens."""
         loads = self._loads_of(self.followed.values)
-        leading = self.followed.part(np.argsort(-loads)[:LEADING])
+        leading = self.followed.subset(np.argsort(-loads)[:LEADING])
         responses = np.einsum("nac,nacd->nd", self._slopes_of(leading.values), leading.responses)
         probed = self.amounts[:PROBED]
         reach = BEHIND * np.max(np.std(probed @ responses.T, axis=0))
-        near = self.followed.part(np.flatnonzero(loads >= np.max(loads) - reach))
+        near = self.followed.subset(np.flatnonzero(loads >= np.max(loads) - reach))
         loads = self._drawn_loads(near, probed)
         largest = np.max(loads, axis=1, keepdims=True)
         close = np.any(loads >= largest - CLOSE * np.std(largest), axis=0)
-        return near.part(np.flatnonzero(close))
+        return near.subset(np.flatnonzero(close))
 
     def _drawn_loads(self, rays: FollowedRays, amounts: Array) -> Array:
         """Loads of all rays of drawn lenses, shape (t, n)."""
@@ -172,12 +172,12 @@ class RayLoads:
         """Derivatives of the sum of the loads with these weights, shape (v,)."""
         _, worst, slopes = self._outermost
         used, place = np.unique(worst, return_inverse=True)
-        rays, pull = self._candidates.part(used), weights[:, None, None] * slopes
+        rays, gradient = self._candidates.subset(used), weights[:, None, None] * slopes
         nominal, moved = np.zeros((len(used), 2, 2)), np.zeros((len(used), 2, 2, self.amounts.shape[1]))
         for number in range(len(used)):
             own = place.ravel() == number
-            nominal[number] = np.sum(pull[own], axis=0)
-            moved[number] = np.tensordot(pull[own], self.amounts[own], (0, 0))
+            nominal[number] = np.sum(gradient[own], axis=0)
+            moved[number] = np.tensordot(gradient[own], self.amounts[own], (0, 0))
         by: Array = np.einsum("nac,nacv->v", nominal, rays.values_by)
         by = by + [float(np.sum(moved * rays.responses_by(v))) for v in range(len(by))]
         if self._follows_the_sensor:
@@ -186,12 +186,12 @@ class RayLoads:
 
     @property
     def _used(self) -> slice:
-        """What the loads depend on: of spreads the direction cosines alone."""
+        """Coordinates that the loads depend on: for spreads only the direction cosines."""
         return slice(0, 2) if isinstance(self.merit, FootprintRadius) else slice(1, 2)
 
     @property
     def _further(self) -> float:
-        """From the first sensor plane to that of the limit, in mm."""
+        """Distance from the first sensor plane to the plane of the limit, in mm."""
         planes = self.followed.design.lens.sensor.plane_distances_mm
         own = self.merit.plane_distance_mm if isinstance(self.merit, FootprintRadius) else None
         return (own or planes[-1]) - planes[0]
@@ -201,7 +201,7 @@ class RayLoads:
         return isinstance(self.merit, FootprintRadius) and self.followed.design.problem.heat is not None
 
     def _by_planes(self, weights: Array) -> Array:
-        """By the distance between the planes, which heat changes with the lens."""
+        """Return the derivatives by the distance between the planes, which changes with temperature."""
         design = self.followed.design
         step = 1e-3  # loads are quadratic in the distance, so central differences are exact
         ends = [self._at_distance(self._further + sign * step) for sign in (1.0, -1.0)]
@@ -239,7 +239,7 @@ class RayLoads:
         return slopes
 
     def _beyond(self, cosines: Array, further: float | None = None) -> Array:
-        """How far rays go sideways between the first plane and that of the limit."""
+        """Return the lateral displacement of rays between the first plane and the plane of the limit."""
         distance = self._further if further is None else further
         return np.asarray(distance * cosines / self._along(cosines))
 

@@ -1,4 +1,4 @@
-"""Fresh trials and predictions of finished lenses: what searches show of them in the end."""
+"""Trials and predictions of finished lenses, which searches report at their end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tolerancing.study.study import Study
 
 
 def predicted_of(lens: Lens, study: Study) -> AsBuiltPrediction:
-    """What is predicted of a lens.
+    """Predict the yields and wavefronts of a lens.
 
     Raises
     ------
@@ -52,9 +52,9 @@ def trials_of(
     Parameters
     ----------
     name
-        What to call the lens.
+        Name of the lens.
     lens, study
-        What is tried.
+        The lens and its study.
     judged
         Object points of the wavefront whose root mean square is asked for.
     predicted
@@ -82,7 +82,7 @@ def trials_of(
 
 
 def _losses(lens: Lens, study: Study, scores: Array) -> tuple[MeritLoss, ...]:
-    """Mean reconstruction losses; a trial without a score has lost all."""
+    """Return mean reconstruction losses; a trial without a score counts as a loss of 1."""
     found = []
     for k, merit in enumerate(study.merits):
         if isinstance(merit, ReconstructionLoss):
@@ -98,12 +98,12 @@ def _losses(lens: Lens, study: Study, scores: Array) -> tuple[MeritLoss, ...]:
 def _summary(
     name: str, study: Study, scores: Array, squares: Array, predicted: AsBuiltPrediction
 ) -> TrialsOf:
-    turns = replicates(study.draws, range(study.trials))
+    replicate = replicates(study.draws, range(study.trials))
     passed = [merit.passed(scores[:, k]) for k, merit in enumerate(study.merits)]
-    good = yield_of(np.all(passed, axis=0), turns)
+    good = yield_of(np.all(passed, axis=0), replicate)
     assert good is not None  # there are trials
     rows = tuple(
-        _merit_yield(merit, passed[k], turns, predicted.merits.get(merit.label))
+        _merit_yield(merit, passed[k], replicate, predicted.merits.get(merit.label))
         for k, merit in enumerate(study.merits)
     )
     scored = np.sum(np.isfinite(squares), axis=0)
@@ -115,7 +115,7 @@ def _summary(
         tuple(rms.tolist()),
         tuple(errors.tolist()),
         predicted.rms_waves,
-        good.share,
+        good.fraction,
         good.low,
         good.high,
         None if math.isnan(predicted.good) else predicted.good,
@@ -124,15 +124,15 @@ def _summary(
 
 
 def _merit_yield(
-    merit: Merit, passed: NDArray[np.bool_], turns: NDArray[np.int64] | None, predicted: float | None
+    merit: Merit, passed: NDArray[np.bool_], replicate: NDArray[np.int64] | None, predicted: float | None
 ) -> MeritYield:
-    found = yield_of(passed, turns)
+    found = yield_of(passed, replicate)
     assert found is not None  # there are trials
     return MeritYield(
         merit.label,
         merit.limit_text,
         ", ".join(merit.details),
-        found.share,
+        found.fraction,
         found.low,
         found.high,
         predicted,

@@ -1,1 +1,1 @@
-"""What the report shows."""
+"""Figures of the report."""

@@ -1,4 +1,4 @@
-"""One trial at each field point: path, point spread and line pairs."""
+"""Figure of one trial: path difference, point spread function and line pairs at each field point."""
 
 from __future__ import annotations
 
@@ -22,11 +22,21 @@ if TYPE_CHECKING:
 
 
 POINTS = 161
-SPREAD_HALF_WIDTH_UM = 6.0
+"""Samples along each side of a picture."""
 
 
 def trial_figure(trial: SingleTrial) -> Figure:
-    """What a trial does at each field point of the pupil merits: path, point spread, line pairs.
+    """Draw path difference, point spread function and line pairs at each field point of the pupil merits.
+
+    Parameters
+    ----------
+    trial
+        The trial, from :func:`tolerancing.statistics.trial.single_trial`.
+
+    Returns
+    -------
+    Figure
+        A matplotlib figure with one row for each field point.
 
     Raises
     ------
@@ -51,19 +61,26 @@ def trial_figure(trial: SingleTrial) -> Figure:
 
 
 def write_trial_figure(trial: SingleTrial, path: str | os.PathLike[str]) -> None:
-    """Write :func:`trial_figure`; the kind of picture by the path's suffix.
+    """Write :func:`trial_figure` to a file.
+
+    Parameters
+    ----------
+    trial
+        The trial, from :func:`tolerancing.statistics.trial.single_trial`.
+    path
+        Path of the file; its suffix selects the format (png, svg or pdf).
 
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the suffix is unknown, or the file cannot be written.
     """
     figure_format(path)
     write_figure(trial_figure(trial), path)
 
 
 def _pictured(study: Study) -> dict[tuple[float, float], PupilMerit]:
-    """Field points of the pupil merits, with the merit that tells wavelength, refocus and line width."""
+    """Return the field points of the pupil merits, each with a merit that has wavelength and line width."""
     found: dict[tuple[float, float], PupilMerit] = {}
     for merit in sorted(
         (m for m in study.all_merits if isinstance(m, PupilMerit)),
@@ -71,8 +88,7 @@ def _pictured(study: Study) -> dict[tuple[float, float], PupilMerit]:
     ):
         for point in merit.points:
             found.setdefault(point, merit)
-    plain = PupilMerit(kind="rms_waves", at_most=1.0)
-    return found or {(0.0, 0.0): plain}
+    return found or {(0.0, 0.0): PupilMerit(kind="rms_waves", at_most=1.0)}
 
 
 def _draw_row(
@@ -85,13 +101,13 @@ def _draw_row(
     x, y = pupil.grid.centre
     shown = np.where(pupil.valid_on_grid > 0.0, pupil.waves_on_grid, np.nan)
     extent = (x - half, x + half, y - half, y + half)
-    reach = max(float(np.nanmax(np.abs(shown))), 1e-3)  # white is no deviation
-    image = axes[0].imshow(shown, cmap="RdBu_r", origin="lower", extent=extent, vmin=-reach, vmax=reach)
+    largest = max(float(np.nanmax(np.abs(shown))), 1e-3)  # A symmetric range makes zero white.
+    image = axes[0].imshow(shown, cmap="RdBu_r", origin="lower", extent=extent, vmin=-largest, vmax=largest)
     figure.colorbar(image, ax=axes[0], shrink=0.8, label="waves")
     axes[0].set_title(f"({point[0]:g}, {point[1]:g}) mm: {rms_waves(pupil):.3f} waves rms", fontsize=8.0)
     axes[0].set_xlabel("direction cosine L")
     axes[0].set_ylabel("direction cosine M")
-    width = min(SPREAD_HALF_WIDTH_UM, 0.49 * pupil.grid.window_um)
+    width = min(6.0, 0.49 * pupil.grid.window_um)
     coordinates, spread = psf(pupil, width, POINTS)
     limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
     axes[1].imshow(np.sqrt(spread), cmap="magma", origin="lower", extent=limits, vmin=0.0)
@@ -107,15 +123,15 @@ def _draw_lines(panel: Axes, trial: SingleTrial, pupil: Any, merit: PupilMerit) 
 
     width = getattr(merit, "line_width_um", 0.75 * pupil.wavelength_um / pupil.grid.half_width)
     axes: tuple[Axis, ...] = ("x", "y")
-    seen = {
+    images = {
         along: line_pairs_in_focus(pupil, width, along)
         if merit.refocus
         else (line_pair_contrast(pupil, width, along), pupil)
         for along in axes
     }
-    contrast = {along: found for along, (found, _) in seen.items()}
+    contrast = {along: found for along, (found, _) in images.items()}
     worse = min(contrast, key=contrast.__getitem__)
-    coordinates, intensity = line_pair_image(seen[worse][1], width, worse, points=POINTS)
+    coordinates, intensity = line_pair_image(images[worse][1], width, worse, points=POINTS)
     limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
     panel.imshow(intensity, cmap="gray", origin="lower", extent=limits, vmin=0.0)
     panel.set_title(f"{width:.3g} µm lines along {worse}, contrast {contrast[worse]:.2f}", fontsize=8.0)

@@ -1,4 +1,4 @@
-"""Figures of the whole chain: correlation and contrast against what varies, by field point."""
+"""Figures of reconstruction merits: correlation and contrast against a perturbation, by field point."""
 
 from __future__ import annotations
 
@@ -27,36 +27,30 @@ if TYPE_CHECKING:
 
     from lensdesign.common.arrays import Array
 
-BINS = 5
-"""Parts of equally many trials whose medians are joined."""
-
-SPREAD = 0.03
-"""Half width over which trials of one number of slices are spread, as a fraction of the number."""
-
 
 def reconstruction_panel(
     data: ReportData, merits: Sequence[Reconstruction], perturbation: Perturbation
 ) -> Panel:
-    """Every figure of merit over one perturbation: trials as points, their medians and sweeps as lines.
+    """Draw every merit over one perturbation, with trials as points, and their medians and sweeps as lines.
 
     Parameters
     ----------
     data
-        Of the report.
+        Data of the report.
     merits
-        Of the whole chain; those of one figure share their axes.
+        Reconstruction merits; those of the same kind share their axes.
     perturbation
-        One of the study's.
+        Perturbation of the study.
     """
     figures = list(dict.fromkeys(_title(merit) for merit in merits))
-    places = list(dict.fromkeys(merit.points for merit in merits))
+    locations = list(dict.fromkeys(merit.points for merit in merits))
     with styled():
         figure = styled_figure(4.7 * len(figures), 3.1)
         axes = figure.subplots(1, len(figures), squeeze=False, sharey=False)[0]
         for title, axis in zip(figures, axes, strict=True):
             own = [merit for merit in merits if _title(merit) == title]
             for merit in own:
-                _draw(axis, data, merit, perturbation, SERIES[places.index(merit.points) % len(SERIES)])
+                _draw(axis, data, merit, perturbation, SERIES[locations.index(merit.points) % len(SERIES)])
             for limit in dict.fromkeys(merit.limit for merit in own):
                 axis.axhline(limit, color=RED, linewidth=0.9, linestyle=":")
             axis.set_title(figure_text(title), loc="left")
@@ -65,14 +59,14 @@ def reconstruction_panel(
             if perturbation.is_setting:
                 _set_slices(axis, perturbation)
         handles, names = axes[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=len(places))
+        figure.legend(handles, names, loc="outside lower center", ncols=len(locations))
     text = " and ".join(figures)
     return Panel(figure, f"{text} over {perturbation.column}, by field point")
 
 
 def _title(merit: Reconstruction) -> str:
     if merit.figure == "contrast":
-        return f"contrast of {merit.judged_width_um:g} µm lines"
+        return f"contrast of {merit.evaluated_width_um:g} µm lines"
     return merit.figure.replace("_", " ")
 
 
@@ -80,7 +74,7 @@ def _axis_text(perturbation: Perturbation) -> str:
     return "slices of each surface" if perturbation.is_setting else series_label(perturbation)
 
 
-def _place_text(merit: Reconstruction) -> str:
+def _location_text(merit: Reconstruction) -> str:
     heights = [y for _, y in merit.points]
     if len(heights) > 1:
         return "the worst of " + ", ".join(f"{y:g}" for y in heights) + " mm"
@@ -95,9 +89,10 @@ def _draw(
     x, y = results.values[:, column], results.scores[:, row]
     known = np.isfinite(y)
     x, y = x[known], y[known]
-    name = _place_text(merit)
+    name = _location_text(merit)
     if len(x):
-        shown = x * (1.0 + SPREAD * _steady(len(x))) if perturbation.is_setting else x
+        # Trials of one number of slices are spread by 3 % to either side, so that they do not overlap.
+        shown = x * (1.0 + 0.03 * _even_spread(len(x))) if perturbation.is_setting else x
         axis.plot(shown, y, "o", color=color, ms=4.0, alpha=0.55, mew=0.0, label=f"{name}, trials")
         middles, medians = _medians(x, y, perturbation.is_setting)
         axis.plot(middles, medians, "--", color=color, lw=1.3, label=f"{name}, medians of trials")
@@ -106,24 +101,24 @@ def _draw(
         axis.plot(*swept, "s-", color=color, ms=4.0, mfc=PAPER, lw=1.3, label=f"{name}, all else nominal")
 
 
-def _steady(count: int) -> Array:
-    """Numbers from -1 to 1 that spread points and are the same in every report."""
+def _even_spread(count: int) -> Array:
+    """Return evenly spaced numbers from -1 to 1, which are the same in every report."""
     return np.asarray(np.linspace(-1.0, 1.0, count)) if count > 1 else np.zeros(count)
 
 
 def _medians(x: Array, y: Array, single_values: bool) -> tuple[list[float], list[float]]:
-    """Medians of the scores for single values, or for parts of the trials in rising order."""
+    """Return medians of the scores for single values, or for five groups of equally many trials."""
     if single_values:
-        parts = [np.flatnonzero(x == value) for value in np.unique(x)]
+        groups = [np.flatnonzero(x == value) for value in np.unique(x)]
     else:
-        parts = [part for part in np.array_split(np.argsort(x, kind="stable"), BINS) if len(part)]
-    return [float(np.median(x[p])) for p in parts], [float(np.median(y[p])) for p in parts]
+        groups = [group for group in np.array_split(np.argsort(x, kind="stable"), 5) if len(group)]
+    return [float(np.median(x[g])) for g in groups], [float(np.median(y[g])) for g in groups]
 
 
 def _swept(
     data: ReportData, merit: Reconstruction, perturbation: Perturbation
 ) -> tuple[list[float], list[float]] | None:
-    """A sweep of the same parameter by itself that scores the merit."""
+    """Return values and scores of a sweep of the same parameter that scores the merit, if there is one."""
     for sweep in data.study.sweeps:
         same = (sweep.target, sweep.parameter) == (perturbation.target, perturbation.parameter)
         if same and merit.label in sweep.merits:

@@ -1,4 +1,4 @@
-"""Figures of what was varied step by step: sweeps, maps of grids, slice counts, plates of line pairs."""
+"""Figures of series: curves of sweeps, maps of grids, slice counts, and plates of line pairs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PLATE_COLUMNS = 6
 
 
 def sweep_panels(study: Study, sweep: Sweep, steps: Sequence[StepResults]) -> list[Panel]:
-    """Contrast of the line pairs, and each other merit, over a sweep's values."""
+    """Draw the contrast of the line pairs, and each other merit, over the values of a sweep."""
     values = [float(step.coordinates[sweep.parameter]) for step in steps]
     panels = []
     if sweep.line_widths_um:
@@ -79,7 +79,7 @@ def _contrast_panel(sweep: Sweep, steps: Sequence[StepResults], values: list[flo
 
 
 def grid_panels(study: Study, grid: ParameterGrid, steps: Sequence[StepResults]) -> list[Panel]:
-    """A map of each merit over the two parameters of a grid, with the limit as a contour."""
+    """Draw a map of each merit over the two parameters of a grid, with the limit as a contour."""
     return [_map_panel(grid, merit, steps) for merit in grid.scored(study.all_merits)]
 
 
@@ -107,7 +107,7 @@ def _map_panel(grid: ParameterGrid, merit: Merit, steps: Sequence[StepResults]) 
 
 
 def _edges(values: np.ndarray) -> np.ndarray:
-    """Edges of cells about values in rising order."""
+    """Return the edges of cells around ascending values."""
     if len(values) == 1:
         half = 0.5 * (abs(float(values[0])) or 1.0)
         return np.array([values[0] - half, values[0] + half])
@@ -118,7 +118,7 @@ def _edges(values: np.ndarray) -> np.ndarray:
 
 
 def slice_panels(series: SliceCounts, steps: Sequence[StepResults]) -> list[Panel]:
-    """Contrast of each line width over the number of slices, by compensation, beside the eikonal engine's."""
+    """Draw the contrast of each line width over the number of slices, with that of the eikonal engine."""
     return [_slice_panel(series, width, steps) for width in series.line_widths_um]
 
 
@@ -149,7 +149,7 @@ def _slice_panel(series: SliceCounts, width_um: float, steps: Sequence[StepResul
 
 
 def plate_panel(rows: Mapping[str, Sequence[tuple[str, Picture | None]]], alt: str) -> Panel:
-    """Pictures of line pairs side by side, each below its title, in rows that are named at their left."""
+    """Draw pictures of line pairs in named rows, each with its title."""
     columns = max(len(row) for row in rows.values())
     side = 9.4 / PLATE_COLUMNS
     with styled({"axes.grid": False}):

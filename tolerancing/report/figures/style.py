@@ -1,4 +1,4 @@
-"""Style, labels and small parts of a tolerance report's figures."""
+"""Style, labels and common elements of a tolerance report's figures."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _length(match: re.Match[str]) -> str:
 
 
 def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
-    """The report's style, with some changes, for figures drawn inside a ``with``."""
+    """Return a context in which figures have the report's style, with some changes."""
     import matplotlib as mpl
 
     parameters: Any = {**STYLE, **(changes or {})}
@@ -64,19 +64,19 @@ def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[N
 
 
 def styled_figure(width: float, height: float) -> Figure:
-    """An empty figure, in inches, that no window system knows of."""
+    """Return an empty figure of a size (inches) that is not attached to a window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
 
 
 def figure_format(path: str | os.PathLike[str]) -> str:
-    """Kind of picture by a file's suffix.
+    """Return the picture format that a file's suffix selects.
 
     Raises
     ------
     InputError
-        If there is no such kind.
+        If the suffix is not .png, .svg or .pdf.
     """
     allowed = (".png", ".svg", ".pdf")
     suffix = Path(path).suffix
@@ -86,12 +86,12 @@ def figure_format(path: str | os.PathLike[str]) -> str:
 
 
 def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure; the kind of picture by the path's suffix.
+    """Write a figure in the format that the path's suffix selects.
 
     Raises
     ------
     InputError
-        If there is no such kind, or the file cannot be written.
+        If the suffix is unknown, or the file cannot be written.
     """
     kind = figure_format(path)
     with atomic_path(Path(path)) as temporary:
@@ -99,33 +99,33 @@ def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def figure_text(text: str) -> str:
-    """Text as it stands, without mathematics and characters that cannot be drawn."""
+    """Return text that matplotlib draws literally, without mathematics and control characters."""
     return plain(text).replace("$", r"\$")
 
 
 def axis_label(parameter: PerturbedParameter) -> str:
-    """Name of a perturbation's axis, with its unit."""
+    """Return the label of a perturbation's axis with its unit."""
     return _labelled(parameter.column, parameter.unit)
 
 
 def merit_label(merit: Merit) -> str:
-    """Name of a merit's axis, with its unit."""
+    """Return the label of a merit's axis with its unit."""
     return _labelled(merit.column, merit.unit)
 
 
 def series_label(parameter: PerturbedParameter) -> str:
-    """What a sweep or a grid's axis varies, with its unit."""
+    """Return the label of a swept parameter with its unit."""
     name = f"{parameter.target} {parameter.quantity}"
     return in_micrometres(f"{name} ({parameter.unit})" if parameter.unit else name)
 
 
 def contrast_label(merit: LinePairContrast) -> str:
-    """A line width, and whether it was refocused, in words."""
+    """Return a label with the line width and whether it is refocused."""
     return f"{merit.line_width_um:g} µm lines, {'refocused' if merit.refocus else 'not refocused'}"
 
 
 def draw_limit(axis: Axes, merit: Merit, horizontal: bool, label: bool = True) -> None:
-    """A merit's limit as a line across the axes."""
+    """Draw the limit of a merit as a line across the axes."""
     draw = axis.axhline if horizontal else axis.axvline
     text = figure_text(in_micrometres(f"limit: {merit.limit_text}")) if label else None
     draw(merit.limit, color=RED, linewidth=1.1, label=text)

@@ -1,4 +1,8 @@
-"""Figures as SVG inside a page: colours that follow light and dark, points that know their trials."""
+"""Conversion of figures to SVG elements of a page.
+
+Colours become CSS variables, so that they follow the light or dark theme. Points get the number of their
+trial, which the page shows as a tooltip.
+"""
 
 from __future__ import annotations
 
@@ -25,21 +29,21 @@ COLORS = {
     style.GREY: "soft",
     style.VIOLET: "violet",
     style.OCHRE: "ochre",
-    # Of the layout.
+    # Colours of the lens layout.
     "#cfe3f1": "glass",
     "#333333": "ink",
     "#8a8a8a": "soft",
     "#000000": "ink",
-    # Of field heights, everywhere the same.
+    # Colours of field heights, the same in all figures.
     "#d55e00": "field-1",
     "#009e73": "field-2",
     "#0072b2": "field-3",
 }
-"""Names of the page's colours, by those that figures are drawn in."""
+"""Names of the page's colours by the colours of the figures."""
 
 PIXELS_PER_INCH = 96.0
-SMALLEST_SHARE = 0.72
-"""Of its natural size to which a figure shrinks before it scrolls."""
+SMALLEST_SCALE = 0.72
+"""Smallest scale of a figure; on a narrower page it scrolls."""
 
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}\b")
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
@@ -48,14 +52,14 @@ _REFERENCE = re.compile(r"url\(#([^)]+)\)|^#(.+)$")
 
 
 def svg_text(panel: Panel, prefix: str) -> str:
-    """A panel as an ``svg`` element.
+    """Return a panel as an ``svg`` element.
 
     Parameters
     ----------
     panel
-        The figure; markers of the collections that `points` names become circles with ``data-trial``.
+        The figure. Markers of the collections named in `points` become circles with ``data-trial``.
     prefix
-        What its ids begin with; another one for each figure of a page.
+        Prefix of all ids; each figure of a page needs another one.
     """
     root = _drawn(panel)
     names = {f"{{{SVG}}}{name}" for name in ("metadata", "style")}
@@ -71,7 +75,7 @@ def svg_text(panel: Panel, prefix: str) -> str:
     root.attrib.pop("version", None)
     root.set("width", f"{width * PIXELS_PER_INCH:.0f}")
     root.set("height", f"{height * PIXELS_PER_INCH:.0f}")
-    root.set("style", f"min-width:{SMALLEST_SHARE * min(width, 9.0) * PIXELS_PER_INCH:.0f}px")
+    root.set("style", f"min-width:{SMALLEST_SCALE * min(width, 9.0) * PIXELS_PER_INCH:.0f}px")
     root.set("role", "img")
     root.set("aria-label", plain(panel.alt))
     # Inside HTML an svg element needs no declaration of its namespace.
@@ -87,7 +91,7 @@ def _drawn(panel: Panel) -> ElementTree.Element:
     with rc_context({"svg.hashsalt": "transferlens", "svg.fonttype": "none"}):
         panel.figure.patch.set_alpha(0.0)
         FigureCanvasSVG(panel.figure).print_svg(buffer, metadata={"Date": None})
-        panel.figure.set_layout_engine("none")  # what was laid out stays so in the PDF
+        panel.figure.set_layout_engine("none")  # Keeps this layout for the PDF.
         panel.figure.patch.set_alpha(None)
         panel.figure.set_facecolor(facecolor)
     ElementTree.register_namespace("", SVG)
@@ -96,12 +100,12 @@ def _drawn(panel: Panel) -> ElementTree.Element:
 
 
 def _number_points(root: ElementTree.Element, gid: str, numbers: Sequence[int]) -> None:
-    """Replace a collection's markers by circles that name their trials."""
+    """Replace the markers of a collection by circles with the numbers of their trials."""
     group = next(e for e in root.iter(f"{{{SVG}}}g") if e.get("id") == gid)
-    places = [
+    centres = [
         (u.get("x", "0"), u.get("y", "0")) for u in group.iter(f"{{{SVG}}}use") if u.get("x") is not None
-    ] or _inlined(group)
-    if len(places) != len(numbers):  # some lie outside of the figure; which ones is not told
+    ] or _path_centres(group)
+    if len(centres) != len(numbers):  # Some markers lie outside of the figure, and it is unknown which.
         return
     clip = next((e.get("clip-path") for e in group.iter() if e.get("clip-path")), None)
     for child in list(group):
@@ -109,7 +113,7 @@ def _number_points(root: ElementTree.Element, gid: str, numbers: Sequence[int]) 
     if clip:
         group.set("clip-path", clip)
     group.set("class", "bad" if gid.endswith("bad") else "good")
-    for (x, y), number in zip(places, numbers, strict=True):
+    for (x, y), number in zip(centres, numbers, strict=True):
         ElementTree.SubElement(
             group,
             f"{{{SVG}}}circle",
@@ -117,18 +121,18 @@ def _number_points(root: ElementTree.Element, gid: str, numbers: Sequence[int]) 
         )
 
 
-def _inlined(group: ElementTree.Element) -> list[tuple[str, str]]:
-    """Middles of markers that were drawn one by one, as few are."""
-    places = []
+def _path_centres(group: ElementTree.Element) -> list[tuple[str, str]]:
+    """Return the centres of markers that are drawn as single paths, as matplotlib does for few markers."""
+    centres = []
     for path in group.iter(f"{{{SVG}}}path"):
         numbers = [float(v) for v in re.findall(r"-?\d+(?:\.\d+)?", path.get("d", ""))]
         x, y = numbers[0::2], numbers[1::2]
-        places.append((f"{0.5 * (min(x) + max(x))}", f"{0.5 * (min(y) + max(y))}"))
-    return places
+        centres.append((f"{0.5 * (min(x) + max(x))}", f"{0.5 * (min(y) + max(y))}"))
+    return centres
 
 
 def _rename(root: ElementTree.Element, prefix: str) -> None:
-    """Give ids that are referred to a prefix, and drop the others."""
+    """Add a prefix to ids that are referenced, and remove the others."""
     used: set[str] = set()
     for element in root.iter():
         for value in element.attrib.values():
@@ -148,11 +152,11 @@ def _rename(root: ElementTree.Element, prefix: str) -> None:
 
 
 def _restyle(element: ElementTree.Element) -> None:
-    """Colours of the page, fewer digits, fonts that every system has something like."""
-    look = element.get("style")
-    if look:
-        look = _COLOR.sub(_variable, look)
-        element.set("style", _FONTS.sub("'DejaVu Sans', Verdana, sans-serif", look).replace("; ", ";"))
+    """Use the page's colours, fewer digits, and common fallback fonts."""
+    css = element.get("style")
+    if css:
+        css = _COLOR.sub(_variable, css)
+        element.set("style", _FONTS.sub("'DejaVu Sans', Verdana, sans-serif", css).replace("; ", ";"))
     for name in ("d", "points", "x", "y", "transform"):
         value = element.get(name)
         if value is not None:

@@ -1,4 +1,4 @@
-"""Figures of trials: distributions, scatter plots, yield against tolerances, cheap against dear scores."""
+"""Figures of trials: distributions, scatter plots, yield against tolerances, and fidelity of scores."""
 
 from __future__ import annotations
 
@@ -35,25 +35,24 @@ from tolerancing.statistics.yields import Yield
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Places = NDArray[np.intp]
+Indices = NDArray[np.intp]
 
-MOST_BINS, FEWEST_BINS = 60, 8
 ALL_LIMITS = "all limits"
 
 
 def distribution_panel(
     data: ReportData, summary: MeritSummary, column: int, uncompensated: Array | None = None
 ) -> Panel:
-    """Histogram and cumulative distribution of one merit, with its limit, its nominal value and its trials.
+    """Draw histogram and cumulative distribution of one merit, with its limit, nominal value and trials.
 
     Parameters
     ----------
     data
-        The report's.
+        Data of the report.
     summary, column
-        The merit, and its place among the study's merits.
+        Summary of the merit, and its index among the study's merits.
     uncompensated
-        Scores without refocusing and compensators, to draw in place of the merit's own.
+        Scores without refocusing and compensators, which are drawn instead of the merit's scores.
     """
     scores = data.results.scores[:, column] if uncompensated is None else uncompensated
     name = merit_label(summary.merit) + ("" if uncompensated is None else ", not compensated")
@@ -74,7 +73,7 @@ def distribution_panel(
 
 def _histogram(axis: Axes, summary: MeritSummary, scores: Array, color: str) -> None:
     merit = summary.merit
-    bins = int(np.clip(np.sqrt(len(scores)), FEWEST_BINS, MOST_BINS))
+    bins = int(np.clip(np.sqrt(len(scores)), 8, 60))
     low, high = float(scores.min()), float(scores.max())
     if high - low <= 1e-9 * max(abs(low), abs(high)):  # all alike
         half = 5e-4 * (abs(high) or 1.0)
@@ -96,23 +95,21 @@ def _histogram(axis: Axes, summary: MeritSummary, scores: Array, color: str) -> 
 
 
 def _cumulative(axis: Axes, scores: Array) -> None:
-    """Share of trials below a score; at most some hundred steps of it."""
-    shares = np.linspace(0.0, 1.0, min(len(scores), 200) + 1)[1:]
-    beside = axis.twinx()
-    beside.step(
-        np.quantile(scores, shares, method="inverted_cdf"), shares, color=ORANGE, where="post", lw=1.2
-    )
-    beside.set_ylim(-0.06, 1.35)
-    beside.set_yticks(np.linspace(0.0, 1.0, 6))
-    beside.set_ylabel("cumulative", color=ORANGE)
-    beside.grid(visible=False)
+    """Draw the cumulative distribution of scores, in at most 200 steps."""
+    levels = np.linspace(0.0, 1.0, min(len(scores), 200) + 1)[1:]
+    right = axis.twinx()
+    right.step(np.quantile(scores, levels, method="inverted_cdf"), levels, color=ORANGE, where="post", lw=1.2)
+    right.set_ylim(-0.06, 1.35)
+    right.set_yticks(np.linspace(0.0, 1.0, 6))
+    right.set_ylabel("cumulative", color=ORANGE)
+    right.grid(visible=False)
 
 
 def _rug(axis: Axes, data: ReportData, scores: Array, merit: Merit, gid: str) -> dict[str, list[int]]:
-    """Trials as points along the foot of a histogram."""
-    places = data.drawn[np.isfinite(scores[data.drawn])]
+    """Draw trials as points along the foot of a histogram."""
+    rows = data.drawn[np.isfinite(scores[data.drawn])]
     foot = np.full(len(scores), 0.02)
-    return _points(axis, data, scores, foot, places, merit.passed(scores), gid, axis.get_xaxis_transform())
+    return _points(axis, data, scores, foot, rows, merit.passed(scores), gid, axis.get_xaxis_transform())
 
 
 def _points(
@@ -120,16 +117,16 @@ def _points(
     data: ReportData,
     x: Array,
     y: Array,
-    places: Places,
+    rows: Indices,
     passed: NDArray[np.bool_],
     gid: str,
     transform: Any = None,
 ) -> dict[str, list[int]]:
-    """Trials as points, good and bad ones in their colours; trials by gid of the collections."""
+    """Draw good and bad trials as points, and return the trial numbers by the gid of each collection."""
     drawn = {}
     own: dict[str, Any] = {} if transform is None else {"transform": transform}
-    for kind, color, chosen in (("good", BLUE, passed[places]), ("bad", RED, ~passed[places])):
-        shown = places[chosen]
+    for kind, color, chosen in (("good", BLUE, passed[rows]), ("bad", RED, ~passed[rows])):
+        shown = rows[chosen]
         if len(shown):
             name = f"{gid}-{kind}"
             axis.scatter(x[shown], y[shown], s=5.0, color=color, alpha=0.65, linewidths=0.0, gid=name, **own)
@@ -138,7 +135,7 @@ def _points(
 
 
 def scatter_panels(data: ReportData, column: int, most: int) -> list[Panel]:
-    """One merit, by its place, against the perturbations that go most with it, the strongest first."""
+    """Draw one merit, by its index, against the perturbations with the strongest correlation."""
     correlation, study = data.correlation, data.study
     order = np.argsort(-correlation.strength[column], kind="stable")[:most]
     return [_scatter_panel(data, column, int(k), study.merits[column]) for k in order]
@@ -146,12 +143,12 @@ def scatter_panels(data: ReportData, column: int, most: int) -> list[Panel]:
 
 def _scatter_panel(data: ReportData, column: int, k: int, merit: Merit) -> Panel:
     scores, values = data.results.scores[:, column], data.results.values[:, k]
-    places = data.drawn[np.isfinite(scores[data.drawn])]
+    rows = data.drawn[np.isfinite(scores[data.drawn])]
     correlation, perturbation = data.correlation, data.study.perturbations[k]
     with styled({"font.size": 7.5, "axes.titlesize": 7.5, "axes.titleweight": "normal"}):
         figure = styled_figure(2.35, 1.95)
         axis = figure.subplots()
-        points = _points(axis, data, values, scores, places, merit.passed(scores), f"scatter-{column}-{k}")
+        points = _points(axis, data, values, scores, rows, merit.passed(scores), f"scatter-{column}-{k}")
         draw_limit(axis, merit, horizontal=True, label=False)
         axis.locator_params(axis="x", nbins=4)
         axis.set_xlabel(axis_label(perturbation))
@@ -168,20 +165,20 @@ class ScaleCurve:
     Attributes
     ----------
     name
-        As the legend has it.
-    shares : ndarray
-        By the model, at each factor.
+        Name in the legend.
+    fractions : ndarray
+        Yield by the model at each factor, 0 to 1.
     found
-        Of the trials themselves, which is the yield at factor 1.
+        Yield of the trials themselves, at factor 1.
     """
 
     name: str
-    shares: Array
+    fractions: Array
     found: Yield | None
 
 
 def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
-    """Yield against a common factor of all tolerances: lines tell of models, points at 1 of trials."""
+    """Draw yield against a common factor of all tolerances, with lines for models and points for trials."""
     with styled():
         figure = styled_figure(6.2, 3.1)
         axis = figure.subplots()
@@ -189,11 +186,13 @@ def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
             together = curve.name == ALL_LIMITS
             color = INK if together else SERIES[number % len(SERIES)]
             width = 2.0 if together else 1.1
-            axis.plot(scales, 100.0 * curve.shares, color=color, linewidth=width, label=curve.name)
+            axis.plot(scales, 100.0 * curve.fractions, color=color, linewidth=width, label=curve.name)
             if curve.found is not None:
-                share, low, high = (100.0 * v for v in (curve.found.share, curve.found.low, curve.found.high))
+                middle, low, high = (
+                    100.0 * v for v in (curve.found.fraction, curve.found.low, curve.found.high)
+                )
                 axis.errorbar(
-                    [1.0], [share], yerr=[[share - low], [high - share]], fmt="o", color=color, ms=4.0,
+                    [1.0], [middle], yerr=[[middle - low], [high - middle]], fmt="o", color=color, ms=4.0,
                     capsize=2.5,
                 )  # fmt: skip
         axis.set_xlabel("common factor of all tolerances")
@@ -203,52 +202,52 @@ def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
     return Panel(figure, "Yield against a common factor of all tolerances")
 
 
-def fidelity_panel(data: ReportData, cheap: Merit, dear: Merit, places: Places, scores: Array) -> Panel:
-    """Cheap against dear scores of the trials that have both.
+def fidelity_panel(data: ReportData, low: Merit, high: Merit, rows: Indices, scores: Array) -> Panel:
+    """Draw high- against low-fidelity scores of the trials that have both.
 
     Parameters
     ----------
     data
-        The report's.
-    cheap, dear
-        The merits.
-    places, scores
-        Places of the trials among the results, and their dear scores.
+        Data of the report.
+    low, high
+        The low- and the high-fidelity merit.
+    rows, scores
+        Row indices of the trials, and their high-fidelity scores.
     """
-    column = [m.label for m in data.study.merits].index(cheap.label)
+    column = [m.label for m in data.study.merits].index(low.label)
     x = data.results.scores[:, column]
     y = np.full(len(x), np.nan)
-    y[places] = scores
-    both = places[np.isfinite(x[places]) & np.isfinite(y[places])]
+    y[rows] = scores
+    both = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
     with styled():
         figure = styled_figure(3.6, 3.2)
         axis = figure.subplots()
-        points = _points(axis, data, x, y, both, dear.passed(y), f"fidelity-{dear.label}")
+        points = _points(axis, data, x, y, both, high.passed(y), f"fidelity-{high.label}")
         if len(both):
             ends = [min(x[both].min(), y[both].min()), max(x[both].max(), y[both].max())]
             axis.plot(ends, ends, color=GREY, linewidth=0.8, linestyle="--", label="equal")
-        axis.axhline(dear.limit, color=RED, linewidth=0.9)
-        axis.axvline(cheap.limit, color=RED, linewidth=0.9)
-        axis.set_xlabel(merit_label(cheap))
-        axis.set_ylabel(merit_label(dear))
+        axis.axhline(high.limit, color=RED, linewidth=0.9)
+        axis.axvline(low.limit, color=RED, linewidth=0.9)
+        axis.set_xlabel(merit_label(low))
+        axis.set_ylabel(merit_label(high))
         axis.legend(loc="upper left")
-    return Panel(figure, f"{dear.column} against {cheap.column}, trial by trial", points)
+    return Panel(figure, f"{high.column} against {low.column}, trial by trial", points)
 
 
 def bars_panel(perturbations: Sequence[PerturbedParameter], changes: Array, merit: Merit) -> Panel:
-    """Changes of one merit at both ends of each tolerance, shape (perturbations, 2), as bars from nominal."""
+    """Draw changes of one merit at both ends of each tolerance, shape (perturbations, 2), as bars."""
     names = [axis_label(perturbation) for perturbation in perturbations]
     with styled({"axes.grid.axis": "x"}):
         figure = styled_figure(4.7, 0.9 + 0.24 * len(names))
         axis = figure.subplots()
-        place = np.arange(len(names))
+        positions = np.arange(len(names))
         for offset, color, ends, label in (
             (-0.19, ORANGE, changes[:, 0], "at −T"),
             (0.19, BLUE, changes[:, 1], "at +T"),
         ):
-            axis.barh(place + offset, np.nan_to_num(ends), height=0.36, color=color, label=label)
+            axis.barh(positions + offset, np.nan_to_num(ends), height=0.36, color=color, label=label)
         axis.axvline(0.0, color=INK, linewidth=0.8)
-        axis.set_yticks(place, names, fontsize=7.5)
+        axis.set_yticks(positions, names, fontsize=7.5)
         axis.invert_yaxis()
         axis.set_title(merit_label(merit), loc="left")
         axis.set_xlabel("change from the nominal lens")

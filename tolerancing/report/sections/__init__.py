@@ -1,1 +1,1 @@
-"""What the report says, section by section."""
+"""Sections of the report, as blocks of text, tables and figures."""

@@ -1,4 +1,4 @@
-"""The section of the whole chain: what varies, against what the reconstruction keeps."""
+"""Section about reconstruction merits: correlation and contrast against each perturbation."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from tolerancing.report.blocks import Block, FigureBlock, Heading, Paragraph
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.reconstruction import reconstruction_panel
 
-MOST_PANELS = 12
-"""Perturbations that are drawn; all stand in trials.csv."""
-
 
 def reconstruction_section(data: ReportData) -> list[Block]:
-    """Correlation and contrast of the whole chain against each perturbation; nothing without such merits."""
+    """Return figures of correlation and contrast against each perturbation; empty without such merits."""
     merits = [merit for merit in data.study.merits if isinstance(merit, Reconstruction)]
     if not merits or not len(data.results):
         return []
-    perturbations = data.study.perturbations[:MOST_PANELS]
+    perturbations = data.study.perturbations[:12]  # trials.csv holds all of them.
     text = (
-        "What the reconstruction keeps of the object after the whole chain: frames of the perturbed lens, "
-        "and retrieval through the reconstruction's own model. In the trials all perturbations vary "
-        "together; dashed lines join medians of the trials. Squares: one parameter by itself, where the "
-        "study sweeps it. Dotted red: the limits."
+        "Agreement of the reconstructed object with the true object after the whole chain: frames are "
+        "computed with the perturbed lens, and reconstructed with the reconstruction's own model. In the "
+        "trials all perturbations vary together; dashed lines connect medians of the trials. Squares: one "
+        "parameter alone, if the study sweeps it. Dotted red lines: limits."
     )
     return [
         Heading("Reconstruction: correlation and contrast"),

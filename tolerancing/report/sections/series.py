@@ -1,4 +1,4 @@
-"""Section 9 of a report, and the pictures of single trials: plates of line pairs, curves, maps."""
+"""Section about sweeps, grids and slice counts, and pictures of line pairs in single trials."""
 
 from __future__ import annotations
 
@@ -30,35 +30,29 @@ from tolerancing.report.figures.series import (
     slice_panels,
     sweep_panels,
 )
-from tolerancing.study.evaluate import pupils_of, sample_perturbations
+from tolerancing.study.evaluate import pupil_context, sample_perturbations
 from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.series import LinePairSection, line_pair_picture
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
 MOST_ROWS = 200
-"""Steps in a table; all stand in steps.csv."""
-
-MOST_FAILURES, MOST_OF_MESSAGE = 20, 240
-"""Steps without a score that say why, and characters of what they say."""
-
-WIDTH_IN_RESOLUTIONS = 1.5
-"""Lines drawn for a study without a contrast of its own, in units of wavelength / (2 NA)."""
+"""Most steps in a table; steps.csv holds all of them."""
 
 
 def series_section(data: ReportData) -> list[Block]:
-    """Everything that was varied by itself, in plates as in the paper's Fig. 7."""
+    """Return all sweeps, grids and slice counts, with pictures as in the paper's Fig. 7."""
     study = data.study
-    parts = [
+    sections = [
         *(_sweep(data, sweep) for sweep in study.sweeps),
         *(_grid(data, grid) for grid in study.grids),
         *(_slices(data, counts) for counts in study.slice_counts),
     ]
-    if not parts:
-        return [Heading("Sweeps, grids and slice counts"), Paragraph("The study asks for none.")]
+    if not sections:
+        return [Heading("Sweeps, grids and slice counts"), Paragraph("The study has none.")]
     return [
         Heading("Sweeps, grids and slice counts (as in the paper's Fig. 7)"),
-        *(block for part in parts for block in part),
+        *(block for section in sections for block in section),
     ]
 
 
@@ -77,23 +71,24 @@ def _sweep(data: ReportData, sweep: Sweep) -> list[Block]:
 
 
 def line_pair_text(section: LinePairSection) -> str:
-    """What the line pairs of a sweep or grid are."""
+    """Describe the line pairs of a sweep or grid."""
     if not section.line_widths_um:
-        return "All else nominal."
+        return "Everything else is nominal."
     x, y = section.field_mm
     axis = section.orientation
-    which = "the worse of both orientations" if axis == "worse" else f"bars following each other along {axis}"
+    orientation = "the worse of both orientations" if axis == "worse" else f"bars repeated along {axis}"
     return (
-        f"All else nominal. Line pairs at ({x:g}, {y:g}) mm in the object, {which}; refocused and not. Their "
-        "contrast is that of the reconstruction pupil, registered: fields are taken as known behind the lens."
+        f"Everything else is nominal. Line pairs at ({x:g}, {y:g}) mm in the object, {orientation}; with and "
+        "without refocusing. Their contrast is that of the registered reconstruction pupil: the field behind "
+        "the lens is taken as known."
     )
 
 
 def _differences(data: ReportData, section: LinePairSection, steps: Sequence[StepResults]) -> str:
-    """How far the line pairs' contrasts are from those of the study's merits of the same line widths."""
+    """Describe how much contrasts of line pairs differ from the study's merits of the same line widths."""
     sentences = []
     for merit in data.study.all_merits:
-        width = getattr(merit, "judged_width_um", getattr(merit, "line_width_um", None))
+        width = getattr(merit, "evaluated_width_um", getattr(merit, "line_width_um", None))
         if merit.label not in section.merits or width not in section.line_widths_um or merit.unit:
             continue
         pairs = next(p for p in section.line_pairs() if p.line_width_um == width and p.refocus)
@@ -122,9 +117,10 @@ def _slices(data: ReportData, series: SliceCounts) -> list[Block]:
     if not steps:
         return [*blocks, Paragraph("No step is finished.")]
     note = (
-        f"Lines at a field height of {series.field_height_mm:g} mm, carried to the exit plane by the eikonal "
-        "engine and back by annular slices, refocused and registered; dashed: brought back by the eikonal "
-        "engine itself. Vertical compensation is the paper's, oblique follows the light's slope."
+        f"Lines at a field height of {series.field_height_mm:g} mm are propagated to the exit plane by the "
+        "eikonal engine and back by annular slices, refocused and registered. Dashed: back-propagated by the "
+        "eikonal engine itself. Vertical compensation is that of the paper; oblique compensation follows the "
+        "slope of the light."
     )
     blocks.append(Paragraph(note, soft=True))
     blocks.append(FigureBlock(tuple(slice_panels(series, steps)), columns=2))
@@ -140,44 +136,44 @@ def _steps_table(
     coordinates: Sequence[str], labels: Sequence[str], steps: Sequence[StepResults]
 ) -> list[Table]:
     rows: list[list[str]] = [
-        _where(step, coordinates) + [number_text(step.scores.get(label)) for label in labels]
+        _coordinate_cells(step, coordinates) + [number_text(step.scores.get(label)) for label in labels]
         for step in steps[:MOST_ROWS]
     ]
     more = len(steps) - MOST_ROWS
-    caption = f"{more} more steps stand in steps.csv." if more > 0 else ""
+    caption = f"steps.csv holds {more} more steps." if more > 0 else ""
     scored = table([*(f"<{c}" for c in coordinates), *labels], rows, caption)
     failed: list[list[Cell | str]] = []
-    for step in [step for step in steps if step.message][:MOST_FAILURES]:
-        cause = Cell(cut(step.message, MOST_OF_MESSAGE), failed=True)
-        failed.append([*_where(step, coordinates), cause])
+    for step in [step for step in steps if step.message][:20]:
+        cause = Cell(cut(step.message, 240), failed=True)
+        failed.append([*_coordinate_cells(step, coordinates), cause])
     if not failed:
         return [scored]
     return [scored, table([*(f"<{c}" for c in coordinates), "<Not scored, because"], failed)]
 
 
-def _where(step: StepResults, coordinates: Sequence[str]) -> list[str]:
-    found = [step.coordinates.get(name, "–") for name in coordinates]
-    return [w if isinstance(w, str) else number_text(float(w)) for w in found]
+def _coordinate_cells(step: StepResults, coordinates: Sequence[str]) -> list[str]:
+    values = [step.coordinates.get(name, "–") for name in coordinates]
+    return [value if isinstance(value, str) else number_text(float(value)) for value in values]
 
 
 def _plates(steps: Sequence[StepResults], title: Callable[[StepResults], str]) -> list[Block]:
-    """Plates of the pictures: line widths and ways one way, steps the other, in the fewer rows."""
+    """Return plates of pictures, with line widths along one side and steps along the other."""
     pictured = [s for s in steps if s.pictures]
     kinds = sorted({(p.line_width_um, not p.refocused) for s in pictured for p in s.pictures})
-    names = [f"{width:g} µm, {'as it is' if plain else 'refocused'}" for width, plain in kinds]
+    names = [f"{width:g} µm, {'not refocused' if plain else 'refocused'}" for width, plain in kinds]
     blocks: list[Block] = []
     for first in range(0, len(pictured), PLATE_COLUMNS):
         shown = pictured[first : first + PLATE_COLUMNS]
-        found = [[_found(step, width, not plain) for step in shown] for width, plain in kinds]
-        where = [title(step) for step in shown]
-        rows, columns = names, where
-        if len(names) > len(where):
-            rows, columns, found = where, names, [list(line) for line in zip(*found, strict=True)]
+        found = [[_contrast_and_picture(step, width, not plain) for step in shown] for width, plain in kinds]
+        titles = [title(step) for step in shown]
+        rows, columns = names, titles
+        if len(names) > len(titles):  # The plate gets the smaller number of rows.
+            rows, columns, found = titles, names, [list(line) for line in zip(*found, strict=True)]
         plate = {
             row: [(f"{c}: {number}", picture) for c, (number, picture) in zip(columns, line, strict=True)]
             for row, line in zip(rows, found, strict=True)
         }
-        panel = plate_panel(plate, f"Pictures of line pairs, {where[0]} to {where[-1]}")
+        panel = plate_panel(plate, f"Pictures of line pairs, {titles[0]} to {titles[-1]}")
         blocks.append(FigureBlock((panel,), caption=_plate_caption(pictured)))
     return blocks
 
@@ -188,8 +184,8 @@ def _plate_caption(pictured: Sequence[StepResults]) -> str:
     return f"Line pairs with their contrast; pictures are {sizes} wide."
 
 
-def _found(step: StepResults, width_um: float, refocused: bool) -> tuple[str, Picture | None]:
-    """A step's contrast of one line width, and its picture."""
+def _contrast_and_picture(step: StepResults, width_um: float, refocused: bool) -> tuple[str, Picture | None]:
+    """Return the contrast of one line width in a step, and its picture."""
     picture = next(
         (p for p in step.pictures if (p.line_width_um, p.refocused) == (width_um, refocused)), None
     )
@@ -198,26 +194,26 @@ def _found(step: StepResults, width_um: float, refocused: bool) -> tuple[str, Pi
     return (f"{contrast:.2f}" if np.isfinite(contrast) else "–"), picture
 
 
-def trial_pictures(data: ReportData, places: list[int]) -> list[Block]:
-    """Line pairs as they look in single trials, drawn anew from study and trial number."""
+def trial_pictures(data: ReportData, rows: list[int]) -> list[Block]:
+    """Return pictures of line pairs in single trials, given by row indices, which are computed again."""
     merit = next((m for m in data.study.merits if isinstance(m, LinePairContrast)), None) or next(
         (m for m in data.study.all_merits if isinstance(m, PupilMerit)), None
     )
-    if merit is None or not places:
+    if merit is None or not rows:
         return []
     lens = data.lens
     wavelength = merit.wavelength_um or lens.wavelengths_um[0]
     width = (
         merit.line_width_um
         if isinstance(merit, LinePairContrast)
-        else WIDTH_IN_RESOLUTIONS * 0.5 * wavelength / lens.object.numerical_aperture
+        else 1.5 * 0.5 * wavelength / lens.object.numerical_aperture  # 1.5 resolution limits
     )
-    numbers = [int(data.trial_numbers[place]) for place in places]
+    numbers = [int(data.trial_numbers[row]) for row in rows]
     try:
         shown = _drawn(data, merit, numbers, width)
     except TransferLensError as error:
         return [Warning(f"The worst trials cannot be drawn: {error}")]
-    kinds = ["worst", "second worst", "third worst"][: len(places)] + ["median"] * (len(places) > 3)
+    kinds = ["worst", "second worst", "third worst"][: len(rows)] + ["median"] * (len(rows) > 3)
     titled: list[tuple[str, Picture | None]] = [
         (f"{kind}: trial {number}\ncontrast {contrast:.2f}", picture)
         for kind, number, (contrast, picture) in zip(kinds, numbers, shown, strict=True)
@@ -225,17 +221,17 @@ def trial_pictures(data: ReportData, places: list[int]) -> list[Block]:
     text = (
         f"{width:.4g} µm lines at ({merit.points[0][0]:g}, {merit.points[0][1]:g}) mm, "
         f"{'refocused' if merit.refocus else 'not refocused'}, along the worse axis, by the reconstruction "
-        "pupil; drawn anew from the trials' numbers."
+        "pupil. The trials are computed again from their numbers."
     )
     panel = plate_panel({"": titled}, f"Line pairs of trials {', '.join(map(str, numbers))}")
-    return [Heading("What they would show", 3), Paragraph(text, soft=True), FigureBlock((panel,))]
+    return [Heading("Line pairs of these trials", 3), Paragraph(text, soft=True), FigureBlock((panel,))]
 
 
 def _drawn(
     data: ReportData, merit: PupilMerit, trials: Sequence[int], width_um: float
 ) -> list[tuple[float, Picture]]:
-    """Contrast and picture of each trial along its worse axis."""
-    context = pupils_of(data.lens, data.study)
+    """Return contrast and picture of each trial along its worse axis."""
+    context = pupil_context(data.lens, data.study)
     batch = sample_perturbations(data.study, trials)
     pupils = context.pupils(batch, merit.points[0], merit.wavelength_um, merit.refocus, True)
     orientation = merit.orientation if isinstance(merit, LinePairContrast) else "worse"

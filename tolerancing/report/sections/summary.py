@@ -1,4 +1,4 @@
-"""Sections 1 and 2 of a report: what came out, and the lens that it is about."""
+"""Sections about the result of a study and about its lens."""
 
 from __future__ import annotations
 
@@ -27,11 +27,9 @@ from tolerancing.report.blocks import (
 from tolerancing.report.data import ReportData
 from tolerancing.statistics.summary import MeritSummary, Summary
 
-OFFENDERS = 3
-
 
 def summary_section(data: ReportData) -> list[Block]:
-    """The result: yield, merit by merit, and what does most harm."""
+    """Return the result: the yield, all merits, and the most harmful perturbations."""
     summary = data.summary
     blocks: list[Block] = [Heading("Summary")]
     if not summary.complete:
@@ -42,7 +40,7 @@ def summary_section(data: ReportData) -> list[Block]:
 
 
 def unfinished_text(summary: Summary) -> str:
-    """How far a run is."""
+    """Describe how much of a run is finished."""
     return (
         f"This run is not finished: the store holds {summary.trials:,} of {summary.record.planned_trials:,} "
         f"trials and {summary.steps:,} of {summary.planned_steps:,} steps of sweeps, grids, slice counts and "
@@ -51,7 +49,7 @@ def unfinished_text(summary: Summary) -> str:
 
 
 def verdict(summary: Summary) -> tuple[str, bool]:
-    """Pass or fail in a word, and whether it is a fail.
+    """Return the verdict on a study as text, and whether it is a fail.
 
     *Pass*: every trial and the nominal lens keep every limit. *Fail*: the nominal lens misses a limit, or
     fewer than half of the trials keep them all. *Pass in part*: anything between.
@@ -63,16 +61,16 @@ def verdict(summary: Summary) -> tuple[str, bool]:
         return "No trials yet", False
     if summary.good.passed == summary.good.total:
         return "Pass: every trial keeps every limit", False
-    if summary.good.share < 0.5:
+    if summary.good.fraction < 0.5:
         return "Fail: most trials miss a limit", True
     return "Pass in part: the nominal lens and most trials keep every limit", False
 
 
 def _headline(summary: Summary) -> Headline:
-    words, failed = verdict(summary)
+    verdict_text, failed = verdict(summary)
     good = summary.good
     if good is None:
-        return Headline("–", words, "The store holds no trials.", failed)
+        return Headline("–", verdict_text, "The store holds no trials.", failed)
     lost = (
         f"{summary.failed:,} could not be scored and count as bad."
         if summary.failed
@@ -82,11 +80,11 @@ def _headline(summary: Summary) -> Headline:
         f"Yield: {good.passed:,} of {good.total:,} trials keep every limit; 95 % confidence interval "
         f"{percent_text(good.low)} to {percent_text(good.high)}. {lost}"
     )
-    return Headline(percent_text(good.share), words, text, failed)
+    return Headline(percent_text(good.fraction), verdict_text, text, failed)
 
 
 def merit_verdict(row: MeritSummary) -> Cell:
-    """Pass or fail of one merit, in words."""
+    """Return the verdict on one merit as a table cell."""
     if row.nominal is not None and not row.merit.passed(row.nominal):
         return Cell("fail: nominal lens misses", failed=True)
     if row.good is None:
@@ -94,7 +92,7 @@ def merit_verdict(row: MeritSummary) -> Cell:
     missed = row.good.total - row.good.passed
     if not missed:
         return Cell("pass")
-    if row.good.share < 0.5:
+    if row.good.fraction < 0.5:
         return Cell("fail: most trials miss", failed=True)
     return Cell(f"in part: {counted(missed, 'trial misses', 'trials miss')}")
 
@@ -111,8 +109,10 @@ def _merits(summary: Summary) -> Table:
                 merit_verdict(row),
                 merit.limit_text,
                 *cells,
-                percent_text(good.share) if good else "–",
-                Cell(span_text(good.low, good.high), bar=(good.share, good.low, good.high)) if good else "–",
+                percent_text(good.fraction) if good else "–",
+                Cell(span_text(good.low, good.high), bar=(good.fraction, good.low, good.high))
+                if good
+                else "–",
             ]
         )
     headings = ["<Merit", "<Verdict", "<Limit", "Nominal", "Median", "5 %", "95 %", "Yield", "<95 % interval"]
@@ -125,37 +125,41 @@ def _merits(summary: Summary) -> Table:
 
 
 def _offenders(data: ReportData) -> list[Block]:
-    """The perturbations that do most harm: by their share of the merits' variance."""
-    shares, study = data.variance_shares, data.study
-    if shares is None or not np.any(shares):
+    """Return the three most harmful perturbations, by their fraction of the merits' variance."""
+    fractions, study = data.variance_fractions, data.study
+    if fractions is None or not np.any(fractions):
         return []
-    bad = np.array([1.0 - m.good.share if m.good else 0.0 for m in data.summary.merits])
+    bad = np.array([1.0 - m.good.fraction if m.good else 0.0 for m in data.summary.merits])
     weights = bad / bad.sum() if bad.sum() > 0.0 else np.full(len(bad), 1.0 / len(bad))
-    together = weights @ shares
-    order = np.argsort(-together, kind="stable")[:OFFENDERS]
+    together = weights @ fractions
+    order = np.argsort(-together, kind="stable")[:3]
     rows = []
     for k in order:
         if together[k] > 0.0:
-            strongest = int(np.argmax(weights * shares[:, k]))
+            strongest = int(np.argmax(weights * fractions[:, k]))
             rows.append(
                 [
                     study.perturbations[k].column,
                     Cell(percent_text(together[k]), bar=(float(together[k]),) * 3),
-                    f"{percent_text(shares[strongest, k])} of that of {study.merits[strongest].column}",
+                    f"{percent_text(fractions[strongest, k])} of that of {study.merits[strongest].column}",
                 ]
             )
     source = (
         "from the sensitivities (section 4)"
         if data.sensitivity is not None
-        else "by squared rank correlations over the trials, as not all sensitivities are there"
+        else "from squared rank correlations over the trials, because some sensitivities are missing"
     )
-    weighing = "merits weigh as many trials as miss them" if bad.sum() > 0.0 else "all merits weigh the same"
-    caption = f"Share of the merits' variance, {source}; {weighing}."
-    return [Heading("Worst offenders", 3), table(["<Perturbation", "<Share", "<Most"], rows, caption)]
+    weighting = (
+        "each merit has the weight of the trials that miss its limit"
+        if bad.sum() > 0.0
+        else "all merits have the same weight"
+    )
+    caption = f"Fraction of the merits' variance, {source}; {weighting}."
+    return [Heading("Worst offenders", 3), table(["<Perturbation", "<Fraction", "<Most"], rows, caption)]
 
 
 def lens_section(data: ReportData) -> list[Block]:
-    """The lens: what it is for, how it matches, what it looks like."""
+    """Return the lens: its specification, its space-bandwidth products, its layout and its surfaces."""
     from lensdesign.analysis.matching import match
 
     lens, light = data.lens, data.lens.wavelengths_um
@@ -210,7 +214,7 @@ def _surfaces(data: ReportData) -> Table:
                 f"{number}{' (stop)' if s.stop else ''}",
                 "plane" if s.radius_mm is None else number_text(s.radius_mm),
                 number_text(s.conic),
-                _beside_the_conic(s),
+                _shape_text(s),
                 number_text(s.thickness_mm),
                 material,
                 f"{indices[number]:.6f}",
@@ -224,11 +228,11 @@ def _surfaces(data: ReportData) -> Table:
     return table(headings, rows)
 
 
-def _beside_the_conic(surface: Surface) -> str:
-    """What a surface's shape has beside radius and conic constant, by the names of design files."""
-    said = []
+def _shape_text(surface: Surface) -> str:
+    """Describe a surface's shape beyond radius and conic constant, by the keys of design files."""
+    terms = []
     for key, value in surface.shape_keys.items():
-        held = value if isinstance(value, tuple) else (value,)
-        if key not in ("radius_mm", "conic") and held:
-            said.append(f"{key} {' '.join('plane' if v is None else f'{v:.4g}' for v in held)}")
-    return ", ".join([surface.kind, *said]) if said else "–"
+        values = value if isinstance(value, tuple) else (value,)
+        if key not in ("radius_mm", "conic") and values:
+            terms.append(f"{key} {' '.join('plane' if v is None else f'{v:.4g}' for v in values)}")
+    return ", ".join([surface.kind, *terms]) if terms else "–"

@@ -1,4 +1,4 @@
-"""Sections 3 and 4 of a report: what scatters, and what each perturbation does by itself."""
+"""Sections about the tolerances of a study, and about the effect of each perturbation alone."""
 
 from __future__ import annotations
 
@@ -24,24 +24,15 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.trials import bars_panel
-from tolerancing.statistics.quadratic_response import Sensitivity, compare_with_trials, root_sum_square
+from tolerancing.statistics.sensitivities import Sensitivity, compare_with_trials, root_sum_square
 from tolerancing.statistics.summary import mean_and_deviation
-
-MOST_BARS = 20
-"""Perturbations in a figure of bars; the table has them all."""
-
-NEGLIGIBLE = 1e-6
-"""Share of a merit's largest change below which a change is rounding, or nothing to speak of."""
-
-AT_LIMIT = 1.0 - 1e-6
-"""Share of its limit from which a compensator counts as being there."""
 
 
 def tolerance_section(data: ReportData) -> list[Block]:
-    """What scatters and how, what was drawn, what depends on what, what is compensated."""
+    """Return the perturbations with their distributions and draws, the correlations and the compensators."""
     caption = (
-        "Deviations from nominal. T is the tolerance, the largest deviation that counts as allowed; drawn: "
-        "over the trials of this store."
+        "Deviations from nominal. T is the tolerance, the largest deviation that counts as allowed. Drawn: "
+        "statistics over the trials of this store."
     )
     headings = [
         "<Perturbation", "<Target", "<Quantity", "<Distribution", "T", "Std.", "<Group", "Drawn mean",
@@ -73,22 +64,22 @@ def _perturbation(data: ReportData, k: int) -> list[str]:
 
 
 def distribution_text(perturbation: Perturbation) -> str:
-    """`normal, sigma 0.01 mm` and the like."""
+    """Describe a distribution, as in `normal, sigma 0.01 mm`."""
     distribution = perturbation.distribution
-    parts = [distribution.kind.replace("_", " ")]
+    terms = [distribution.kind.replace("_", " ")]
     for name in type(distribution).model_fields:
         value = getattr(distribution, name)
         if name == "mean" and not value:
             continue
-        words = name.replace("_", " ")
+        label = name.replace("_", " ")
         if isinstance(value, float):
-            parts.append(f"{words} {value:g} {perturbation.unit}".strip())
+            terms.append(f"{label} {value:g} {perturbation.unit}".strip())
         elif isinstance(value, tuple):
             listed = ", ".join(f"{one:g}" for one in value)
-            parts.append(f"{words} {listed} {perturbation.unit}".strip())
+            terms.append(f"{label} {listed} {perturbation.unit}".strip())
         else:
-            parts.append(f"{words} {value}")
-    return ", ".join(parts)
+            terms.append(f"{label} {value}")
+    return ", ".join(terms)
 
 
 def _correlations(data: ReportData) -> list[Block]:
@@ -109,39 +100,39 @@ def _compensators(data: ReportData) -> list[Block]:
     names = list(data.study.extra_columns)
     rows: list[list[Cell | str]] = []
     for c in compensators:
-        taken = data.results.extras[:, names.index(f"compensator_{c.column}")]
-        known = taken[np.isfinite(taken)]
-        edge = float(np.mean(np.abs(known) >= AT_LIMIT * c.limit)) if len(known) else None
+        values = data.results.extras[:, names.index(f"compensator_{c.column}")]
+        known = values[np.isfinite(values)]
+        at_limit = float(np.mean(np.abs(known) >= (1.0 - 1e-6) * c.limit)) if len(known) else None
         rows.append(
             [
                 c.column,
                 c.target,
                 f"±{c.limit:g} {c.unit}".strip(),
                 *map(number_text, mean_and_deviation(known)),
-                Cell(percent_text(edge), failed=bool(edge)),
+                Cell(percent_text(at_limit), failed=bool(at_limit)),
             ]
         )
-    caption = "What the reconstruction's model took over, trial by trial, so as to fit the lens as it is."
-    headings = ["<Compensator", "<Target", "Limit", "Mean taken", "Std. taken", "Trials at the limit"]
+    caption = "Values of the compensators, fitted in each trial so that the model matches the perturbed lens."
+    headings = ["<Compensator", "<Target", "Limit", "Mean", "Std.", "Trials at the limit"]
     return [Heading("Compensators", 3), table(headings, rows, caption)]
 
 
 def sensitivity_section(data: ReportData) -> list[Block]:
-    """What each perturbation does by itself, and what follows for all of them together."""
+    """Return the effect of each perturbation alone, and the prediction for all of them together."""
     blocks: list[Block] = [Heading("Sensitivities")]
     found = data.sensitivity
     if found is None:
-        why = (
-            "asks for none"
+        reason = (
+            "has sensitivity = false"
             if not data.study.sensitivity
             else "has not finished them, or lacks a nominal score"
         )
-        return [*blocks, Paragraph(f"Left out: the study {why}.")]
+        return [*blocks, Paragraph(f"Left out: the study {reason}.")]
     blocks.append(
         Paragraph(
-            "Each perturbation by itself, all else nominal, at ±T/2 and ±T (T: its tolerance). A parabola "
-            "fitted to these and the nominal lens gives what it adds to a merit's mean and variance. "
-            "Perturbations stand in order of their harm within T.",
+            "Each perturbation is varied alone, at ±T/2 and ±T (T: its tolerance), while everything else is "
+            "nominal. A parabola through these scores and the nominal score gives the contribution to a "
+            "merit's mean and variance. Perturbations are listed by their harm within T.",
             soft=True,
         )
     )
@@ -153,7 +144,7 @@ def sensitivity_section(data: ReportData) -> list[Block]:
 
 
 def _bars(data: ReportData, found: Sensitivity, ranking: np.ndarray, m: int):  # type: ignore[no-untyped-def]
-    order = ranking[m][:MOST_BARS]
+    order = ranking[m][:20]  # The table has all perturbations.
     shown = [data.study.perturbations[k] for k in order]
     return bars_panel(shown, found.change[order][:, [0, -1], m], data.study.merits[m])
 
@@ -164,10 +155,11 @@ def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m:
     rows = []
     for k in ranking[m]:
         largest = data.study.perturbations[k].distribution.largest
-        least = NEGLIGIBLE * np.nanmax(np.abs(found.change[:, :, m]), initial=0.0)
+        # Smaller changes are rounding errors, or have no effect.
+        least = 1e-6 * np.nanmax(np.abs(found.change[:, :, m]), initial=0.0)
         powers = [least, least / largest, least / largest**2]
         parabola = [_clean(c, p) for c, p in zip(found.coefficients[k, :, m], powers, strict=True)]
-        share = float(variance[k]) / total if total > 0.0 else float("nan")
+        fraction = float(variance[k]) / total if total > 0.0 else float("nan")
         rows.append(
             [
                 data.study.perturbations[k].column,
@@ -177,7 +169,7 @@ def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m:
                 number_text(found.residual[k, m], 2),
                 _clean(found.mean_shift[k, m], least),
                 number_text(found.standard_deviation[k, m]),
-                percent_text(share),
+                percent_text(fraction),
             ]
         )
     merit = data.study.merits[m]
@@ -187,14 +179,15 @@ def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m:
         "Std.", "Of variance",
     ]  # fmt: skip
     caption = (
-        f"Changes of {merit.column}{unit}. Derivative and fit: per unit x of the perturbation. Residual: rms "
-        "of what the parabola leaves over; where that is not small against them, what follows is rough."
+        f"Changes of {merit.column}{unit}. Derivative and fit are per unit x of the perturbation. Residual: "
+        "rms deviation from the parabola. Where it is not small compared with the changes, mean shift and "
+        "standard deviation are rough."
     )
     return table(headings, rows, caption)
 
 
 def _clean(value: float, least: float) -> str:
-    """A signed number, 0 below the least that counts."""
+    """Format a signed number; 0 if its magnitude is below `least`."""
     return "0" if abs(value) < least else signed_text(value)
 
 
@@ -212,18 +205,18 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
                 f"{number_text(c.mean)} ± {number_text(c.standard_error, 2)}",
                 number_text(c.predicted_standard_deviation),
                 number_text(c.standard_deviation),
-                percent_text(c.predicted_share),
-                f"{percent_text(good.share)} ({span_text(good.low, good.high)})" if good else "–",
+                percent_text(c.predicted_yield),
+                f"{percent_text(good.fraction)} ({span_text(good.low, good.high)})" if good else "–",
             ]
         )
     headings = [
         "<Merit", "Mean: predicted", "trials", "Std.: predicted", "trials", "Yield: predicted", "trials"
     ]  # fmt: skip
     caption = (
-        "Root sum square: mean shifts add, standard deviations add in squares, scores count as normally "
-        "distributed; of a root mean square it is the squares that add. Products of perturbations are left "
-        "out. ± is the standard error of the mean."
+        "Root sum square: mean shifts add, standard deviations add in squares, and scores are taken as "
+        "normally distributed. For a root mean square, the squares add. Products of perturbations are "
+        "neglected. ± is the standard error of the mean."
     )
     if data.study.correlations or any(p.group for p in data.study.perturbations):
-        caption += " Perturbations count as independent, though some of this study are not."
+        caption += " Perturbations are taken as independent, although some of this study are not."
     return [Heading("Root sum square beside Monte Carlo", 3), table(headings, rows, caption)]

@@ -1,4 +1,4 @@
-"""Sections 5 to 8 of a report: distributions, yield against tolerances, scatter plots, worst trials."""
+"""Sections about trials: distributions, yield against tolerance scale, scatter plots and worst trials."""
 
 from __future__ import annotations
 
@@ -38,18 +38,14 @@ from tolerancing.statistics.response import Response, fit_response
 from tolerancing.statistics.summary import PERCENTILES, MeritSummary, merit_summary
 
 WORST_TRIALS = 12
-DIGITS = (4, 6, 9, 17)
-"""Of a score; the most tell every number from every other."""
-MOST_SCATTERS = 8
-FIT_TRIALS = 5000
-"""Trials that the response model is fitted to and predicts."""
+"""Number of worst trials in a table."""
 
 SCALES = np.linspace(0.25, 2.0, 36)
-SMALLEST_R_SQUARED = 0.5
+"""Common factors of all tolerances."""
 
 
 def distribution_section(data: ReportData) -> list[Block]:
-    """Histograms with limits, and statistics."""
+    """Return histograms of the merits with their limits, and their statistics."""
     blocks: list[Block] = [Heading("Distributions")]
     if not len(data.results):
         return [*blocks, Paragraph("Left out: the store holds no trials.")]
@@ -61,15 +57,15 @@ def distribution_section(data: ReportData) -> list[Block]:
         else:
             pairs += [panel, distribution_panel(data, row, k, without)]
     note = (
-        "Bars: trials; orange: share of trials below; points at the foot: single trials. The limit's bad "
-        f"side is shaded. {data.drawn_text}"
+        "Bars: trials; orange: cumulative distribution; points at the foot: single trials. The bad side of "
+        f"the limit is shaded. {data.drawn_text}"
     )
-    rows, turns = [], replicates(data.study.draws, data.results.trials)
+    rows, replicate_of = [], replicates(data.study.draws, data.results.trials)
     for row in data.summary.merits:
         rows.append(_statistics(row.merit.column, row))
         without = _uncompensated(data, row.merit.column)
         if without is not None:
-            own = merit_summary(row.merit, None, without, turns)
+            own = merit_summary(row.merit, None, without, replicate_of)
             rows.append(_statistics(f"{row.merit.column}, not compensated", own))
     headings = ["<Merit", "Scored", "Mean", "Std.", *(f"{p} %" for p in PERCENTILES), "Yield"]
     return [
@@ -87,93 +83,96 @@ def _statistics(name: str, row: MeritSummary) -> list[str]:
         number_text(row.mean),
         number_text(row.standard_deviation),
         *(number_text(row.percentiles.get(p)) for p in PERCENTILES),
-        percent_text(row.good.share if row.good else None),
+        percent_text(row.good.fraction if row.good else None),
     ]
 
 
 def _uncompensated(data: ReportData, column: str) -> Array | None:
-    """Scores without refocusing and compensators, where the study has them."""
+    """Return the scores without refocusing and compensators; None if the study has none."""
     names = list(data.study.extra_columns)
     name = f"{column}_uncompensated"
     return data.results.extras[:, names.index(name)] if name in names else None
 
 
 def scale_section(data: ReportData) -> list[Block]:
-    """Yield if all tolerances were tighter or looser by a common factor, by a model of the trials."""
+    """Return the yield over a common factor of all tolerances, from a model of the trials."""
     blocks: list[Block] = [Heading("Yield against tolerance scale")]
-    models, faults = _models(data)
+    models, unmodelled = _models(data)
     if not models:
-        return [*blocks, Paragraph(f"Left out: {joined(faults) or 'the store holds no trials'}.")]
-    values = data.results.values[_evenly(len(data.results))]
+        return [*blocks, Paragraph(f"Left out: {joined(unmodelled) or 'the store holds no trials'}.")]
+    values = data.results.values[_sample(len(data.results))]
     centre = np.array([p.distribution.centre for p in data.study.perturbations])
-    kept: dict[str, list[NDArray[np.bool_]]] = {label: [] for label in models}
+    passed_by_scale: dict[str, list[NDArray[np.bool_]]] = {label: [] for label in models}
     merits = {m.label: m for m in data.study.merits}
     for scale in SCALES:
         scaled = centre + scale * (values - centre)
         for label, model in models.items():
-            kept[label].append(merits[label].passed(model.predict(scaled)[:, 0]))
+            passed_by_scale[label].append(merits[label].passed(model.predict(scaled)[:, 0]))
     own = {row.merit.label: row.good for row in data.summary.merits}
     curves = [
         ScaleCurve(merit_label(merits[label]), np.mean(passed, axis=1), own[label])
-        for label, passed in kept.items()
+        for label, passed in passed_by_scale.items()
     ]
     if len(models) == len(merits):
-        together = np.mean(np.all(list(kept.values()), axis=0), axis=1)
+        together = np.mean(np.all(list(passed_by_scale.values()), axis=0), axis=1)
         curves.append(ScaleCurve(ALL_LIMITS, together, data.summary.good))
     qualities = [
         f"{merits[label].column} {model.cross_validated_r_squared[0]:.2f}" for label, model in models.items()
     ]
     text = (
-        "A model of the second order, fitted to the trials, tells the scores of the same lenses with all "
-        "deviations multiplied. Beyond 1 it is carried on past what it was fitted to; trials without a score "
-        f"are not in it. R² for trials left out of the fit: {joined(qualities)}."
+        "A second-order model of the trials predicts the scores of the same lenses with all deviations "
+        "multiplied by the factor. For factors above 1 the model is extrapolated. Trials without a score are "
+        f"not in the model. Cross-validated R²: {joined(qualities)}."
     )
-    if faults:
-        text += f" Left out: {joined(faults)}."
+    if unmodelled:
+        text += f" Left out: {joined(unmodelled)}."
     text += " Points: yields of the trials themselves, with their 95 % intervals."
     return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves),))]
 
 
-def _evenly(count: int) -> slice:
-    return slice(None, None, max(1, -(-count // FIT_TRIALS)))
+def _sample(count: int) -> slice:
+    """Select at most 5000 evenly spaced trials for the model."""
+    return slice(None, None, max(1, -(-count // 5000)))
 
 
 def _models(data: ReportData) -> tuple[dict[str, Response], list[str]]:
-    """Models by merit, and why others are left out."""
+    """Return the models by merit, and the reasons why other merits have none."""
     models: dict[str, Response] = {}
-    faults: list[str] = []
-    chosen = _evenly(len(data.results))
+    unmodelled: list[str] = []
+    smallest_r_squared = 0.5
+    chosen = _sample(len(data.results))
     if not len(data.results):
-        return models, faults
+        return models, unmodelled
     for k, merit in enumerate(data.study.merits):
         try:
             model = fit_response(data.results.values[chosen], data.results.scores[chosen, k : k + 1])
         except InputError:
-            faults.append(f"{merit.column}, which has too few scores for a model")
+            unmodelled.append(f"{merit.column}, which has too few scores for a model")
             continue
         quality = float(model.cross_validated_r_squared[0])
-        if quality >= SMALLEST_R_SQUARED:
+        if quality >= smallest_r_squared:
             models[merit.label] = model
         else:
-            faults.append(f"{merit.column}, whose model explains too little (R² {quality:.2f})")
-    return models, faults
+            unmodelled.append(f"{merit.column}, whose model explains too little (R² {quality:.2f})")
+    return models, unmodelled
 
 
 def scatter_section(data: ReportData) -> list[Block]:
-    """Each merit against the perturbations that go most with it."""
+    """Return scatter plots of each merit against the perturbations with the strongest correlation."""
     blocks: list[Block] = [Heading("Merits against perturbations")]
     if not len(data.results):
         return [*blocks, Paragraph("Left out: the store holds no trials.")]
+    count = min(8, len(data.study.perturbations))
     note = (
-        f"For each merit the {min(MOST_SCATTERS, len(data.study.perturbations))} perturbations that go most "
-        "with it, the strongest first; red points miss the limit (red line). ρ is Spearman's rank "
-        "correlation with the deviation, and with its magnitude, which shows what harms both ways. "
+        f"For each merit, the {count} perturbations with the strongest correlation, the strongest first. Red "
+        "points miss the limit (red line). ρ is Spearman's rank correlation with the deviation, and with its "
+        "magnitude, which shows perturbations that harm in both directions. "
         f"{_ranked_text(len(data.results))}{data.drawn_text}"
     )
     blocks.append(Paragraph(note.strip(), soft=True))
     for k, merit in enumerate(data.study.merits):
         blocks.append(Heading(merit.column, 3))
-        blocks.append(FigureBlock(tuple(scatter_panels(data, k, MOST_SCATTERS)), columns=4))
+        blocks.append(FigureBlock(tuple(scatter_panels(data, k, count)), columns=4))
     return blocks
 
 
@@ -184,25 +183,25 @@ def _ranked_text(count: int) -> str:
 
 
 def worst_section(data: ReportData, pictures: Callable[[ReportData, list[int]], list[Block]]) -> list[Block]:
-    """The trials farthest on the bad side, with pictures of what they would show.
+    """Return the worst trials, with pictures of line pairs.
 
     Parameters
     ----------
     data
-        The report's.
+        Data of the report.
     pictures
-        Draws trials, by their places.
+        Function that returns pictures of trials, given by their row indices.
     """
     blocks: list[Block] = [Heading("Worst trials")]
     if not len(data.results):
         return [*blocks, Paragraph("Left out: the store holds no trials.")]
     rows: list[list[Cell | str]] = []
-    for place in data.by_badness[:WORST_TRIALS].tolist():
-        scores = data.results.scores[place]
-        causes, message = data.causes(place), data.results.messages[place]
+    for row in data.by_badness[:WORST_TRIALS].tolist():
+        scores = data.results.scores[row]
+        causes, message = data.causes(row), data.results.messages[row]
         rows.append(
             [
-                str(data.trial_numbers[place]),
+                str(data.trial_numbers[row]),
                 *(
                     Cell(score_text(m, v), failed=not bool(m.passed(v)))
                     for m, v in zip(data.study.merits, scores, strict=True)
@@ -211,8 +210,8 @@ def worst_section(data: ReportData, pictures: Callable[[ReportData, list[int]], 
             ]
         )
     caption = (
-        "Farthest on the bad side of any limit, in standard deviations of that merit; trials that could not "
-        "be scored come first. Deviations in standard deviations σ of their distribution."
+        "Trials farthest on the bad side of any limit, in standard deviations of that merit. Trials that "
+        "could not be scored come first. Deviations are in standard deviations σ of their distribution."
     )
     headings = ["<Trial", *(m.column for m in data.study.merits), "<Largest deviations"]
     blocks += [table(headings, rows, caption), *_failures(data), *pictures(data, pictured_trials(data))]
@@ -220,15 +219,15 @@ def worst_section(data: ReportData, pictures: Callable[[ReportData, list[int]], 
 
 
 def score_text(merit: Merit, score: float) -> str:
-    """A score with as many digits as show on which side of the limit it is."""
-    for digits in DIGITS:
+    """Format a score with enough digits to show on which side of the limit it is."""
+    for digits in (4, 6, 9, 17):  # 17 digits distinguish all numbers.
         if bool(merit.passed(float(f"{score:.{digits}g}"))) == bool(merit.passed(score)):
             break
     return number_text(score, digits)
 
 
 def pictured_trials(data: ReportData) -> list[int]:
-    """Places of the three worst trials that have scores, and of the median one."""
+    """Return the row indices of the three worst trials that have scores, and of the median one."""
     scored = [i for i in data.by_badness.tolist() if np.isfinite(data.badness[i])]
     chosen = scored[:3]
     if len(scored) > 3:

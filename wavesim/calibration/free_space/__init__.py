@@ -1,1 +1,1 @@
-"""Frames that no lens stands before: their stack, the descent, and the field that it finds."""
+"""Frames in free space without a lens: their stack, the descent, and the resulting field."""

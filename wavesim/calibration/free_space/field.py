@@ -1,4 +1,4 @@
-"""From frames without any lens to the field on z = 0: in-line holograms, lensless cameras, focus stacks."""
+"""From frames without a lens to the field on z = 0: in-line holograms, lensless cameras, focus stacks."""
 
 from __future__ import annotations
 
@@ -31,18 +31,27 @@ from wavesim.sensor.frames import Frame
 from wavesim.sensor.recording import Progress
 
 ITERATIONS = 600
-"""Planes near to each other tell coarse phases slowly: a real series is better predicted up to there."""
+"""Default number of iterations.
 
-PLAIN: dict[str, Any] = {"exposure": 1.0, "bits": 16, "offset_counts": 0.0, "gain_electrons_per_count": 1.0}
-"""What frames are taken to be that say nothing of their counts: proportional to intensity."""
+Planes near each other determine coarse phases slowly. Predictions of a real series improve up to this
+number.
+"""
+
+DEFAULT_FRAME_SETTINGS: dict[str, Any] = {
+    "exposure": 1.0,
+    "bits": 16,
+    "offset_counts": 0.0,
+    "gain_electrons_per_count": 1.0,
+}
+"""Assumed settings of frames that do not state their counts: counts are proportional to intensity."""
 
 
-NOT_EXPLAINED = 1.5
-"""Misfit over that of noise from which on frames are told not to be explained."""
+LARGEST_NOISE_RATIO = 1.5
+"""Misfit over that of noise above which a warning says that frames are not explained."""
 
 
 class NotExplainedWarning(UserWarning):
-    """Frames differ from what is found behind them by more than their noise."""
+    """Frames differ from the modelled ones by more than their noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,25 +61,25 @@ class FreeSpaceField:
     Attributes
     ----------
     field : Field
-        On the frames' pixels, in units of the recorded amplitude: the object under its light.
+        Field on the frames' pixels, in the unit of the measured amplitude: the object under its light.
     bench : Bench
-        How much farther each plane is than its frame says, and where the sensor's middle is on it.
+        Increase of each plane's distance over the stated one, and position of the sensor on it.
     distance_scale : float
-        True over stated distance, over all planes.
+        True over stated distance, for all planes.
     drift : (x, y)
-        How far the sensor's middle moves for a stated distance of 1.
+        Lateral drift of the sensor per unit of stated distance.
     gains : tuple of float
-        By which the planes' amplitudes were multiplied to be of one light.
+        Factors that bring the planes' amplitudes to the same light.
     planes : tuple of PlaneFrames
-        What the frames of each plane say.
+        Distance, exposures and saturation of each plane.
     correlations : tuple of float
-        Of modelled and recorded amplitudes on each plane, without their means.
+        Correlation of modelled and measured amplitudes on each plane, without their means.
     misfit : tuple of float
-        Relative, before every iteration.
+        Relative misfit before every iteration.
     stack : Stack
-        What was recorded, on the samples on which the field was sought.
+        Measured planes on the samples of the search.
     samples : ndarray
-        The field there.
+        Field on these samples.
     """
 
     field: Field
@@ -85,7 +94,9 @@ class FreeSpaceField:
     samples: ComplexArray
 
     def amplitude(self, distance_mm: float) -> Array:
-        """That the sensor would record on a plane, given or not, at a distance as the stage would state it.
+        """Return the amplitude on a plane at a distance in mm as the stage would state it.
+
+        The plane need not be one of the measured planes.
 
         Raises
         ------
@@ -95,12 +106,12 @@ class FreeSpaceField:
         if not math.isfinite(distance_mm):
             raise InputError(f"distance_mm = {distance_mm!r}: must be finite")
         x, y = self.drift
-        place = x * distance_mm, y * distance_mm
-        there = _carried(self.stack, self.samples, self.distance_scale * distance_mm, place)
-        return np.asarray(self.stack.unit * np.abs(self.stack.on_pixels(there)), np.float32)
+        shift_mm = x * distance_mm, y * distance_mm
+        propagated = _propagated(self.stack, self.samples, self.distance_scale * distance_mm, shift_mm)
+        return np.asarray(self.stack.unit * np.abs(self.stack.on_pixels(propagated)), np.float32)
 
     def figures(self) -> dict[str, Any]:
-        """All figures, ready for JSON."""
+        """Return all figures for JSON."""
         return {
             "distance_scale": self.distance_scale,
             "drift": list(self.drift),
@@ -145,28 +156,33 @@ def reconstruct_free_space(
     aperture: float | None = None,
     progress: Progress | None = None,
 ) -> FreeSpaceField:
-    """Find the field on z = 0 behind frames that free space alone lies before.
+    """Find the field on z = 0 behind frames in free space.
 
-    The field is not known beside the frames, nor is the light: what it is without an object is part of the
-    field. A shift of all planes along z cannot be told from one of the object.
+    The field outside the frames and the light are unknown. The field includes the light without an object. A
+    common shift of all planes along z is equivalent to a shift of the object.
 
     Parameters
     ----------
     frames
-        Of two planes or more, which state their distances from the object's plane, 0 or negative ones too.
+        Frames of two or more planes with distances from the object plane, which may be 0 or negative.
     calibrates
-        Whether the scale of distances, each plane's distance and place and its exposure are found too.
+        Whether the scale of distances, and each plane's distance, position and exposure are found, too.
     iterations
-        How many.
+        Number of iterations.
     aperture
-        Numerical aperture of the light; left out, that up to which the frames' spectra stand out of noise.
+        Numerical aperture of the light; default: the largest at which the frames' spectra exceed the noise.
     progress
-        Told what is done, how many steps of it are, and of how many; 0 where that is not known.
+        Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
+
+    Returns
+    -------
+    FreeSpaceField
+        The field and the bench.
 
     Raises
     ------
     InputError
-        If frames are of fewer than two planes, or a value is not usable.
+        If frames are of fewer than two planes, or a value is invalid.
 
     Warns
     -----
@@ -177,29 +193,31 @@ def reconstruct_free_space(
         raise InputError(f"iterations = {iterations}: must be 1 or more")
     if aperture is not None and not 0.0 < aperture <= 1.0:
         raise InputError(f"numerical_aperture = {aperture!r}: must be above 0, and 1 at most")
-    told = planes_of_frames(frames)
-    if not told:
+    plane_frames = planes_of_frames(frames)
+    if not plane_frames:
         raise InputError("frames: must be two at least")
-    tell = progress or (lambda what, done, count: None)
-    of_frames = frames[0].settings
+    progress = progress or (lambda what, done, count: None)
+    frame_settings = frames[0].settings
     recorded = [
-        replace(plane, distance_mm=one.distance_mm)
-        for plane, one in zip(recorded_planes(frames), told, strict=True)
+        replace(plane, distance_mm=frames_of_plane.distance_mm)
+        for plane, frames_of_plane in zip(recorded_planes(frames), plane_frames, strict=True)
     ]
-    pitch_mm = 1e-3 * of_frames.pixel_pitch_um
-    stack = stack_of(recorded, pitch_mm, of_frames.wavelength_um, aperture)
+    pitch_mm = 1e-3 * frame_settings.pixel_pitch_um
+    stack = stack_of(recorded, pitch_mm, frame_settings.wavelength_um, aperture)
     planes = at_stated_planes(stack)
     if calibrates:
-        tell("scale of distances", 0, 0)
+        progress("scale of distances", 0, 0)
         planes = replace(planes, distances_mm=best_scale(stack) * stack.distances_mm)
     samples, planes, misfit = descend(
         stack,
         planes,
         iterations,
         calibrates=calibrates,
-        tell=lambda number, left: tell(f"free space: misfit {left:.5f}", number + 1, iterations),
+        progress=lambda index, misfit_now: progress(
+            f"free space: misfit {misfit_now:.5f}", index + 1, iterations
+        ),
     )
-    if misfit[-1] > NOT_EXPLAINED * stack.noise:
+    if misfit[-1] > LARGEST_NOISE_RATIO * stack.noise:
         warnings.warn(
             f"the frames are not explained within their noise: the misfit of {misfit[-1]:.3g} is "
             f"{misfit[-1] / stack.noise:.2g} times what it would leave; leave out one plane and predict it "
@@ -207,25 +225,29 @@ def reconstruct_free_space(
             NotExplainedWarning,
             stacklevel=2,
         )
-    return _found(stack, samples, planes, told, misfit, Grid(frames[0].counts.shape, pitch_mm, 0.0))
+    return _result(stack, samples, planes, plane_frames, misfit, Grid(frames[0].counts.shape, pitch_mm, 0.0))
 
 
-def _found(
+def _result(
     stack: Stack,
     samples: ComplexArray,
     planes: Planes,
-    told: tuple[PlaneFrames, ...],
+    plane_frames: tuple[PlaneFrames, ...],
     misfit: list[float],
     pixels: Grid,
 ) -> FreeSpaceField:
-    """With z = 0 and x = y = 0 where the lines through distances and shifts of all planes have them."""
+    """Return the result, with z = 0 and x = y = 0 defined by lines through distances and shifts of all
+    planes.
+    """
     amplitudes = forward_model(stack, planes).amplitudes(samples)
     stated = stack.distances_mm
-    scale, farther = np.polyfit(stated, planes.distances_mm, 1)
-    drift, beside = np.polyfit(stated, planes.shifts_mm, 1)
-    samples = _carried(stack, samples, float(farther), (float(beside[0]), float(beside[1])))
-    shifts_um = 1e3 * (planes.shifts_mm - beside)
-    deltas = planes.distances_mm - farther - stated
+    scale, distance_offset = np.polyfit(stated, planes.distances_mm, 1)
+    drift, shift_offset = np.polyfit(stated, planes.shifts_mm, 1)
+    samples = _propagated(
+        stack, samples, float(distance_offset), (float(shift_offset[0]), float(shift_offset[1]))
+    )
+    shifts_um = 1e3 * (planes.shifts_mm - shift_offset)
+    deltas = planes.distances_mm - distance_offset - stated
     bench = Bench(
         Placement(plane_distances_mm=tuple(map(float, deltas))),
         plane_shifts_um=tuple((float(x), float(y)) for x, y in shifts_um),
@@ -237,7 +259,7 @@ def _found(
         float(scale),
         (float(drift[0]), float(drift[1])),
         tuple(map(float, planes.gains)),
-        told,
+        plane_frames,
         tuple(
             float(np.corrcoef(plane.amplitude[stack.window].flat, amplitude[stack.window].flat)[0, 1])
             for plane, amplitude in zip(stack.recorded, amplitudes, strict=True)
@@ -248,8 +270,8 @@ def _found(
     )
 
 
-def _carried(
-    stack: Stack, samples: ComplexArray, distance_mm: float, place_mm: tuple[float, float]
+def _propagated(
+    stack: Stack, samples: ComplexArray, distance_mm: float, shift_mm: tuple[float, float]
 ) -> NDArray[Any]:
-    way = TransferFunction(stack.grid, stack.wavelength_um, distance_mm, np.complex64, place_mm)
-    return np.asarray(scipy.fft.ifft2(way.times(scipy.fft.fft2(samples, workers=-1)), workers=-1))
+    propagator = TransferFunction(stack.grid, stack.wavelength_um, distance_mm, np.complex64, shift_mm)
+    return np.asarray(scipy.fft.ifft2(propagator.times(scipy.fft.fft2(samples, workers=-1)), workers=-1))

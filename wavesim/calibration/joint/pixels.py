@@ -1,40 +1,61 @@
-"""Which pixels of the frames a search looks at, and what parameters of a bench do to them."""
+"""Pixels of the frames that a calibration uses, and their derivatives with respect to parameters of a bench.
+
+Usually all pixels are used, and planes are reached from one exit field through free space
+(:class:`DensePixels`). A small patch of the object makes no finer fringes on a plane than lambda f / w,
+because light from its width w leaves the lens within an angle w / f. Through a large lens such a fringe
+covers many pixels, so that a subset is sufficient (:class:`SparsePixels`). Tiles then propagate light
+directly to these pixels on each plane. No grid needs to sample the common carrier of all light, and free
+space between the planes is part of the rays.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.calibration.joint.lens_changes import Changed, PathSlopes, by_engines, by_rays, path_slopes
-from wavesim.calibration.joint.turned_tiles import TurnedTiles
+from lensdesign.analysis.paraxial import first_order
+from wavesim.calibration.joint.perturbed_tiles import (
+    PathSlopes,
+    PerturbedScene,
+    PerturbedTiles,
+    SensorPose,
+    exit_field_changes_by_engines,
+    exit_field_changes_by_rays,
+    path_slopes,
+)
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.fields.field import Field
+from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
-from wavesim.reconstruction.linear.measurement_operator import ComplexArray, FreeSpaceMeasurement
-from wavesim.scene.bench import Orders, light_mode
-from wavesim.scene.engine import Engine, Operator
+from wavesim.reconstruction.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.scene.bench import Bench, Orders, light_mode
+from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.frame_sets import frames_by_plane
+from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.mounting import light_on, planes_at
+from wavesim.sensor.pixels.points import points_among, recorded_points
+from wavesim.targets.patch import Patch
 
 
 @dataclass(frozen=True, eq=False)
 class RaySlopes:
-    """What parameters do to the rays of all tiles.
+    """Derivatives of the rays of all tiles with respect to parameters.
 
     Attributes
     ----------
     names : tuple of str
-        Of the parameters.
+        Names of the parameters.
     planes : sequence of PathSlopes
-        Of the tiles that carry light to the exit grid, or to each plane.
+        Path slopes of the tiles to the exit grid, or to each plane.
     """
 
     names: tuple[str, ...]
@@ -42,33 +63,35 @@ class RaySlopes:
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter], planes: Sequence[PathSlopes]) -> RaySlopes:
-        """Of parameters, in their order."""
+        """Return the slopes for parameters, in their order."""
         return cls(tuple(p.name for p in parameters), planes)
 
-    def plane(self, number: int, parameters: Sequence[Parameter]) -> PathSlopes:
-        """Of the tiles to a plane of its number, for some of the parameters."""
-        places = [self.names.index(p.name) for p in parameters]
-        return [[tile[place] for place in places] for tile in self.planes[number]]
+    def plane(self, plane_index: int, parameters: Sequence[Parameter]) -> PathSlopes:
+        """Return the path slopes to a plane for some of the parameters."""
+        indices = [self.names.index(p.name) for p in parameters]
+        return [[tile[index] for index in indices] for tile in self.planes[plane_index]]
 
 
 @dataclass(frozen=True, eq=False)
-class Pixels(ABC):
-    """Frames, and what is known of how they came about.
+class CalibrationPixels(ABC):
+    """Frames, and what is known of their bench.
 
     Attributes
     ----------
     scene : Scene
-        Nominal, to the exit grid.
+        Nominal scene, to the exit grid.
     illumination : Field
-        As it should be, on the object grid.
-    recorded : sequence of Recorded
-        At nominal distances from the exit grid.
+        Nominal illumination on the object grid.
+    recorded : sequence of Measurement
+        Measured planes at nominal distances from the exit grid.
     scale : float or None
-        Recorded amplitude for a unit of the model's, where it is known.
+        Measured amplitude per unit of the modelled amplitude, where it is known.
     fill_factor : float
-        Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
+        Linear fill factor of a pixel; 0 is a point.
     make : callable
-        Makes the engine of a scene.
+        Returns the engine of a scene.
+    rows : tuple of slice
+        Rows of the exit grid that belong to each plane; empty if planes are reached through free space.
     """
 
     scene: Scene
@@ -81,142 +104,367 @@ class Pixels(ABC):
     rows: tuple[slice, ...] = ()
 
     @abstractmethod
-    def model(self, unknowns: Unknowns, near: Operator | None = None) -> ForwardModel:
-        """Of a bench: with an engine of its own, or with that of another bench, turned."""
+    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
+        """Return the forward model of a bench, with an engine of its own or perturbed from that of another
+        bench.
+        """
 
     def columns(
         self,
         unknowns: Unknowns,
-        linear: Linearised,
+        linear: LinearModel,
         parameters: Sequence[Parameter],
         slopes: RaySlopes | None = None,
     ) -> RealArray:
-        """Change of the modelled amplitudes with each parameter, shape (parameters, planes, ny, nx).
+        """Return the change of the modelled amplitudes per unit of each parameter, shape (parameters,
+        planes, ny, nx).
 
         Parameters
         ----------
         unknowns, linear
-            The bench, and the model there.
+            The bench, and the linear model about it.
         parameters
-            Of which it is asked.
+            Parameters of the columns.
         slopes
-            Of rays, as :meth:`ray_slopes` gives them of a bench that is near.
+            Ray slopes of a similar bench, from :meth:`ray_slopes`; default: computed.
         """
-        carried = [p for p in parameters if self._is_carried(p)]
+        carried = [p for p in parameters if self._acts_on_rays(p)]
         slopes = slopes or self.ray_slopes(unknowns, linear.model.engine, carried)
-        changes = iter(self._changes(unknowns, linear, carried, slopes) if carried else ())
-        through: dict[Orders, ComplexArray] = {}
+        changes = iter(self._exit_field_changes(unknowns, linear, carried, slopes) if carried else ())
+        mode_fields: dict[Orders, ComplexArray] = {}
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
         for n, parameter in enumerate(parameters):
-            if self._is_carried(parameter):
-                result[n] = linear.of_exit(next(changes))
-            elif parameter.part == "light":
-                # Amplitude and phase of one mode go through the lens alike.
+            if self._acts_on_rays(parameter):
+                result[n] = linear.jacobian_times_exit_field(next(changes))
+            elif parameter.group == "light":
+                # Amplitude and phase of one mode have the same shape, so that one propagation serves both.
                 orders, change = light_orders(parameter.name), self.light_change(unknowns, parameter)
                 mode = light_mode(orders, change.shape)
-                if orders not in through:
-                    through[orders] = linear.exit_of_light(mode)
-                share = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
-                result[n] = linear.of_exit(share * through[orders])
+                if orders not in mode_fields:
+                    mode_fields[orders] = linear.exit_field_change_of_light(mode)
+                mode_factor = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
+                result[n] = linear.jacobian_times_exit_field(mode_factor * mode_fields[orders])
             elif parameter.name.endswith("_background"):
-                result[n] = linear.of_background(plane_number(parameter))
+                result[n] = linear.jacobian_times_background(plane_index_of(parameter))
             else:
-                result[n] = self._of_camera(linear, parameter)
+                result[n] = self._camera_column(linear, parameter)
         return result
 
     @abstractmethod
-    def _is_carried(self, parameter: Parameter) -> bool:
-        """Whether rays tell what it does."""
+    def _acts_on_rays(self, parameter: Parameter) -> bool:
+        """Return whether a parameter acts on the rays."""
 
     @abstractmethod
     def ray_slopes(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
     ) -> RaySlopes | None:
-        """What parameters do to rays, which hardly changes with the bench; None where rays do not tell."""
+        """Return the derivatives of rays, which hardly change with the bench; None if the engine has no
+        rays.
+        """
 
     @abstractmethod
-    def _changes(
+    def _exit_field_changes(
         self,
         unknowns: Unknowns,
-        linear: Linearised,
+        linear: LinearModel,
         parameters: Sequence[Parameter],
         slopes: RaySlopes | None,
     ) -> Iterable[ComplexArray]:
-        """Changes of the field on the exit grid for a unit of each parameter that rays tell of."""
+        """Return changes of the field on the exit grid per unit of each parameter that acts on the rays."""
 
     @abstractmethod
-    def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
-        """Change of the modelled amplitudes with another parameter of the camera."""
+    def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
+        """Return the change of the modelled amplitudes with another parameter of the camera."""
 
     def light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
-        """Relative change of the illumination for a unit."""
+        """Return the relative change of the illumination per unit of a parameter."""
         even = self.illumination.with_values(np.ones(self.illumination.grid.shape, complex))
-        now = unknowns.bench.light.on(even).values
-        there = moved(unknowns, parameter).bench.light.on(even).values
-        return np.asarray((there / now - 1.0) / parameter.small)
+        light = unknowns.bench.light.on(even).values
+        stepped_light = stepped(unknowns, parameter).bench.light.on(even).values
+        return np.asarray((stepped_light / light - 1.0) / parameter.small)
 
 
-class AllPixels(Pixels):
-    """Each pixel of each plane, through one field behind the lens and free space from there."""
+class DensePixels(CalibrationPixels):
+    """All pixels of each plane, reached from one exit field through free space."""
 
-    def model(self, unknowns: Unknowns, near: Operator | None = None) -> ForwardModel:
+    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
         bench, scene = unknowns.bench, placed_scene(self.scene, unknowns.bench.placement)
         return ForwardModel(
-            TurnedTiles(near, scene) if isinstance(near, EikonalTiles) else self.make(scene),
+            PerturbedTiles(reference, scene) if isinstance(reference, EikonalTiles) else self.make(scene),
             light_on(self.illumination, bench),
             planes_at(self.recorded, bench),
             self.scale,
             self.fill_factor,
         )
 
-    def _is_carried(self, parameter: Parameter) -> bool:
-        return parameter.part in ("lens", "mounting")
+    def _acts_on_rays(self, parameter: Parameter) -> bool:
+        return parameter.group in ("lens", "mounting")
 
     def ray_slopes(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
     ) -> RaySlopes | None:
-        if not isinstance(engine, EikonalTiles | TurnedTiles):
+        if not isinstance(engine, EikonalTiles | PerturbedTiles):
             return None
-        carried = [p for p in parameters if self._is_carried(p)]
-        slopes = path_slopes(engine, self.illumination.values.dtype, self._changed(unknowns, carried))
+        carried = [p for p in parameters if self._acts_on_rays(p)]
+        slopes = path_slopes(
+            engine, self.illumination.values.dtype, self._perturbed_scenes(unknowns, carried)
+        )
         return RaySlopes.of(carried, [slopes])
 
-    def _changes(
+    def _exit_field_changes(
         self,
         unknowns: Unknowns,
-        linear: Linearised,
+        linear: LinearModel,
         parameters: Sequence[Parameter],
         slopes: RaySlopes | None,
     ) -> Iterable[ComplexArray]:
         engine = linear.model.engine
-        if slopes is None or not isinstance(engine, EikonalTiles | TurnedTiles):
-            return by_engines(engine, linear.lit, self._changed(unknowns, parameters), self.make)
-        return by_rays(engine, linear.lit, slopes.plane(0, parameters))
+        if slopes is None or not isinstance(engine, EikonalTiles | PerturbedTiles):
+            return exit_field_changes_by_engines(
+                engine, linear.lit, self._perturbed_scenes(unknowns, parameters), self.make
+            )
+        return exit_field_changes_by_rays(engine, linear.lit, slopes.plane(0, parameters))
 
-    def _changed(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[Changed]:
-        benches = [moved(unknowns, p).bench for p in parameters]
+    def _perturbed_scenes(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[PerturbedScene]:
+        benches = [stepped(unknowns, p).bench for p in parameters]
         return [
-            Changed(placed_scene(self.scene, bench.placement), p.small)
+            PerturbedScene(placed_scene(self.scene, bench.placement), p.small)
             for p, bench in zip(parameters, benches, strict=True)
         ]
 
-    def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
-        name, sight = parameter.name, linear.sight
-        assert isinstance(sight, FreeSpaceMeasurement)
+    def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
+        name, measurement = parameter.name, linear.measurement
+        assert isinstance(measurement, FreeSpaceMeasurement)
         if name in SENSOR_TILTS:
-            return linear.of_planes(sight.by_tilt(SENSOR_TILTS.index(name)))
-        plane = plane_number(parameter)
+            return linear.amplitude_changes(measurement.by_tilt(SENSOR_TILTS.index(name)))
+        plane = plane_index_of(parameter)
         if name.startswith("plane_distance"):
-            return linear.of_plane(plane, sight.by_distance(plane))
-        return linear.of_plane(plane, sight.by_shift(plane, "xy".index(name.split("_")[3])))
+            return linear.amplitude_change_on_plane(plane, measurement.by_distance(plane))
+        return linear.amplitude_change_on_plane(
+            plane, measurement.by_shift(plane, "xy".index(name.split("_")[3]))
+        )
 
 
-def plane_number(parameter: Parameter) -> int:
-    """Of the plane that a camera's parameter is of, from 0."""
+def plane_index_of(parameter: Parameter) -> int:
+    """Return the index (from 0) of the plane of a camera parameter."""
     return next(int(word) for word in parameter.name.split("_") if word.isdecimal()) - 1
 
 
-def moved(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
-    """The bench with one parameter a small step on."""
+def stepped(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
+    """Return the bench with a small step of one parameter."""
     here = unknowns.values.get(parameter.name, 0.0)
     return unknowns.changed([parameter.name], [here + parameter.small])
+
+
+FRINGE_FRACTION = 0.6
+"""Spacing of the pixels over the period of the finest fringes.
+
+Each pixel then gives enough numbers for the real and imaginary part of the field.
+"""
+
+
+@dataclass(frozen=True)
+class _Grids:
+    """Grids of the object, and of the pixels of all planes as rows of one field."""
+
+    object_grid: Grid
+    exit_grid: Grid
+
+
+class TilesToPlanes:
+    """Tiles to each plane, combined to one operator.
+
+    Parameters
+    ----------
+    planes
+        Tiles to the pixels of each plane.
+    """
+
+    def __init__(self, planes: Sequence[PerturbedTiles]) -> None:
+        self.planes = planes
+        first = planes[0].scene
+        rows, columns = first.exit_grid.shape
+        grid = replace(first.exit_grid, shape=(len(planes) * rows, columns))
+        self.scene: Grids = _Grids(first.object_grid, grid)
+
+    def forward(self, field: Field) -> Field:
+        """Propagate a field from the object to the pixels of all planes."""
+        on_planes = [plane.forward(field) for plane in self.planes]
+        values = np.concatenate([one.values for one in on_planes])
+        return Field(self.scene.exit_grid, values, field.wavelength_um, on_planes[0].index)
+
+    def adjoint(self, field: Field) -> Field:
+        """Apply the adjoint of :meth:`forward`, from the pixels of all planes to the object."""
+        parts = np.split(field.values, len(self.planes))
+        on_object = [
+            plane.adjoint(Field(plane.scene.exit_grid, part, field.wavelength_um, field.index))
+            for plane, part in zip(self.planes, parts, strict=True)
+        ]
+        total = sum(one.values for one in on_object[1:]) + on_object[0].values
+        return Field(self.scene.object_grid, total, field.wavelength_um, on_object[0].index)
+
+
+class SparsePixels(CalibrationPixels):
+    """A regular subset of each plane's pixels as points; the distances of planes are in their own scenes."""
+
+    def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
+        bench = unknowns.bench
+        tiles: Sequence[EikonalTiles]
+        if isinstance(reference, TilesToPlanes):
+            tiles = [plane.reference for plane in reference.planes]
+        else:
+            tiles = [self._tiles(self._scene(bench, n)) for n in range(len(self.recorded))]
+        perturbed = [
+            PerturbedTiles(own, self._scene(bench, n), _sensor_pose(bench, n)) for n, own in enumerate(tiles)
+        ]
+        # The positions of the planes are part of their scenes and sensor poses.
+        planes = [
+            replace(plane, distance_mm=0.0, shift_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0))
+            for plane in planes_at(self.recorded, bench)
+        ]
+        operator, light = TilesToPlanes(perturbed), light_on(self.illumination, bench)
+        return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
+
+    def _acts_on_rays(self, parameter: Parameter) -> bool:
+        return parameter.group != "light" and not parameter.name.endswith("_background")
+
+    def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
+        assert isinstance(engine, TilesToPlanes)
+        carried = [p for p in parameters if self._acts_on_rays(p)]
+        benches, dtype = [stepped(unknowns, p).bench for p in carried], self.illumination.values.dtype
+        planes = []
+        for n, plane in enumerate(engine.planes):
+            changed = [
+                PerturbedScene(self._scene(bench, n), p.small, _sensor_pose(bench, n))
+                for p, bench in zip(carried, benches, strict=True)
+            ]
+            planes.append(path_slopes(plane, dtype, changed))
+        return RaySlopes.of(carried, planes)
+
+    def _exit_field_changes(
+        self,
+        unknowns: Unknowns,
+        linear: LinearModel,
+        parameters: Sequence[Parameter],
+        slopes: RaySlopes | None,
+    ) -> Iterable[ComplexArray]:
+        operator = linear.model.engine
+        assert isinstance(operator, TilesToPlanes)
+        assert slopes is not None
+        planes = [
+            exit_field_changes_by_rays(plane, linear.lit, slopes.plane(n, parameters))
+            for n, plane in enumerate(operator.planes)
+        ]
+        return (np.concatenate(parts) for parts in zip(*planes, strict=True))
+
+    def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
+        raise AssertionError(f"{parameter.name}: acts on rays")
+
+    def reaches_directly(self, plane_index: int) -> bool:
+        """Return whether tiles reach a plane without free space."""
+        tiles = self.make(self._scene(Bench(), plane_index))
+        return isinstance(tiles, EikonalTiles) and tiles.plane.beyond is None
+
+    def _scene(self, bench: Bench, plane_index: int) -> Scene:
+        """Return the scene to a plane at its nominal distance."""
+        nominal = self.scene.exit_grid
+        grid = nominal.at(nominal.z_mm + self.recorded[plane_index].distance_mm)
+        return placed_scene(replace(self.scene, exit_grid=grid), bench.placement)
+
+    def _tiles(self, scene: Scene) -> EikonalTiles:
+        tiles = self.make(scene)
+        assert isinstance(tiles, EikonalTiles)
+        return tiles
+
+
+def _sensor_pose(bench: Bench, plane_index: int) -> SensorPose:
+    placement = bench.placement
+    return SensorPose(
+        placement.plane_distance_mm(plane_index), bench.shift_mm(plane_index), placement.sensor_tilt_deg
+    )
+
+
+def pixel_spacing(patch: Patch, scene: Scene) -> int:
+    """Return the spacing of the pixels that are needed, in pixels; 1 if all are needed.
+
+    Parameters
+    ----------
+    patch
+        The object.
+    scene
+        Scene to all pixels.
+    """
+    finest_mm = 1e-3 * scene.wavelength_um * first_order(scene.lens, scene.wavelength_um).efl_mm
+    return max(
+        1, math.floor(FRINGE_FRACTION * abs(finest_mm) / patch.field_stop_mm / scene.exit_grid.pitch_mm)
+    )
+
+
+def sparse_pixels(
+    all_pixels: CalibrationPixels, frames: Sequence[Frame], spacing: int
+) -> SparsePixels | None:
+    """Return a regular subset of the pixels, or None if rays to a plane cross, so that tiles do not reach
+    it.
+
+    Parameters
+    ----------
+    all_pixels
+        All pixels.
+    frames
+        Frames with these pixels.
+    spacing
+        Spacing in pixels.
+    """
+    grid = all_pixels.scene.exit_grid
+    y_mm, x_mm = (axis[points_among(len(axis), spacing)] for axis in (grid.y_mm, grid.x_mm))
+    middle = float(x_mm.mean()), float(y_mm.mean())
+    points = Grid((len(y_mm), len(x_mm)), spacing * grid.pitch_mm, grid.z_mm, middle)
+    planes = zip(frames_by_plane(frames), all_pixels.recorded, strict=True)
+    found = SparsePixels(
+        replace(all_pixels.scene, exit_grid=points),
+        all_pixels.illumination,
+        [recorded_points(plane, one.distance_mm, spacing, all_pixels.fill_factor) for plane, one in planes],
+        all_pixels.scale,
+        0.0,
+        all_pixels.make,
+        tuple(slice(n * len(y_mm), (n + 1) * len(y_mm)) for n in range(len(all_pixels.recorded))),
+    )
+    straight = (found.reaches_directly(plane_index) for plane_index in range(len(found.recorded)))
+    return found if all(straight) else None
+
+
+def padded_to_fast_shape(
+    scene: Scene, recorded: Sequence[Measurement]
+) -> tuple[Scene, tuple[Measurement, ...]]:
+    """Return the scene and planes with some more, unknown pixels around, for fast Fourier transforms.
+
+    A transform of 438 samples (2, 3 and 73) takes three times as long as one of 440.
+
+    Parameters
+    ----------
+    scene
+        Scene to all pixels.
+    recorded
+        Measured planes; without `sigma` they stay unchanged.
+    """
+    grid = scene.exit_grid
+    padding = [scipy.fft.next_fast_len(count) - count for count in grid.shape]
+    if not any(padding) or any(plane.sigma is None for plane in recorded):
+        return scene, tuple(recorded)
+    margins = [(count // 2, count - count // 2) for count in padding]
+    y_mm, x_mm = (0.5 * grid.pitch_mm * (after - before) for before, after in margins)
+    wider = replace(
+        grid,
+        shape=tuple(count + added for count, added in zip(grid.shape, padding, strict=True)),
+        centre_mm=(grid.centre_mm[0] + x_mm, grid.centre_mm[1] + y_mm),
+    )
+    # Padded amplitudes repeat the border, so that the plane's mean (reference of backgrounds) stays.
+    planes = [
+        replace(
+            plane,
+            amplitude=np.pad(plane.amplitude, margins, mode="edge"),
+            sigma=np.pad(np.asarray(plane.sigma), margins, constant_values=np.inf),
+        )
+        for plane in recorded
+    ]
+    return replace(scene, exit_grid=wider), tuple(planes)

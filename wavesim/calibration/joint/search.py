@@ -1,14 +1,16 @@
 """Light, lens, mounting and camera from the frames alone, together with the object.
 
-A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
-object leaves. Each step of the search takes its direction from the normal equations of object and bench about
-that object, and its length from such reconstructions along it. Tiles are made where the search begins, and
-turned from there; what parameters do to their rays hardly changes on the way and is told once. In the end the
-object is reconstructed until its misfit is that of the noise, and the normal equations about it, with the
-variance of the noise, give the estimates and their covariance. Parameters that the frames do not need
-(:mod:`wavesim.calibration.joint.selection`) return to their nominal values. Light's
-unevenness comes last: until the rest is right, anything explains it; and so does the tilt of the sensor, of
-which frames tell least and which makes every reconstruction half as long again.
+A bench is judged by the misfit of a reconstruction from even light after a few iterations, or of a known
+object. Each step of the search takes its direction from the normal equations of object and bench about that
+object, and its length from such reconstructions along it. Tiles are computed at the start of the search and
+perturbed from there. The derivatives of their rays hardly change during the search and are computed once.
+
+At the end, the object is reconstructed until its misfit reaches that of the noise. The normal equations
+about it, with the variance of the noise, give the estimates and their covariance. Parameters that the frames
+do not need (:mod:`wavesim.calibration.joint.selection`) return to their nominal values.
+
+The unevenness of the light is sought last, because it can imitate any other error. The tilt of the sensor is
+sought last, too: the frames determine it least, and it makes every reconstruction half as long again.
 """
 
 from __future__ import annotations
@@ -23,115 +25,125 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
-from wavesim.calibration.joint.line import Line
-from wavesim.calibration.joint.pixels import Pixels, RaySlopes, plane_number
+from wavesim.calibration.joint.line_search import LineSearch
+from wavesim.calibration.joint.pixels import CalibrationPixels, RaySlopes, plane_index_of
 from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
-from wavesim.reconstruction.from_object import reconstruct
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear_model import LinearModel, RealArray
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import DARK
 
-ROUNDS = 3
-"""Of conjugate gradients for a step's direction."""
+STEP_ITERATIONS = 3
+"""Iterations of conjugate gradients for the direction of a step."""
 
-BEHIND = 2
-"""Rounds of the field behind the lens in an iteration: more of them take longer than the way through it."""
+INNER_ITERATIONS = 2
+"""Inner iterations of a reconstruction; more of them take longer than the propagation through the lens."""
 
-ADAPTED = 1
-"""Iterations after which an object that was found through other tiles shows what a bench's own leave."""
+ADAPTED_AFTER = 1
+"""Iterations after which an object found with other tiles has adapted to a bench's own tiles."""
 
-LAST = "light_amplitude", "sensor_tilt"
-"""Beginnings of the names of parameters that are sought when the rest is right."""
+LAST_PARAMETERS = "light_amplitude", "sensor_tilt"
+"""Prefixes of the names of parameters that are sought after all others."""
 
-FIRST, MOST_STRETCH = (1.5, 1.75), 2.0
-"""Multiples of a step, at first: of a stage's first one, and of any other at most."""
+FIRST_STRETCH, MOST_STRETCH = (1.5, 1.75), 2.0
+"""Multiples of a step that are tried first: for the first step of each stage, and the limit for other
+steps.
+"""
 
-HARDLY_TOLD = 0.8
-"""Standard deviation of what is expected of a sensor's tilt, from which on it is not sought."""
+UNDETERMINED_TILT = 0.8
+"""Standard deviation of a sensor tilt over the expected one above which the tilt is not sought."""
 
-NOT_TOLD_GAIN = 0.02
-"""Share of the squared misfit that tells nothing: the model's own errors leave as much. So much more of it is
-a standard deviation of what is sought, and so much costs a parameter that is as far off as is expected."""
+MODEL_FRACTION = 0.02
+"""Fraction of the squared misfit that model errors cause, and that therefore carries no information.
+
+It is the cost of a parameter that deviates by its expected standard deviation.
+"""
 
 LEAST_GAINS = 0.05, 0.02
-"""A stage ends when a step lowers the squared misfit by less than this share."""
+"""For each stage, the fraction of the squared misfit below which the gain of a step ends it."""
 
-NEAR = 1.5
-"""Times what noise leaves, down to which the rest is right."""
+NEAR_NOISE = 1.5
+"""Misfit over that of noise below which the first stage ends."""
 
-ALIKE = 0.1
-"""By a step that lowers the squared misfit by less than this share, what parameters do hardly changes."""
+LINEAR_GAIN = 0.1
+"""Fraction of the squared misfit below which a step hardly changes the derivatives."""
 
-SETTLED, ESTIMATED, FOLLOWS = 80, 30, 5
-"""Iterations of the object at the end, rounds of conjugate gradients for the estimates, and rounds in which
-the object follows for their covariance."""
+CONVERGED_ITERATIONS, ESTIMATE_ITERATIONS, ELIMINATED = 80, 30, 20
+"""Iterations of the object at the end, iterations of conjugate gradients for the estimates, and iterations
+that eliminate the object from their covariance.
+"""
 
-REFINED = 2
-"""Times that estimates are made, each about the object on the bench of the one before."""
+REFINEMENTS = 2
+"""Number of times that estimates are made, each about the object on the bench of the one before."""
 
-OBJECT_FACTOR = 1.4
-"""Standard deviations of estimates over those by the noise alone: objects are not quite at the minimum."""
+INDEPENDENT_ERRORS = 60
+"""Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude.
 
-COHERENT = 250
-"""Independent parts of what engine and pixels err (`MODEL_ERROR` of the amplitude): unlike noise it is alike
-in many pixels, and of parameters it takes away more. So many fit the pulls on benches that are as designed
-(`benchmarks/calibration_pulls.py`)."""
+Unlike noise, they are equal in many pixels and average out less. The number was fitted to the pulls of
+six nominal benches (`benchmarks/calibration_pulls.py`).
+"""
 
 WORSE = 1.02
-"""Ratio of misfits up to which a bench with fewer parameters, or a refined one, explains frames as well."""
+"""Ratio of misfits up to which a bench with fewer parameters, or a refined one, counts as equally good."""
 
-CLIPPED = 0.17
-"""Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard deviation: noise
-looks like so much light there, and passes for a background."""
+CLIPPED_NOISE = 0.17
+"""Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard deviation.
 
-RUNAWAY = 4.0
-"""Stands for the misfit where the model fails."""
+Clipped noise looks like a background of this size.
+"""
+
+FAILED_MISFIT = 4.0
+"""Misfit that is assumed where the model fails."""
 
 Progress = Callable[[int, Unknowns, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """Where a search stands: all that it needs to go on.
+    """State of a search: all that is needed to resume it.
 
     Attributes
     ----------
     unknowns : Unknowns
+        Current bench.
     stage : int
-        Of the parameters that are sought one after the other.
+        Index of the stage; each stage seeks more parameters.
     stretch : float
         Multiple of the last step that was best.
     trail : tuple of (Unknowns, float)
-        Benches tried, and their misfits.
+        Benches that were tried, and their misfits.
     """
 
     unknowns: Unknowns
     stage: int = 0
-    stretch: float = FIRST[0]
+    stretch: float = FIRST_STRETCH[0]
     trail: tuple[tuple[Unknowns, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """What frames tell of a bench.
+class FitResult:
+    """Result of a search.
 
     Attributes
     ----------
     unknowns : Unknowns
-        The bench: parameters that are not needed have their nominal values.
+        The bench; parameters that are not needed have their nominal values.
     estimates : ndarray, shape (parameters,)
-        What the frames say of each parameter, needed or not.
+        Estimate of each parameter, needed or not.
     needed : ndarray of bool, shape (parameters,)
         Whether the frames need the parameter.
     covariance : ndarray, shape (parameters, parameters)
-        Of the estimates, with what was expected before.
+        Covariance of the estimates, with the prior included.
     misfit : float
+        Misfit of the bench.
     trail : tuple of (Unknowns, float)
+        Benches that were tried, and their misfits.
     stopped_because : str
+        Reason for the end of the search.
     """
 
     unknowns: Unknowns
@@ -148,11 +160,11 @@ class Told:
         return np.sqrt(np.diag(self.covariance))
 
 
-class _Tried(NamedTuple):
-    """A bench, with the object that a reconstruction finds on it, or the known one, and its misfits."""
+class _BenchFit(NamedTuple):
+    """A bench with the object found on it (or the known object), and the misfit of each iteration."""
 
     unknowns: Unknowns
-    linear: Linearised
+    linear: LinearModel
     transmission: NDArray[Any]
     curve: tuple[float, ...]
 
@@ -165,49 +177,49 @@ class _Tried(NamedTuple):
         return self.linear.model.engine
 
 
-class _Near(NamedTuple):
-    """Tiles of a bench that is not far, and what parameters do to their rays."""
+class _ReferenceTiles(NamedTuple):
+    """Tiles of a similar bench, and the derivatives of their rays."""
 
     engine: Operator
     slopes: RaySlopes | None
 
 
-class _End(NamedTuple):
-    """Where a stage ended, and what its parameters do there, or but for the last little step."""
+class _StageEnd(NamedTuple):
+    """State at the end of a stage, and the derivatives there (or one small step before)."""
 
-    stand: SearchState
-    here: _Tried
+    state: SearchState
+    current: _BenchFit
     columns: RealArray
     reason: str
 
 
 @dataclass(frozen=True, eq=False)
 class JointSearch:
-    """The frames, and what is known of how they came about.
+    """Search for parameters of a bench together with the object.
 
     Attributes
     ----------
-    pixels : Pixels
-        What is seen of the frames, and by which engines.
+    pixels : CalibrationPixels
+        Pixels of the frames, and their engines.
     kind : {"amplitude", "complex"}
-        Of the object.
+        Kind of the object.
     parameters : tuple of Parameter
-        What is sought.
+        Parameters that are sought.
     iterations : int
-        Of each reconstruction.
+        Iterations of each reconstruction.
     most_benches : int
-        That are tried.
+        Largest number of benches that are tried.
     noise_misfit : float or None
-        What the stated noise alone would leave.
+        Misfit that the stated noise alone would leave.
     known : ndarray or None
-        Transmission of the object where it is known, real where it is an amplitude.
+        Transmission of the object where it is known, real for an amplitude object.
     progress
-        Told of each bench tried: its number, itself, and its misfit.
+        Callback `progress(count, unknowns, misfit)`, called for each bench.
     keep
-        Given where the search stands after each step.
+        Callback `keep(state)`, called after each step.
     """
 
-    pixels: Pixels
+    pixels: CalibrationPixels
     kind: Kind
     parameters: tuple[Parameter, ...]
     iterations: int
@@ -217,213 +229,256 @@ class JointSearch:
     progress: Progress | None = None
     keep: Callable[[SearchState], None] | None = None
 
-    def run(self, stand: SearchState) -> Told:
-        """Search, and see what the frames tell.
+    def run(self, state: SearchState) -> FitResult:
+        """Search from a state and return the result.
 
         Raises
         ------
         TransferLensError
-            What the model raised at the start. Benches at which it raises later are avoided.
+            If the model raises it at the start. Later benches at which it raises are avoided.
         """
-        here = self._tried(stand.unknowns)
-        stand = self._told(stand, here.unknowns, here.misfit)
-        near = self._near(here)
-        if stand.stage == 0:
-            sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
-            if not self._is_right(here):
-                stand, here = self._descended(stand, here, near, sure or self.parameters)[:2]
-            stand = replace(stand, stage=1, stretch=FIRST[1])
-        end = self._descended(stand, here, near, self.parameters)
-        checked = self._checked(end.here)
-        if self._misled(end.here, checked) and len(end.stand.trail) < self.most_benches:
-            here = self._tried(end.here.unknowns, checked.engine)
-            stand = self._told(end.stand, here.unknowns, here.misfit)
-            near = self._near(here)
-            end = self._descended(stand, here, near, self.parameters)
-            checked = self._checked(end.here)
-        here, stand, reason = end.here, end.stand, end.reason
-        del end  # of whose columns the step may have made its own
-        return self._estimated(stand, here, checked, near.slopes, reason)
+        current = self._fit_bench(state.unknowns)
+        state = self._with_trial(state, current.unknowns, current.misfit)
+        reference = self._reference_tiles(current)
+        if state.stage == 0:
+            first_parameters = tuple(p for p in self.parameters if not p.name.startswith(LAST_PARAMETERS))
+            if not self._is_near_noise(current):
+                state, current = self._descend(
+                    state, current, reference, first_parameters or self.parameters
+                )[:2]
+            state = replace(state, stage=1, stretch=FIRST_STRETCH[1])
+        stage_end = self._descend(state, current, reference, self.parameters)
+        verified = self._verified(stage_end.current)
+        if self._is_misled(stage_end.current, verified) and len(stage_end.state.trail) < self.most_benches:
+            current = self._fit_bench(stage_end.current.unknowns, verified.engine)
+            state = self._with_trial(stage_end.state, current.unknowns, current.misfit)
+            reference = self._reference_tiles(current)
+            stage_end = self._descend(state, current, reference, self.parameters)
+            verified = self._verified(stage_end.current)
+        current, state, reason = stage_end.current, stage_end.state, stage_end.reason
+        del stage_end  # its columns are large
+        return self._estimated(state, current, verified, reference.slopes, reason)
 
     def _estimated(
-        self, stand: SearchState, here: _Tried, checked: _Tried, slopes: RaySlopes | None, reason: str
-    ) -> Told:
-        """Estimates about the object in the end, and the bench with the parameters that are needed."""
+        self,
+        state: SearchState,
+        current: _BenchFit,
+        verified: _BenchFit,
+        slopes: RaySlopes | None,
+        reason: str,
+    ) -> FitResult:
+        """Return the result: estimates about the final object, and the bench with the parameters that are
+        needed.
+        """
         names = [p.name for p in self.parameters]
-        best = self._settled(here.unknowns, checked.transmission)
-        for count in range(REFINED):
-            estimates, covariance = self._estimate(best, slopes)
-            if count == REFINED - 1:
+        best = self._converged_fit(current.unknowns, verified.transmission)
+        for count in range(REFINEMENTS):
+            equations, estimates = self._estimate(best, slopes)
+            if count == REFINEMENTS - 1:
                 break
-            refined = self._or_none(best.unknowns.changed(names, estimates.tolist()), best.transmission)
+            refined = self._converged_fit_or_none(
+                best.unknowns.changed(names, estimates.tolist()), best.transmission
+            )
             if refined is None or refined.misfit > WORSE * best.misfit:
                 break
             best = refined
-        # First the bench as designed: where a stiff direction is a little off, a linear model asks for more.
-        selected = select_parameters(estimates, covariance, self._pixels)
-        none = Selection(np.zeros(len(names), bool), np.zeros(len(names)))
+        covariance = self._covariance(equations)
+        # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
+        selected = select_parameters(estimates, covariance, self._pixel_count)
+        nominal = Selection(np.zeros(len(names), bool), np.zeros(len(names)))
         needed = np.ones(len(names), bool)
-        for one in (none, selected):
-            fewer = self._or_none(best.unknowns.changed(names, one.values.tolist()), best.transmission)
+        for one in (nominal, selected):
+            fewer = self._converged_fit_or_none(
+                best.unknowns.changed(names, one.values.tolist()), best.transmission
+            )
             if fewer is not None and fewer.misfit <= WORSE * max(best.misfit, self.noise_misfit or 0.0):
                 best, needed = fewer, one.needed
                 break
-        return Told(best.unknowns, estimates, needed, covariance, best.misfit, stand.trail, reason)
+        return FitResult(best.unknowns, estimates, needed, covariance, best.misfit, state.trail, reason)
 
     @property
-    def _pixels(self) -> int:
-        """Pixels of which something is known."""
+    def _pixel_count(self) -> int:
+        """Number of valid pixels."""
         planes = self.pixels.recorded
         return sum(p.amplitude.size if p.known is None else int(p.known.sum()) for p in planes)
 
-    def _or_none(self, unknowns: Unknowns, start: NDArray[Any]) -> _Tried | None:
+    def _converged_fit_or_none(self, unknowns: Unknowns, start: NDArray[Any]) -> _BenchFit | None:
         try:
-            return self._settled(unknowns, start)
+            return self._converged_fit(unknowns, start)
         except TransferLensError:
             return None
 
-    def _settled(self, unknowns: Unknowns, start: NDArray[Any]) -> _Tried:
-        """The bench with the object whose misfit is that of the noise, or falls no more."""
-        return self._tried(unknowns, start=start, iterations=SETTLED)
+    def _converged_fit(self, unknowns: Unknowns, start: NDArray[Any]) -> _BenchFit:
+        """Return the bench with an object whose misfit has reached the noise or has converged."""
+        return self._fit_bench(unknowns, start=start, iterations=CONVERGED_ITERATIONS)
 
-    def _estimate(self, tried: _Tried, slopes: RaySlopes | None) -> tuple[Array, Array]:
-        """Estimates of all parameters, and their covariance."""
-        names, linear = [p.name for p in self.parameters], tried.linear
-        columns = self.pixels.columns(tried.unknowns, linear, self.parameters, slopes)
-        # A misfit beyond the noise is an error of the model, of which frames tell as little as of noise.
+    def _estimate(self, fit: _BenchFit, slopes: RaySlopes | None) -> tuple[GaussNewtonStep, Array]:
+        """Return the normal equations about an object, without damping, and the estimates that solve them."""
+        names, linear = [p.name for p in self.parameters], fit.linear
+        columns = self.pixels.columns(fit.unknowns, linear, self.parameters, slopes)
+        # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
-        variance = (OBJECT_FACTOR * misfit) ** 2 / self._pixels + MODEL_ERROR**2 / COHERENT
-        typical, values = np.array([p.typical for p in self.parameters]), tried.unknowns.of(names)
-        follows = self.known is None
-        joint = GaussNewtonStep(
+        variance = misfit**2 / self._pixel_count + MODEL_ERROR**2 / INDEPENDENT_ERRORS
+        typical, values = np.array([p.typical for p in self.parameters]), fit.unknowns.of(names)
+        object_is_free = self.known is None
+        equations = GaussNewtonStep(
             linear,
             columns,
             values,
             typical,
             variance,
-            tried.transmission,
-            follows,
-            self._undone(tried, self.parameters) if follows else {},
+            fit.transmission,
+            object_is_free,
+            self._compensations(fit, self.parameters) if object_is_free else {},
         )
-        joint.damping = np.zeros_like(joint.damping)
-        estimates = values + joint.solve(ESTIMATED)
-        covariance = np.linalg.inv(joint.reduced_curvature(FOLLOWS if follows else 0)) * variance
-        return estimates, np.asarray(covariance + np.diag(self._clipped() ** 2), float)
+        equations.damping = np.zeros_like(equations.damping)
+        return equations, values + equations.solve(ESTIMATE_ITERATIONS)
 
-    def _clipped(self) -> Array:
-        """How large a background, by the parameter's place, clipped noise of dark pixels may pass for."""
+    def _covariance(self, equations: GaussNewtonStep) -> Array:
+        """Return the covariance of the estimates, with the prior included."""
+        curvature = equations.reduced_curvature(ELIMINATED if self.known is None else 0)
+        covariance = np.linalg.inv(curvature) * equations.variance
+        return np.asarray(covariance + np.diag(self._background_of_clipping() ** 2), float)
+
+    def _background_of_clipping(self) -> Array:
+        """Return, by index of the parameter, the background that clipped noise of dark pixels may
+        imitate.
+        """
         planes, found = self.pixels.recorded, np.zeros(len(self.parameters))
-        for place, parameter in enumerate(self.parameters):
+        for index, parameter in enumerate(self.parameters):
             if not parameter.name.endswith("_background"):
                 continue
-            plane = planes[plane_number(parameter)]
+            plane = planes[plane_index_of(parameter)]
             if plane.sigma is not None:
                 dark = np.min(plane.sigma[plane.amplitude == plane.amplitude.min()])
                 mean = float(np.mean(plane.amplitude.astype(float) ** 2))
-                found[place] = CLIPPED * 4.0 * DARK * float(dark) ** 2 / mean
+                found[index] = CLIPPED_NOISE * 4.0 * DARK * float(dark) ** 2 / mean
         return found
 
-    def _checked(self, here: _Tried) -> _Tried:
-        """The bench by tiles of its own, and with as many iterations more."""
-        return self._tried(here.unknowns, start=here.transmission)
+    def _verified(self, current: _BenchFit) -> _BenchFit:
+        """Return the bench with tiles of its own, after as many iterations again."""
+        return self._fit_bench(current.unknowns, start=current.transmission)
 
-    def _misled(self, here: _Tried, checked: _Tried) -> bool:
-        """Whether tiles of a bench's own leave more than those that led to it, which know an older bench."""
-        own = checked.curve[min(ADAPTED, len(checked.curve) - 1)]
-        return own**2 > (1.0 + NOT_TOLD_GAIN) * here.misfit**2
+    def _is_misled(self, current: _BenchFit, verified: _BenchFit) -> bool:
+        """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the
+        search.
+        """
+        own_misfit = verified.curve[min(ADAPTED_AFTER, len(verified.curve) - 1)]
+        return own_misfit**2 > (1.0 + MODEL_FRACTION) * current.misfit**2
 
-    def _near(self, here: _Tried) -> _Near:
-        return _Near(here.engine, self.pixels.ray_slopes(here.unknowns, here.engine, self.parameters))
+    def _reference_tiles(self, current: _BenchFit) -> _ReferenceTiles:
+        return _ReferenceTiles(
+            current.engine, self.pixels.ray_slopes(current.unknowns, current.engine, self.parameters)
+        )
 
-    def _descended(
-        self, stand: SearchState, here: _Tried, near: _Near, parameters: tuple[Parameter, ...]
-    ) -> _End:
-        sought, reason = parameters, "benches used up"
-        columns = self.pixels.columns(here.unknowns, here.linear, parameters, near.slopes)
+    def _descend(
+        self,
+        state: SearchState,
+        current: _BenchFit,
+        reference: _ReferenceTiles,
+        parameters: tuple[Parameter, ...],
+    ) -> _StageEnd:
+        parameters_sought, reason = parameters, "benches used up"
+        columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
         if parameters == self.parameters:
-            sought = self._worth_seeking(here, columns)
-        while len(stand.trail) < self.most_benches:
-            some = columns if sought == parameters else columns[[parameters.index(p) for p in sought]]
-            joint = self._joint(here, sought, some)
-            stand, best = self._farther(stand, here, near.engine, joint, sought)
-            gain = 1.0 - self._price(best) / self._price(here)
-            here, stand = best, replace(stand, unknowns=best.unknowns)
+            parameters_sought = self._determined_parameters(current, columns)
+        while len(state.trail) < self.most_benches:
+            sought_columns = (
+                columns
+                if parameters_sought == parameters
+                else columns[[parameters.index(p) for p in parameters_sought]]
+            )
+            equations = self._normal_equations(current, parameters_sought, sought_columns)
+            state, best = self._search_along_step(
+                state, current, reference.engine, equations, parameters_sought
+            )
+            gain = 1.0 - self._price(best) / self._price(current)
+            current, state = best, replace(state, unknowns=best.unknowns)
             if gain > 0.0 and self.keep is not None:
-                self.keep(stand)
-            if gain < LEAST_GAINS[stand.stage] or (stand.stage == 0 and self._is_right(here)):
+                self.keep(state)
+            if gain < LEAST_GAINS[state.stage] or (state.stage == 0 and self._is_near_noise(current)):
                 reason = "converged"
                 break
-            del joint, some
-            if gain > ALIKE:
-                del columns  # not those of two benches at one time
-                columns = self.pixels.columns(here.unknowns, here.linear, parameters, near.slopes)
-        return _End(stand, here, columns, reason)
+            del equations, sought_columns
+            if gain > LINEAR_GAIN:
+                del columns  # only one set of columns fits in memory
+                columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
+        return _StageEnd(state, current, columns, reason)
 
-    def _is_right(self, here: _Tried) -> bool:
-        """Whether what is sought first is near enough to seek the rest."""
-        return self.noise_misfit is not None and here.misfit < NEAR * self.noise_misfit
+    def _is_near_noise(self, current: _BenchFit) -> bool:
+        """Return whether the misfit is near enough to the noise to seek all parameters."""
+        return self.noise_misfit is not None and current.misfit < NEAR_NOISE * self.noise_misfit
 
-    def _farther(
+    def _search_along_step(
         self,
-        stand: SearchState,
-        here: _Tried,
-        near: Operator,
-        joint: GaussNewtonStep,
-        sought: Sequence[Parameter],
-    ) -> tuple[SearchState, _Tried]:
-        """The best bench along a step; the one where it begins if none is better."""
-        names, step, best = [p.name for p in sought], joint.solve(ROUNDS), here
-        line = Line(self._price(here), -2.0 * float(joint.slope @ step), stand.stretch)
-        while (length := line.next()) is not None and len(stand.trail) < self.most_benches:
-            there = here.unknowns.changed(names, (here.unknowns.of(names) + length * step).tolist())
+        state: SearchState,
+        current: _BenchFit,
+        reference: Operator,
+        equations: GaussNewtonStep,
+        parameters_sought: Sequence[Parameter],
+    ) -> tuple[SearchState, _BenchFit]:
+        """Return the best bench along a step, or the current one if none is better."""
+        names, step, best = [p.name for p in parameters_sought], equations.solve(STEP_ITERATIONS), current
+        line_search = LineSearch(self._price(current), -2.0 * float(equations.descent @ step), state.stretch)
+        while (length := line_search.next()) is not None and len(state.trail) < self.most_benches:
+            unknowns = current.unknowns.changed(names, (current.unknowns.of(names) + length * step).tolist())
             try:
-                tried = self._tried(there, near)
+                fit = self._fit_bench(unknowns, reference)
             except TransferLensError:
-                line.add(length, RUNAWAY**2)
-                stand = self._told(stand, there, RUNAWAY)
+                line_search.add(length, FAILED_MISFIT**2)
+                state = self._with_trial(state, unknowns, FAILED_MISFIT)
                 continue
-            line.add(length, self._price(tried))
-            stand = self._told(stand, there, tried.misfit)
-            best = tried if line.best == length else best
-        return replace(stand, stretch=min(max(line.best, 1.0), MOST_STRETCH)), best
+            line_search.add(length, self._price(fit))
+            state = self._with_trial(state, unknowns, fit.misfit)
+            best = fit if line_search.best == length else best
+        return replace(state, stretch=min(max(line_search.best, 1.0), MOST_STRETCH)), best
 
-    def _worth_seeking(self, here: _Tried, columns: RealArray) -> tuple[Parameter, ...]:
-        """All but tilts of the sensor of which frames would not even tell if the object were known."""
+    def _determined_parameters(self, current: _BenchFit, columns: RealArray) -> tuple[Parameter, ...]:
+        """Return all parameters except sensor tilts that the frames would not determine with a known
+        object.
+        """
         flat = columns.reshape(len(columns), -1)
         typical = np.array([p.typical for p in self.parameters])
-        told = np.asarray(flat @ flat.T, float) * np.outer(typical, typical) / _variance(here.misfit)
-        deviations = np.sqrt(np.diag(np.linalg.inv(told + np.eye(len(typical)))))
+        information = (
+            np.asarray(flat @ flat.T, float) * np.outer(typical, typical) / _variance(current.misfit)
+        )
+        deviations = np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(typical)))))
         pairs = zip(self.parameters, deviations, strict=True)
-        return tuple(p for p, share in pairs if p.name not in SENSOR_TILTS or share < HARDLY_TOLD)
+        return tuple(
+            p for p, deviation in pairs if p.name not in SENSOR_TILTS or deviation < UNDETERMINED_TILT
+        )
 
-    def _price(self, tried: _Tried) -> float:
-        """The squared misfit, and more the farther values are from what is expected: sought at its least.
+    def _price(self, fit: _BenchFit) -> float:
+        """Return the cost function: the squared misfit, increased by the deviation from the prior.
 
-        With a variance of the residuals that is unknown but for the misfit, a probability's logarithm.
+        It corresponds to the logarithm of a probability with an unknown variance of the residuals.
         """
-        values = tried.unknowns.of([p.name for p in self.parameters])
-        off = float(np.sum((values / [p.typical for p in self.parameters]) ** 2))
-        return tried.misfit**2 * math.exp(NOT_TOLD_GAIN * off)
+        values = fit.unknowns.of([p.name for p in self.parameters])
+        squared_deviation = float(np.sum((values / [p.typical for p in self.parameters]) ** 2))
+        return fit.misfit**2 * math.exp(MODEL_FRACTION * squared_deviation)
 
-    def _told(self, stand: SearchState, unknowns: Unknowns, misfit: float) -> SearchState:
-        stand = replace(stand, trail=(*stand.trail, (unknowns, misfit)))
+    def _with_trial(self, state: SearchState, unknowns: Unknowns, misfit: float) -> SearchState:
+        state = replace(state, trail=(*state.trail, (unknowns, misfit)))
         if self.progress is not None:
-            self.progress(len(stand.trail), unknowns, misfit)
-        return stand
+            self.progress(len(state.trail), unknowns, misfit)
+        return state
 
-    def _tried(
+    def _fit_bench(
         self,
         unknowns: Unknowns,
-        near: Operator | None = None,
+        reference: Operator | None = None,
         start: NDArray[Any] | None = None,
         iterations: int | None = None,
-    ) -> _Tried:
-        """By tiles of its own, or by those of a bench that is not far; from even light, or an object."""
-        model = self.pixels.model(unknowns, near)
+    ) -> _BenchFit:
+        """Return a bench with its object, by its own tiles or those of a similar bench.
+
+        The reconstruction starts from even light or from a given object.
+        """
+        model = self.pixels.model(unknowns, reference)
         if self.known is not None:
-            linear = Linearised(model, self.known, self.pixels.scale is None)
+            linear = LinearModel(model, self.known, self.pixels.scale is None)
             model.scale = linear.scale
-            return _Tried(unknowns, linear, self.known, (linear.misfit,))
+            return _BenchFit(unknowns, linear, self.known, (linear.misfit,))
         found = reconstruct(
             model.engine,
             model.illumination,
@@ -437,32 +492,34 @@ class JointSearch:
             fill_factor=self.pixels.fill_factor,
             rows=self.pixels.rows,
             residuals=False,
-            rounds=BEHIND,
+            inner_iterations=INNER_ITERATIONS,
         )
         model.scale = found.scale
         values = found.transmission.values
         transmission = values.real if self.kind == "amplitude" else values
-        linear = Linearised(model, transmission, self.pixels.scale is None)
-        return _Tried(unknowns, linear, transmission, found.misfit)
+        linear = LinearModel(model, transmission, self.pixels.scale is None)
+        return _BenchFit(unknowns, linear, transmission, found.misfit)
 
-    def _joint(self, tried: _Tried, parameters: tuple[Parameter, ...], columns: RealArray) -> GaussNewtonStep:
-        values = tried.unknowns.of([p.name for p in parameters])
+    def _normal_equations(
+        self, fit: _BenchFit, parameters: tuple[Parameter, ...], columns: RealArray
+    ) -> GaussNewtonStep:
+        values = fit.unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
-        variance, follows = _variance(tried.misfit), self.known is None
-        undone = self._undone(tried, parameters) if follows else {}
+        variance, object_is_free = _variance(fit.misfit), self.known is None
+        compensations = self._compensations(fit, parameters) if object_is_free else {}
         return GaussNewtonStep(
-            tried.linear, columns, values, typical, variance, tried.transmission, follows, undone
+            fit.linear, columns, values, typical, variance, fit.transmission, object_is_free, compensations
         )
 
-    def _undone(self, tried: _Tried, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
-        """What of an amplitude object undoes a unit of the light's amplitude."""
+    def _compensations(self, fit: _BenchFit, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
+        """Return the changes of an amplitude object that compensate a unit of the light's amplitude."""
         light = {n: p for n, p in enumerate(parameters) if p.name.startswith("light_amplitude")}
-        if np.iscomplexobj(tried.transmission):
+        if np.iscomplexobj(fit.transmission):
             return {}
-        changes = {n: self.pixels.light_change(tried.unknowns, p).real for n, p in light.items()}
-        return {n: -change.astype(np.float32) * tried.transmission for n, change in changes.items()}
+        changes = {n: self.pixels.light_change(fit.unknowns, p).real for n, p in light.items()}
+        return {n: -change.astype(np.float32) * fit.transmission for n, change in changes.items()}
 
 
 def _variance(misfit: float) -> float:
-    """Of the residuals' length along what a parameter does."""
-    return NOT_TOLD_GAIN * misfit**2
+    """Return the variance of the residuals for the derivatives of parameters."""
+    return MODEL_FRACTION * misfit**2

@@ -1,10 +1,12 @@
 """Which parameters of a bench the frames need: a backward elimination by the Bayesian information criterion.
 
-An estimate with its covariance is a quadratic form of the misfit. A parameter whose return to its nominal
-value raises the misfit (as chi squared) by less than a few times the logarithm of the number of pixels is not
-needed. It goes back to nominal, the others move to where they fit best then, and the next one is looked for.
+An estimate with its covariance is a quadratic form of the misfit. A parameter is not needed if its return to
+the nominal value raises chi-square by less than a multiple of the logarithm of the number of pixels. Such a
+parameter is set to nominal, the others move to their new optimum, and the next one is tested.
 
-Source: G. Schwarz, "Estimating the dimension of a model", Ann. Statist. 6, 461 (1978).
+References
+----------
+G. Schwarz, "Estimating the dimension of a model", Ann. Statist. 6, 461 (1978).
 """
 
 from __future__ import annotations
@@ -17,13 +19,18 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 
-SURE = 4.0
-"""Times the logarithm: object and bench are not quite at their common minimum, whose curvature is taken, and
-a parameter that raises the misfit by so little does next to nothing to the object."""
+PENALTY = 4.0
+"""Multiple of the logarithm of the number of pixels.
+
+It exceeds 1 because object and bench are not exactly at their common minimum, and because a parameter that
+raises the misfit by so little hardly changes the object.
+"""
 
 
 class Selection(NamedTuple):
-    """Parameters that are needed, and the values of all; those of the others are nominal: 0."""
+    """Parameters that are needed, and the values of all parameters; those that are not needed are 0
+    (nominal).
+    """
 
     needed: NDArray[np.bool_]
     values: Array
@@ -37,22 +44,27 @@ def select_parameters(estimates: Array, covariance: Array, pixels: int) -> Selec
     estimates : ndarray, shape (n,)
         Differences from nominal.
     covariance : ndarray, shape (n, n)
-        Of the estimates.
+        Covariance of the estimates.
     pixels
         Number of data from which they were estimated.
+
+    Returns
+    -------
+    Selection
+        Needed parameters, and values.
     """
     precision = np.linalg.inv(covariance)
-    cost, needed = SURE * math.log(max(pixels, 2)), np.ones(len(estimates), bool)
+    cost, needed = PENALTY * math.log(max(pixels, 2)), np.ones(len(estimates), bool)
     values = np.array(estimates, float)
     while needed.any():
-        kept = np.flatnonzero(needed)
+        needed_indices = np.flatnonzero(needed)
         values = np.zeros(len(estimates))
-        inverse = np.linalg.inv(precision[np.ix_(kept, kept)])
-        # The form's slope at 0 is precision @ estimates: what is dropped pulls the others along.
-        values[kept] = inverse @ (precision @ estimates)[kept]
-        gains = values[kept] ** 2 / np.diag(inverse)
+        inverse = np.linalg.inv(precision[np.ix_(needed_indices, needed_indices)])
+        # The gradient of the form at 0 is precision @ estimates. It includes the parameters that are dropped.
+        values[needed_indices] = inverse @ (precision @ estimates)[needed_indices]
+        gains = values[needed_indices] ** 2 / np.diag(inverse)
         least = int(np.argmin(gains))
         if gains[least] >= cost:
             return Selection(needed, values)
-        needed[kept[least]] = False
+        needed[needed_indices[least]] = False
     return Selection(needed, np.zeros(len(estimates)))

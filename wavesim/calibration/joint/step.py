@@ -1,8 +1,8 @@
 """A Gauss-Newton step of object and bench together.
 
-The object follows whatever the bench does, and takes most of its effect where it can: what is left for the
-bench comes from the normal equations of both, which conjugate gradients solve. An amplitude object that is
-at 0 or 1, and would go on, stays there.
+The object compensates a large part of the effect of a change of the bench. The step of the bench therefore
+follows from the normal equations of both, which conjugate gradients solve. Samples of an amplitude object
+that are at a bound (0 or 1), and would move beyond it, stay fixed.
 """
 
 from __future__ import annotations
@@ -15,19 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear_model import LinearModel, RealArray
 
 DAMPING = 0.03
-"""Of the squared misfit, what a step by what is typical of a parameter costs: farther, nothing is linear."""
+"""Damping: fraction of the squared misfit that a step by the typical deviation of a parameter costs.
 
-LEAST_TOLD = 0.5
-"""Of what is known before: with so much more, a standard deviation falls by a fifth."""
+It limits steps to the range in which the model is nearly linear.
+"""
 
-ALIKE = 1e-6
-"""Of the squared length of what is explained: below it, single precision tells nothing."""
+LEAST_INFORMATION = 0.5
+"""Information of the frames over that of the prior below which a combination of parameters is not followed.
 
-SOLVED = 1e-3
-"""Of the squared gradient, in the measure of the curvature, at which the solution ends."""
+With more information, a standard deviation falls by at least a fifth.
+"""
+
+ROUNDING = 1e-5
+"""Squared relative length below which a direction may be an effect of rounding in single precision."""
+
+TOLERANCE = 1e-3
+"""Fraction of the squared gradient, in the norm of the Hessian, at which the solution ends."""
 
 
 class GaussNewtonStep:
@@ -36,116 +42,173 @@ class GaussNewtonStep:
     Parameters
     ----------
     linear
-        The model there.
+        Linear model about the object and the bench.
     columns : ndarray, shape (parameters, planes, ny, nx)
-        Change of the modelled amplitudes with each parameter of the bench.
+        Change of the modelled amplitudes per unit of each parameter of the bench.
     values, typical : ndarray, shape (parameters,)
-        Where they are, and how far from 0 they are expected to be.
+        Values of the parameters, and their expected standard deviations.
     variance
-        Of a residual, as far as the model has errors of its own.
+        Variance of a residual that scales the prior.
     transmission
-        Of the object; real where it is an amplitude.
-    follows
-        Whether the object is unknown, too; else it stays as it is.
-    undone
-        By its place, what of the transmission undoes a unit of a parameter, where that is known: only the
-        samples that cannot follow tell of such a parameter, and conjugate gradients would take many rounds
-        to find that out.
+        Transmission of the object; real for an amplitude object.
+    object_is_free
+        Whether the object is unknown, too; otherwise it stays fixed.
+    compensations
+        By index of a parameter, the known change of the transmission that compensates a unit of it. Only
+        samples that cannot follow contain information on such a parameter. Conjugate gradients alone would
+        need many iterations to find such a change.
     """
 
     def __init__(
         self,
-        linear: Linearised,
+        linear: LinearModel,
         columns: RealArray,
         values: Array,
         typical: Array,
         variance: float,
         transmission: NDArray[Any],
-        follows: bool = True,
-        undone: Mapping[int, NDArray[Any]] = MappingProxyType({}),
+        object_is_free: bool = True,
+        compensations: Mapping[int, NDArray[Any]] = MappingProxyType({}),
     ) -> None:
         self.linear, self.is_real = linear, not np.iscomplexobj(transmission)
-        left = linear.without_scale(linear.residual)
-        slope = self._object_part(linear.to_object(left))
-        self.free = linear.model.lit & follows
+        residual = linear.without_scale(linear.residual)
+        descent = self._object_part(linear.adjoint_to_object(residual))
+        self.free_samples = linear.model.lit & object_is_free
         if self.is_real:
-            stuck = ((transmission <= 0.0) & (slope < 0.0)) | ((transmission >= 1.0) & (slope > 0.0))
-            self.free = self.free & ~stuck
-        self.object_slope = slope * self.free
+            is_at_bound = ((transmission <= 0.0) & (descent < 0.0)) | (
+                (transmission >= 1.0) & (descent > 0.0)
+            )
+            self.free_samples = self.free_samples & ~is_at_bound
+        self.object_descent = descent * self.free_samples
         self.columns = columns.reshape(len(columns), -1)
-        if undone:
+        if compensations:
             self.columns = self.columns.copy()
-        for place, change in undone.items():
-            self.columns[place] += linear.of_object(change * self.free).ravel()
-        self.pull = variance / typical**2
-        self.slope: Array = np.asarray(self.columns @ left.ravel(), float) - self.pull * values
+        for index, change in compensations.items():
+            self.columns[index] += linear.jacobian_times_object(change * self.free_samples).ravel()
+        self.variance, self.prior_precision = variance, variance / typical**2
+        self.descent: Array = (
+            np.asarray(self.columns @ residual.ravel(), float) - self.prior_precision * values
+        )
         self.damping = DAMPING * linear.misfit**2 / typical**2
-        self.curvature = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.pull)
+        self.hessian = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.prior_precision)
 
-    def solve(self, rounds: int) -> Array:
-        """The bench's part of the step."""
-        slope = self.object_slope
-        along = self.linear.of_object(slope)
-        energy = float(np.vdot(slope, slope).real)
-        stiffness = float(np.vdot(along, along)) / energy if energy > 0.0 else 1.0
-        inverse = np.linalg.inv(self.curvature + np.diag(self.damping))
-        left, left_bench = slope.copy(), self.slope.copy()
-        there = np.zeros(len(self.slope))
-        way, way_bench = left / np.float32(stiffness), inverse @ left_bench
-        size = first = float(np.vdot(left, way).real) + float(left_bench @ way_bench)
-        for _ in range(rounds):
-            if size <= SOLVED * first:
+    def solve(self, iterations: int) -> Array:
+        """Return the step of the bench parameters, shape (parameters,)."""
+        descent = self.object_descent
+        effect = self.linear.jacobian_times_object(descent)
+        energy = float(np.vdot(descent, descent).real)
+        object_curvature = float(np.vdot(effect, effect)) / energy if energy > 0.0 else 1.0
+        bench_inverse = np.linalg.inv(self.hessian + np.diag(self.damping))
+        residual, bench_residual = descent.copy(), self.descent.copy()
+        solution = np.zeros(len(self.descent))
+        direction, bench_direction = residual / np.float32(object_curvature), bench_inverse @ bench_residual
+        energy = first_energy = float(np.vdot(residual, direction).real) + float(
+            bench_residual @ bench_direction
+        )
+        for _ in range(iterations):
+            if energy <= TOLERANCE * first_energy:
                 break
-            back, back_bench = self._times(way, way_bench)
-            length = size / (float(np.vdot(way, back).real) + float(way_bench @ back_bench))
-            there += length * way_bench
-            left -= np.float32(length) * back
-            left_bench -= length * back_bench
-            ahead, ahead_bench = left / np.float32(stiffness), inverse @ left_bench
-            before, size = size, float(np.vdot(left, ahead).real) + float(left_bench @ ahead_bench)
-            way = ahead + np.float32(size / before) * way
-            way_bench = ahead_bench + size / before * way_bench
-        return there
+            product, bench_product = self._times(direction, bench_direction)
+            length = energy / (
+                float(np.vdot(direction, product).real) + float(bench_direction @ bench_product)
+            )
+            solution += length * bench_direction
+            residual -= np.float32(length) * product
+            bench_residual -= length * bench_product
+            next_direction, bench_next = (
+                residual / np.float32(object_curvature),
+                bench_inverse @ bench_residual,
+            )
+            previous_energy, energy = (
+                energy,
+                float(np.vdot(residual, next_direction).real) + float(bench_residual @ bench_next),
+            )
+            direction = next_direction + np.float32(energy / previous_energy) * direction
+            bench_direction = bench_next + energy / previous_energy * bench_direction
+        return solution
 
-    def reduced_curvature(self, rounds: int) -> Array:
-        """What of the curvature is left where the object follows, shape (parameters, parameters).
+    def reduced_curvature(self, most_iterations: int) -> Array:
+        """Return the curvature of the parameters with the object eliminated, shape (parameters, parameters).
 
-        At most: the object follows along the slopes of what is left, some rounds of it, and where what frames
-        tell is nothing beside the prior, it need not. The prior is in it.
+        The object may change with the parameters, so a parameter is determined only by the part of its effect
+        that no change of the object can make. With the columns :math:`C` of the parameters, and the
+        projection :math:`P` onto the changes that the object can make, the result is
+        :math:`C^T (1 - P) C` plus the curvature of the prior. Block conjugate gradients build the projection:
+        each iteration takes the gradients of all columns at once, and makes their effects orthogonal to those
+        of the iteration before. The result is an upper bound that falls with every iteration.
+
+        Combinations of parameters that the frames determine less well than the prior are not followed.
+
+        Parameters
+        ----------
+        most_iterations
+            Iterations at most. Each of them carries as many fields forward and back as there are parameters.
+            With 0 of them the object stays as it is.
+
+        References
+        ----------
+        D. P. O'Leary, "The block conjugate gradient algorithm and related methods", Linear Algebra Appl. 29,
+        293 (1980).
         """
-        left, shape = self.columns.copy(), self.linear.residual.shape
-        for _ in range(rounds):
-            followed = self._telling(left)
-            for one in followed:
-                change = self._object_part(self.linear.to_object(one.reshape(shape))) * self.free
-                one[:] = self.linear.of_object(change).ravel()
-            if len(followed):
-                left -= _along(followed, left)
-        return np.asarray(left @ left.T, float) + np.diag(self.pull)
+        remaining, shape = self.columns.copy(), self.linear.residual.shape
+        previous: RealArray | None = None
+        for _ in range(most_iterations):
+            effects = self._determined(remaining)
+            if not len(effects):
+                break
+            for effect in effects:
+                gradient = (
+                    self._object_part(self.linear.adjoint_to_object(effect.reshape(shape)))
+                    * self.free_samples
+                )
+                effect[:] = self.linear.jacobian_times_object(gradient).ravel()
+            if previous is not None:
+                effects -= _combined(previous, _products(effects, previous))
+            previous = _orthonormal(effects)
+            remaining -= _combined(previous, _products(remaining, previous))
+        return _products(remaining, remaining) + np.diag(self.prior_precision)
 
-    def _telling(self, columns: RealArray) -> RealArray:
-        """Mixtures of columns of which frames tell more than `LEAST_TOLD` of the prior."""
-        unit = 1.0 / np.sqrt(self.pull)
-        told, mixed = np.linalg.eigh(np.asarray(columns @ columns.T, float) * np.outer(unit, unit))
-        chosen = mixed[:, told > LEAST_TOLD] * unit[:, None]
-        return np.asarray(chosen.T.astype(columns.dtype) @ columns)
+    def _determined(self, columns: RealArray) -> RealArray:
+        """Return unit mixtures of columns that the frames determine better than `LEAST_TOLD` of the prior."""
+        unit = 1.0 / np.sqrt(self.prior_precision)
+        precision, mixtures = np.linalg.eigh(_products(columns, columns) * np.outer(unit, unit))
+        chosen = mixtures[:, precision > LEAST_INFORMATION] * unit[:, None]
+        mixtures = _combined(columns, chosen.T)
+        lengths = np.linalg.norm(mixtures, axis=1)
+        return np.asarray(mixtures / lengths[:, None].astype(columns.dtype))
 
-    def _times(self, way: NDArray[Any], way_bench: Array) -> tuple[NDArray[Any], Array]:
-        bench = (way_bench.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
-        changes = self.linear.of_object(way) + bench
-        back = self._object_part(self.linear.to_object(changes)) * self.free
-        own = np.asarray(self.columns @ changes.ravel(), float) + (self.pull + self.damping) * way_bench
-        return back, own
+    def _times(self, direction: NDArray[Any], bench_direction: Array) -> tuple[NDArray[Any], Array]:
+        """Return the product of the Hessian with a direction of object and bench."""
+        bench_changes = (bench_direction.astype(self.columns.dtype) @ self.columns).reshape(
+            self.linear.residual.shape
+        )
+        changes = self.linear.jacobian_times_object(direction) + bench_changes
+        product = self._object_part(self.linear.adjoint_to_object(changes)) * self.free_samples
+        bench_product = (
+            np.asarray(self.columns @ changes.ravel(), float)
+            + (self.prior_precision + self.damping) * bench_direction
+        )
+        return product, bench_product
 
     def _object_part(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the part of a change that the object can make: the real part for an amplitude object."""
         return np.asarray(values.real) if self.is_real else values
 
 
-def _along(basis: RealArray, columns: RealArray) -> RealArray:
-    """The part of columns that a basis explains."""
-    length = np.linalg.norm(basis, axis=1).astype(float)
-    size = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
-    own = np.asarray(basis @ basis.T, float) * np.outer(size, size)
-    met = np.asarray(basis @ columns.T, float) * size[:, None]
-    share = np.linalg.pinv(own, rcond=ALIKE, hermitian=True) @ met * size[:, None]
-    return np.asarray(share.T.astype(basis.dtype) @ basis)
+def _products(rows: RealArray, other_rows: RealArray) -> Array:
+    """Return the scalar products of rows, in double precision."""
+    return np.asarray(rows @ other_rows.T, float)
+
+
+def _combined(rows: RealArray, factors: Array) -> RealArray:
+    """Return combinations of rows, factors of shape (combinations, rows)."""
+    return np.asarray(factors.astype(rows.dtype) @ rows)
+
+
+def _orthonormal(rows: RealArray) -> RealArray:
+    """Return an orthonormal basis of rows, without directions that rounding alone may have made."""
+    lengths = np.linalg.norm(rows, axis=1).astype(float)
+    units = rows[lengths > 0.0] / lengths[lengths > 0.0, None].astype(rows.dtype)
+    powers, mixtures = np.linalg.eigh(_products(units, units))
+    is_kept = powers > ROUNDING * max(powers.max(initial=0.0), 1.0)
+    return _combined(units, (mixtures[:, is_kept] / np.sqrt(powers[is_kept])).T)

@@ -1,8 +1,8 @@
-"""Phase compensation within a slice: what its light gains between the surface and the cutting planes.
+"""Phase compensation within a slice: the phase of light between the surface and the cutting planes.
 
-Vertical (Eqs. 4, C3, C6): light is taken to run along the axis, so that over a height h it gains k n h.
-Oblique: it runs as the rays of the middle of the object do at the surface, and gains k n h cos(t) with the
-angle t to the axis in each medium.
+Vertical compensation (Eqs. 4, C3, C6) assumes light parallel to the axis, which gains k n h over a height h.
+Oblique compensation uses the direction of the rays from the object's centre at the surface, with a gain of k
+n h cos(t) for the angle t to the axis in each medium.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from wavesim.rays.maps import SmoothMap, fit_map
 from wavesim.scene.scene import Scene
 
 LINE_ORDER, PLANE_ORDER = 30, 12
-"""Of the polynomials over the footprint."""
+"""Order of the polynomials over the footprint, on a line and on a plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class CentreRays:
-    """Rays of one object point where they cross a surface; arrays of shape (n,).
+    """Rays of one object point at their crossings with a surface; arrays of shape (n,).
 
     Attributes
     ----------
     x_mm, y_mm, z_mm : ndarray
-        Where they cross.
+        Crossing points.
     axial : (ndarray, ndarray)
         Index times cosine of the angle to the z axis, in front of the surface and behind it.
     lean : (ndarray, ndarray)
-        1 - s tan(t), with the slope s of the surface along the ray's transverse direction, in front and
-        behind: the flux through the surface over that through its projection along z.
+        1 - s tan(t) in front and behind, with the slope s of the surface along the ray's transverse
+        direction: the flux through the surface over the flux through its projection along z.
     slope : ndarray
-        Of the surface, steepest.
+        Largest slope of the surface.
     transmission : ndarray
-        Factor of the field.
+        Transmission of the field.
     indices : (float, float)
-        In front of the surface and behind it.
+        Refractive indices in front of the surface and behind it.
     """
 
     x_mm: Array
@@ -57,14 +57,15 @@ class CentreRays:
 
     @property
     def obliquity(self) -> tuple[Array, Array]:
-        """What vertical compensation gains too much per height, as optical path."""
+        """Optical path error of vertical compensation per height, in front and behind."""
         before, behind = (n - c for n, c in zip(self.indices, self.axial, strict=True))
         return before, behind
 
     @property
     def drift(self) -> tuple[Array, Array]:
-        """Change along z of index times cosine, at one transverse point; on a meridional fan only."""
-        # The cosine is constant along a ray, so it changes along z by -tan(t) times its change across.
+        """Change along z of index times cosine at one transverse point; only for a meridional fan."""
+        # The cosine is constant along a ray, so that it changes along z by -tan(t) times its transverse
+        # change.
         order = np.argsort(self.y_mm)
         result = []
         for n, axial, lean in zip(self.indices, self.axial, self.lean, strict=True):
@@ -75,28 +76,28 @@ class CentreRays:
         return result[0], result[1]
 
     def density(self, oblique: bool) -> Array:
-        """Planes per height, not normalized, for which slices err by the same phase."""
+        """Return the density of planes over height, not normalized, for equal phase errors of all slices."""
         if oblique:
             return np.asarray(np.sqrt(sum(self.drift)))
         return np.asarray(sum(self.obliquity))
 
 
 def centre_rays(scene: Scene, point_mm: tuple[float, float], fan: bool = False) -> tuple[CentreRays, ...]:
-    """Rays of an object point at every surface.
+    """Trace rays of an object point to every surface.
 
     Parameters
     ----------
     scene
-        What is carried where.
+        Lens, grids and wavelength.
     point_mm
         Object point (x, y).
     fan
-        Only those of a meridional fan, also on a plane.
+        Whether to trace a meridional fan only, also on a plane.
 
     Raises
     ------
     InputError
-        If no ray gets through.
+        If no ray passes the lens.
     """
     if fan and not scene.object_grid.is_line:
         line = Grid((1,), scene.object_grid.pitch_mm, scene.object_grid.z_mm)
@@ -125,23 +126,24 @@ def _rays(scene: Scene, surface: int, found: Crossings) -> CentreRays:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Over a surface: optical path per height on both sides, and factor of the field.
+    """Optical path per height on both sides of a surface, and transmission of the field.
 
-    Beyond the light of the object's middle it is that at its rim.
+    Beyond the light of the object's centre the values are those at its rim.
 
     Attributes
     ----------
     maps : SmoothMap
-        Of the three, over y and x, or y alone; of the factor alone where the paths are the indices.
+        Maps of these three quantities over y and x, or over y only. For vertical compensation there is only a
+        map of the transmission.
     indices : (float, float), optional
-        In front of the surface and behind it.
+        Refractive indices in front of the surface and behind it, for vertical compensation.
     """
 
     maps: SmoothMap
     indices: tuple[float, float] | None
 
     def at(self, y_mm: Array, x_mm: Array, inside: NDArray[np.bool_]) -> Array:
-        """The three at those samples of rows and columns that are inside, shape (3, n); on a line x is 0."""
+        """Return the three quantities at samples of rows and columns that are inside, shape (3, n)."""
         maps = self.maps
         axes = (y_mm, x_mm)[: len(maps.middle)]
         found = np.stack([part.reshape(inside.shape)[inside] for part in maps.along(axes).each()])
@@ -159,16 +161,16 @@ class Compensation:
 
 
 def compensation(scene: Scene, ray: CentreRays, oblique: bool) -> Compensation:
-    """Compensation over a surface.
+    """Return the compensation over a surface.
 
-    With the oblique one, the amplitude holds the share of a slice's light that leaves through its
-    projection along z, as Kirchhoff's integral over the surface has it.
+    For oblique compensation the transmission includes the fraction of a slice's light that leaves through its
+    projection along z, as in Kirchhoff's integral over the surface.
     """
     is_line = scene.object_grid.is_line
     amplitude = ray.transmission * ray.lean[1] if oblique else ray.transmission
     points = ray.y_mm[:, None] if is_line else np.column_stack([ray.y_mm, ray.x_mm])
     order = min(LINE_ORDER, len(points) // 2) if is_line else min(PLANE_ORDER, math.isqrt(len(points)) - 1)
-    # Some rays of a fan will do; all those of a bundle are needed.
+    # Some rays of a fan are sufficient; a bundle needs all of them.
     most = 5 * (order + 1) if is_line else len(points)
     pick = np.unique(np.rint(np.linspace(0, len(points) - 1, most)).astype(int))
     values = np.stack([*ray.axial, amplitude] if oblique else [amplitude])
@@ -176,18 +178,18 @@ def compensation(scene: Scene, ray: CentreRays, oblique: bool) -> Compensation:
 
 
 def slice_phase(ray: CentreRays, planes_mm: Array, oblique: bool, wavenumber_per_mm: float) -> Array:
-    """Phase by which the compensation errs for the rays of the middle of the object, in radians.
+    """Return the phase error of the compensation for the rays of the object's centre, in radians.
 
     Parameters
     ----------
     ray
-        At one surface; those of a meridional fan.
+        Rays of a meridional fan at one surface.
     planes_mm
-        That cut it.
+        Cutting planes of the surface.
     oblique
-        Which compensation: it takes the wave as plane within a slice.
+        Kind of compensation. Oblique compensation assumes a plane wave within a slice.
     wavenumber_per_mm
-        In vacuum.
+        Vacuum wavenumber.
     """
     which = slice_of(planes_mm, ray.z_mm)
     low, high = planes_mm[which], planes_mm[which + 1]
@@ -200,32 +202,33 @@ def slice_phase(ray: CentreRays, planes_mm: Array, oblique: bool, wavenumber_per
 
 
 def border_light(ray: CentreRays, planes_mm: Array, medium: Medium) -> Array:
-    """Share of the light that the borders of slices send elsewhere, for every ray of a meridional fan.
+    """Return the fraction of the light that the borders of slices diffract, for every ray of a meridional
+    fan.
 
-    Slices are put together side by side where the surface is, but their light runs obliquely: between
-    neighbours it overlaps, or leaves a gap, over a share of the slice's width. Each such stripe sends light
-    into the whole band. Slices thinner than the band can tell apart have no stripes.
+    Slices adjoin at the surface, but their light is oblique: between neighbours it overlaps, or leaves a gap,
+    over a fraction of the slice's width. Each such stripe diffracts light into the whole band. Slices that
+    are thinner than the band resolves have no stripes.
     """
     thickness = np.diff(planes_mm)[slice_of(planes_mm, ray.z_mm)]
-    share = np.abs(1.0 - ray.lean[1])
+    fraction = np.abs(1.0 - ray.lean[1])
     orders = thickness / np.maximum(ray.slope, 1e-12) * medium.band_per_mm / np.pi
     apart = (medium.largest_kz_per_mm - medium.smallest_kz_per_mm) * thickness
     borders = 1.0 - 1.0 / (len(planes_mm) - 1)
-    return np.asarray(borders * share * np.minimum(np.minimum(1.0, orders * share), 0.25 * apart**2))
+    return np.asarray(borders * fraction * np.minimum(np.minimum(1.0, orders * fraction), 0.25 * apart**2))
 
 
 def other_angles(ray: CentreRays, other: CentreRays, planes_mm: Array) -> Array:
-    """Optical path by which compensation for one point's light errs for another's, on a meridional fan."""
+    """Return the path error of the compensation for one point's light when used for another point's light."""
     which = slice_of(planes_mm, other.z_mm)
     height = other.z_mm - 0.5 * (planes_mm[which] + planes_mm[which + 1])
     order = np.argsort(ray.y_mm)
     front, behind = (
-        own - np.interp(other.y_mm, ray.y_mm[order], taken[order])
-        for own, taken in zip(other.axial, ray.axial, strict=True)
+        own - np.interp(other.y_mm, ray.y_mm[order], axial[order])
+        for own, axial in zip(other.axial, ray.axial, strict=True)
     )
     return np.asarray(height * (front - behind))
 
 
 def slice_of(planes_mm: Array, z_mm: Array) -> NDArray[np.intp]:
-    """Slice in which each height lies; what lies beyond the outermost planes belongs to their slices."""
+    """Return the slice of each height; heights beyond the outermost planes belong to the outermost slices."""
     return np.asarray(np.searchsorted(planes_mm[1:-1], z_mm, side="right"), np.intp)

@@ -1,4 +1,4 @@
-"""What the sliced method takes, told from the sizes alone."""
+"""Predicted time and memory of the sliced method, from the sizes of its grids."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-from wavesim.engines.slices.samples import BLOCK, number_type
-from wavesim.engines.slices.windows import BLOCK_BYTES, HANDED_FINENESS, Waves
+from wavesim.engines.slices.samples import BLOCK, index_type
+from wavesim.engines.slices.windows import BLOCK_BYTES, TRANSFER_FINENESS, Waves
 from wavesim.engines.surfaces.grids import LightWithin
 from wavesim.fields.plane_waves import fast_count
 from wavesim.runtime.memory import COMPLEX128, FLOAT64
@@ -17,37 +17,37 @@ from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
 FIT_BYTES = {True: 750_000, False: 4_400_000}
-"""Rays and the polynomials through them: on a line, on a plane."""
+"""Memory of the rays and their polynomials, on a line and on a plane."""
 
 MEAN_WIDTH = 0.75
-"""Of the part of a window in which a slice lies, over that in which all do."""
+"""Mean width of the part of a window in which a slice lies, relative to the width of the whole surface."""
 
 BLOCK_ARRAYS = 5
-"""Of a block of samples while a slice takes it, complex."""
+"""Complex arrays of a block of samples while a slice is processed."""
 
 MADE_ARRAYS = {True: 36, False: 18}
-"""Of a block of samples while it is made, real: on a line, on a plane."""
+"""Real arrays of a block of samples while the slices are prepared, on a line and on a plane."""
 
 
 def slices_cost(
     scene: Scene, sides: Sequence[tuple[Waves, Waves]], light: LightWithin, slices: int, unit: int, even: bool
 ) -> Cost:
-    """Seconds and bytes of one way through all surfaces, and of getting ready.
+    """Return time and memory of one propagation through all surfaces, and of the set-up.
 
     Parameters
     ----------
     scene, sides, light
-        What is carried, in which waves, and how far it reaches.
+        Scene, plane waves on both sides of each surface, and extent of the light.
     slices
-        Of each surface.
+        Number of slices of each surface.
     unit
         Bytes of a sample.
     even
-        Whether steps between planes repeat.
+        Whether the steps between planes are equal.
     """
     is_line = scene.object_grid.is_line
     squares = [_square(front, reach) for (front, _), reach in zip(sides, light.reach_mm, strict=True)]
-    images = (unit + number_type(slices).itemsize) * sum(rows * columns for rows, columns in squares)
+    images = (unit + index_type(slices).itemsize) * sum(rows * columns for rows, columns in squares)
     counts = [slices if high > low else 1 for low, high in light.heights_mm]
     seconds, working = _ends(scene, sides, unit)
     for (front, behind), square, count in zip(sides, squares, counts, strict=True):
@@ -67,7 +67,9 @@ def slices_cost(
         seconds += count * each + 2.0 * exponential_seconds(factors)
     for (_, before), (front, _) in pairwise(sides):
         if before.grid != front.grid:
-            between = math.ceil(front.size * before.size / min(front.size, before.size) / HANDED_FINENESS**2)
+            between = math.ceil(
+                front.size * before.size / min(front.size, before.size) / TRANSFER_FINENESS**2
+            )
             seconds += 4.0 * fft_seconds(2 * between, is_line)
             working = max(working, unit * (front.size + before.size + max(front.size, before.size)))
     samples = sum(rows * columns for rows, columns in squares)
@@ -78,7 +80,7 @@ def slices_cost(
 
 
 def _ends(scene: Scene, sides: Sequence[tuple[Waves, Waves]], unit: int) -> tuple[float, int]:
-    """From the object, and to the exit: seconds, and bytes."""
+    """Return seconds and bytes of the propagation from the object and to the exit."""
     seconds, most = 0.0, 0
     for waves, grid in ((sides[0][0], scene.object_grid), (sides[-1][1], scene.exit_grid)):
         length = fast_count(waves.shape[0] + grid.shape[0])
@@ -94,7 +96,7 @@ def _ends(scene: Scene, sides: Sequence[tuple[Waves, Waves]], unit: int) -> tupl
 
 
 def _square(waves: Waves, reach_mm: float) -> tuple[int, int]:
-    """Rows and columns of a window that hold what light reaches."""
+    """Return rows and columns of the part of a window that light reaches."""
     side = [min(n, math.ceil(2.0 * reach_mm / waves.grid.pitch_mm)) for n in waves.grid.shape]
     return side[0], (*side, 1)[1]
 

@@ -1,21 +1,20 @@
-"""Annular slices: the paper's way through a thick lens, plane by plane, with compensation of the phase.
+"""Annular slices: the paper's method of propagation through a thick lens, with phase compensation.
 
-Planes perpendicular to the axis cut every surface into slices. The field is carried to the plane of a slice
-in the medium in front, masked to the slice (Eqs. 3, C1, C2), multiplied by what its light gains up to the
-surface and from there to the next plane in the medium behind (Eqs. 4, C3, C6), and carried on in that
-medium to one virtual plane, where all slices are summed (Eqs. C4, C7).
+Planes perpendicular to the axis cut every surface into slices. For each slice, the field is propagated to the
+slice's plane in the medium in front, masked to the slice (Eqs. 3, C1, C2), multiplied by the phase that light
+gains up to the surface and from there to the next plane in the medium behind (Eqs. 4, C3, C6), and propagated
+in that medium to one virtual plane, where all slices are summed (Eqs. C4, C7).
 
-Vertical compensation, as printed, takes light to run along the axis: over the height of a slice it errs by
-what both media's obliquity makes of it. The error falls as the slices are made thinner.
+Vertical compensation, as printed, assumes light parallel to the axis. Over the height of a slice its phase
+error grows with the obliquity in both media. The error decreases as the slices become thinner.
 
-Oblique compensation takes the angles that the rays of the object's middle have there, and one plane in the
-middle of each slice in place of its two borders, over which the error has no first order in the height.
-With few slices it falls with their number squared, until what is left are the stripes where the light of
-neighbouring slices overlaps or leaves a gap; those go with the first power, once slices are thin.
+Oblique compensation uses the angles of the rays from the object's centre, and one plane in the middle of each
+slice instead of its two borders, so that the error has no first order in the height. With few slices the
+error decreases with the square of their number. What remains is diffraction at the borders, where the light
+of neighbouring slices overlaps or leaves a gap; it decreases with the number of slices once they are thin.
 
-Each surface has a window and a pitch of its own, for what light does there. Fields of NumPy are carried in
-the precision that is asked for; those of another array library (CuPy) in their own, in the memory where they
-lie.
+Each surface has its own window and pitch. NumPy fields are propagated in the given precision. Fields of
+another array library (CuPy) keep their own precision and memory.
 """
 
 from __future__ import annotations
@@ -57,28 +56,30 @@ Precision = Literal["double", "single"]
 
 MOST_SLICES = 50_000
 WARN_ERROR = 0.2
-"""Estimated relative error of the exit field from too few slices, from which on there is a warning."""
+"""Estimated relative error of the exit field above which too few slices cause a warning."""
 
 
 class AnnularSlices(Engine):
-    """Slices between cutting planes.
+    """Propagation through slices between cutting planes.
 
     Parameters
     ----------
     scene
-        What is carried where.
+        Lens, grids and wavelength.
     slices : int
-        Of each surface; with unequal spacing, on average over the surfaces.
+        Number of slices of each surface; with unequal spacing, the average over the surfaces.
     compensation : {"vertical", "oblique"}
-        Of the phase within a slice.
+        Phase compensation within a slice.
     spacing : {"equal", "paper", "equal-phase"}
-        Of the planes; see :func:`wavesim.engines.slices.planes.cutting_planes`.
+        Spacing of the planes; see :func:`wavesim.engines.slices.planes.cutting_planes`.
     pitch_mm, half_width_mm
-        Of the grids within the lens; chosen for each surface if left out.
+        Pitch and half-width of the grids within the lens. Default: by the extent of the light on each
+        surface.
     force : bool
-        Whether to run however much memory and time it takes.
+        Whether to run even above the limits of memory and time.
     precision : {"double", "single"}
-        Of fields and factors: complex128 or, in half the memory, complex64; phases are formed in double.
+        Precision of fields and factors: complex128 or, in half the memory, complex64. Phases are computed in
+        double precision.
 
     Raises
     ------
@@ -121,7 +122,7 @@ class AnnularSlices(Engine):
         self.precision = precision
         self.slices, self.compensation, self.spacing = int(slices), compensation, spacing
         self.force = bool(force)
-        self._asked = (pitch_mm, half_width_mm)
+        self._grid_settings = (pitch_mm, half_width_mm)
 
     @cached_property
     def light(self) -> LightWithin:
@@ -130,14 +131,14 @@ class AnnularSlices(Engine):
 
     @cached_property
     def sides(self) -> tuple[tuple[Waves, Waves], ...]:
-        """Waves in front of each surface and behind it, in its window."""
+        """Plane waves in front of each surface and behind it, in the window of the surface."""
         scene, bands = self.scene, self.light.bands_per_mm
         return tuple(
             (
                 Waves(Medium(grid, scene.wavelength_um, float(scene.system.index[0, i]), bands[i])),
                 Waves(Medium(grid, scene.wavelength_um, float(scene.system.index[0, i + 1]), bands[i + 1])),
             )
-            for i, grid in enumerate(surface_grids(scene, self.light, *self._asked))
+            for i, grid in enumerate(surface_grids(scene, self.light, *self._grid_settings))
         )
 
     def settings(self) -> dict[str, Any]:
@@ -165,7 +166,7 @@ class AnnularSlices(Engine):
 
     @cached_property
     def _prepared(self) -> SurfaceTransfer:
-        self._refuse_total_reflection()
+        self._validate_transmission()
         check_grid_size(self.name, max(front.grid.size for front, _ in self.sides), self.cost(), self.force)
         self._warn()
         scene = self.scene
@@ -185,7 +186,7 @@ class AnnularSlices(Engine):
 
     @property
     def _dtype(self) -> np.dtype[Any]:
-        """Of NumPy's fields, and of what is kept for all."""
+        """Precision of NumPy's fields, and of the stored factors."""
         return np.dtype(np.complex64 if self.precision == "single" else np.complex128)
 
     def _forward(self, values: Any) -> Any:
@@ -195,27 +196,29 @@ class AnnularSlices(Engine):
         return self._prepared.adjoint(self._cast(values))
 
     def _cast(self, values: Any) -> Any:
-        """NumPy's arrays in the precision asked for; those of other libraries as they are."""
+        """Return NumPy arrays in the given precision, arrays of other libraries unchanged."""
         return np.asarray(values, self._dtype) if isinstance(values, np.ndarray) else values
 
     @cached_property
     def _nominal_planes(self) -> list[Array]:
-        """Cutting planes, known before the samples of the surfaces are."""
+        """Cutting planes by the extent of the light, before the surfaces are sampled."""
         return self._planes(self.light.heights_mm)
 
     @cached_property
     def _phases(self) -> list[Array]:
-        """Errors of the compensation, at the rays of a meridional fan on every surface."""
+        """Phase errors of the compensation for the rays of a meridional fan on every surface."""
         k, planes = self.scene.wavenumber_per_mm, self._nominal_planes
         return [slice_phase(ray, p, self._oblique, k) for ray, p in zip(self._fan, planes, strict=True)]
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         found = [
             ErrorTerm(f"{self.compensation} compensation within slices", _misfit(self._phases)),
             ErrorTerm("borders of slices", self._border_error()),
             ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
             ErrorTerm(
-                "light that the rim turns beyond the grid's band", math.sqrt(self.light.spared), at_rim=True
+                "light that the rim turns beyond the grid's band",
+                math.sqrt(self.light.diffracted),
+                at_rim=True,
             ),
         ]
         if self._oblique:
@@ -223,14 +226,14 @@ class AnnularSlices(Engine):
         return tuple(sorted(found, key=lambda n: -n.relative_error))
 
     def _border_error(self) -> float:
-        shares = [
+        fractions = [
             border_light(ray, p, behind.medium)
             for ray, p, (_, behind) in zip(self._fan, self._nominal_planes, self.sides, strict=True)
         ]
-        return math.sqrt(sum(float(np.mean(share)) for share in shares))
+        return math.sqrt(sum(float(np.mean(fraction)) for fraction in fractions))
 
     def _other_angles(self) -> float:
-        """Relative error for points at the mean square distance along y of a filled object grid."""
+        """Return the relative error for points at the rms distance along y of a filled object grid."""
         grid, k = self.scene.object_grid, self.scene.wavenumber_per_mm
         (x, y), worst = grid.centre_mm, 0.0
         for side in (-1.0, 1.0):
@@ -246,12 +249,12 @@ class AnnularSlices(Engine):
             worst = max(worst, _misfit(phases))
         return worst
 
-    def _refuse_total_reflection(self) -> None:
+    def _validate_transmission(self) -> None:
         if self.light.reflected > 0.0:
             raise InputError(
                 f"engine slices: total reflection of {self.light.reflected:.3g} of the rays from the "
-                "object's middle and rim; slices take all light to pass: stop the lens down, or take a "
-                "smaller object or the wave propagation method"
+                "object's middle and rim, which slices cannot represent: stop the lens down, or use a "
+                "smaller object or engine wpm"
             )
 
     def _warn(self) -> None:
@@ -260,9 +263,9 @@ class AnnularSlices(Engine):
             return
         waves = max(float(np.max(np.abs(phase))) for phase in self._phases) / (2.0 * math.pi)
         warnings.warn(
-            f"slices = {self.slices}: {self.compensation} compensation errs by up to {waves:.3g} waves in "
-            f"a slice, and the exit field by about {error:.2g} of its size: take more slices"
-            + ("" if self._oblique else ", or oblique compensation"),
+            f"slices = {self.slices}: the phase error of {self.compensation} compensation is up to "
+            f"{waves:.3g} waves in a slice, and the relative error of the exit field about {error:.2g}: use "
+            "more slices" + ("" if self._oblique else ", or oblique compensation"),
             SamplingWarning,
             stacklevel=6,
         )
@@ -273,5 +276,5 @@ class AnnularSlices(Engine):
 
 
 def _misfit(phases: Sequence[Array]) -> float:
-    """Relative error of a field whose rays are off by these phases at the surfaces."""
+    """Return the relative error of a field whose rays have these phase errors at the surfaces."""
     return math.sqrt(float(np.mean(np.abs(np.exp(1j * np.sum(phases, axis=0)) - 1.0) ** 2)))

@@ -14,7 +14,7 @@ from wavesim.scene.scene import Scene
 Spacing = Literal["equal", "paper", "equal-phase"]
 
 BINS = 512
-"""Of height, in which the density of planes is held."""
+"""Bins of height for the density of planes."""
 
 
 def cutting_planes(
@@ -25,43 +25,45 @@ def cutting_planes(
     spacing: Spacing,
     oblique: bool,
 ) -> list[Array]:
-    """Planes through every surface, increasing, one more than slices; both ends touch the surface.
+    """Return the cutting planes of every surface, increasing, one more than slices; both ends touch the
+    surface.
 
     Parameters
     ----------
     scene
-        What is carried where.
+        Lens, grids and wavelength.
     rays
-        Of the middle of the object, at each surface.
+        Rays of the object's centre at each surface.
     heights_mm
         Lowest and highest point of each surface.
     slices
-        Of each surface; unless the spacing is equal, on average.
+        Number of slices of each surface; the average over the surfaces unless the spacing is equal.
     spacing
-        ``equal``: every surface by itself, evenly. ``paper``: the smaller the radius of curvature, the
-        smaller the spacing; here in proportion to the local meridional radius, over all surfaces.
-        ``equal-phase``: the compensation errs by the same phase in every slice.
+        ``equal``: evenly spaced on every surface. ``paper``: spacing in proportion to the local meridional
+        radius of curvature, over all surfaces. ``equal-phase``: equal phase errors of the compensation in all
+        slices.
     oblique
-        Which compensation errs.
+        Whether ``equal-phase`` refers to oblique or to vertical compensation.
     """
     if spacing == "equal":
         return [np.linspace(low, high, (slices if high > low else 1) + 1) for low, high in heights_mm]
-    shares = []
+    weights = []
     for i, (ray, span) in enumerate(zip(rays, heights_mm, strict=True)):
         if span[1] == span[0]:
-            shares.append(np.zeros(BINS))
+            weights.append(np.zeros(BINS))
             continue
         density = 1.0 / _local_radius_mm(scene, i, ray) if spacing == "paper" else ray.density(oblique)
-        shares.append(_binned(ray.z_mm, density, span))
-    total = sum(float(share.sum()) for share in shares) or 1.0
-    counts = [max(1, round(slices * len(shares) * float(share.sum()) / total)) for share in shares]
+        weights.append(_binned(ray.z_mm, density, span))
+    total = sum(float(weight.sum()) for weight in weights) or 1.0
+    counts = [max(1, round(slices * len(weights) * float(weight.sum()) / total)) for weight in weights]
     return [
-        _planes_of(share, span, count) for share, span, count in zip(shares, heights_mm, counts, strict=True)
+        _planes_of(weight, span, count)
+        for weight, span, count in zip(weights, heights_mm, counts, strict=True)
     ]
 
 
 def _local_radius_mm(scene: Scene, surface: int, ray: CentreRays) -> Array:
-    """Meridional radius of curvature of the surface itself where the rays cross it; at most 1e9 mm."""
+    """Return the surface's meridional radius of curvature at the crossings of the rays, 1e9 mm at most."""
     system = scene.system
     offset = np.stack([ray.x_mm, ray.y_mm, ray.z_mm], axis=-1) - system.vertex[0, surface]
     local = offset @ system.rotation[0, surface]
@@ -78,17 +80,17 @@ def _local_radius_mm(scene: Scene, surface: int, ray: CentreRays) -> Array:
 
 
 def _binned(z_mm: Array, density: Array, span: tuple[float, float]) -> Array:
-    """Share of the planes in each bin of height, not normalized: the mean of a density per mm of height."""
+    """Return the relative number of planes in each bin of height, by the mean of their density."""
     order = np.argsort(z_mm)
     width = (span[1] - span[0]) / BINS
     middles = span[0] + width * (np.arange(BINS) + 0.5)
     return np.asarray(width * np.interp(middles, z_mm[order], density[order]))
 
 
-def _planes_of(share: Array, span: tuple[float, float], count: int) -> Array:
-    if share.sum() == 0.0:
+def _planes_of(weight: Array, span: tuple[float, float], count: int) -> Array:
+    if weight.sum() == 0.0:
         return np.linspace(*span, count + 1)
-    reached = np.concatenate([[0.0], np.cumsum(share)])
+    reached = np.concatenate([[0.0], np.cumsum(weight)])
     edges = np.linspace(*span, BINS + 1)
     planes = np.interp(np.linspace(0.0, reached[-1], count + 1), reached, edges)
     planes[[0, -1]] = span

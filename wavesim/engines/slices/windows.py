@@ -1,9 +1,9 @@
-"""Of each surface a window of its own, and the plane waves that it holds.
+"""Window of each surface, and the plane waves that it holds.
 
-A window repeats what it holds, so it has plane waves of whole orders of its period, of which each medium
-keeps those of its band: few of many behind a lens that sends light on in a narrow cone. From grid to grid a
-field goes as these waves alone, by Fourier sums along one axis after the other, some rows or columns at a
-time: no array has more samples than the larger of both ends.
+A window is periodic, so that its plane waves have whole orders. Each medium keeps the orders within its band:
+few of many behind a lens that emits light in a narrow cone. Between grids the field is represented by these
+waves only. Fourier sums along one axis after the other, some rows or columns at a time, convert it, so that
+no array has more samples than the larger one of both grids.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from wavesim.fields.plane_waves import BandLimit, Samples, centres_mm
 from wavesim.runtime.arrays import array_module
 from wavesim.scene.scene import Scene
 
-HANDED_FINENESS = 0.9
-"""Pitch at which a field goes from one window to the next, as a share of the coarsest that holds it."""
+TRANSFER_FINENESS = 0.9
+"""Pitch for the transfer between two windows, as a fraction of the coarsest that samples the field."""
 
 BLOCK_BYTES, DEVICE_BLOCK_BYTES = 1 << 22, 1 << 28
-"""Of the rows or columns that are worked on at one time, by NumPy's and by other arrays."""
+"""Size of a block of rows or columns that is processed at a time, for NumPy's and for other arrays."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Waves:
     Attributes
     ----------
     medium : Medium
-        Its grid is the window's.
+        Medium; its grid is the window's.
     """
 
     medium: Medium
@@ -50,30 +50,30 @@ class Waves:
     @property
     def orders(self) -> tuple[int, ...]:
         """Highest order along each axis."""
-        return tuple(self._held(n, self.medium.band_per_mm) for n in self.grid.shape)
+        return tuple(self._highest_order(n, self.medium.band_per_mm) for n in self.grid.shape)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of a spectrum."""
+        """Shape of a spectrum."""
         return tuple(2 * m + 1 for m in self.orders)
 
     @property
     def size(self) -> int:
-        """Number of waves, those in the corners beyond the band included."""
+        """Number of waves, including those in the corners beyond the band."""
         return math.prod(self.shape)
 
     @property
     def area(self) -> float:
-        """Of the window: its side on a line."""
+        """Area of the window, or its side on a line."""
         return math.prod(2.0 * half for half in self.grid.half_widths_mm)
 
     def frequencies(self, orders: Sequence[int]) -> list[Samples]:
-        """In cycles per mm along each axis, up to some orders."""
+        """Return the frequencies in cycles per mm along each axis, up to some orders."""
         sides = (2.0 * half for half in self.grid.half_widths_mm)
         return [Samples(0.0, 1.0 / side, 2 * m + 1) for side, m in zip(sides, orders, strict=True)]
 
     def points(self, grid: Grid) -> list[Samples]:
-        """Samples of a grid along each axis, from this window's first sample."""
+        """Return the samples of a grid along each axis, relative to this window's first sample."""
         first = [
             c - 0.5 * (n - 1) * self.grid.pitch_mm
             for c, n in zip(centres_mm(self.grid), self.grid.shape, strict=True)
@@ -83,22 +83,22 @@ class Waves:
             for c, start, n in zip(centres_mm(grid), first, grid.shape, strict=True)
         ]
 
-    def gathered(self, values: Any, grid: Grid, orders: Sequence[int]) -> Any:
-        """Spectrum up to some orders of the samples on a grid; :meth:`spread` is its adjoint."""
+    def analyze(self, values: Any, grid: Grid, orders: Sequence[int]) -> Any:
+        """Return the spectrum up to some orders of samples on a grid; adjoint of :meth:`synthesize`."""
         return fourier_sums(values, self.points(grid), self.frequencies(orders), -1, grid.cell)
 
-    def spread(self, spectrum: Any, grid: Grid, orders: Sequence[int]) -> Any:
-        """Samples on a grid of the waves up to some orders."""
+    def synthesize(self, spectrum: Any, grid: Grid, orders: Sequence[int]) -> Any:
+        """Return the samples on a grid of the waves up to some orders."""
         return fourier_sums(spectrum, self.frequencies(orders), self.points(grid), 1, 1.0 / self.area)
 
-    def held_by(self, grid: Grid) -> tuple[int, ...]:
-        """Highest orders that the samples of a grid tell from others."""
+    def resolved_by(self, grid: Grid) -> tuple[int, ...]:
+        """Return the highest orders that the samples of a grid represent without aliasing."""
         return tuple(
-            min(self._held(n, math.pi / grid.pitch_mm), m)
+            min(self._highest_order(n, math.pi / grid.pitch_mm), m)
             for n, m in zip(self.grid.shape, self.orders, strict=True)
         )
 
-    def _held(self, count: int, wavenumber_per_mm: float) -> int:
+    def _highest_order(self, count: int, wavenumber_per_mm: float) -> int:
         side = count * self.grid.pitch_mm
         return min(math.floor(wavenumber_per_mm * side / (2.0 * math.pi) * (1.0 + 1e-12)), (count - 1) // 2)
 
@@ -106,23 +106,25 @@ class Waves:
 def surface_grids(
     scene: Scene, light: LightWithin, pitch_mm: float | None = None, half_width_mm: float | None = None
 ) -> tuple[Grid, ...]:
-    """Window and pitch of every surface; the first takes what the object sends, the last gives to the exit.
+    """Return window and pitch of every surface; the outer ones also fit the object and the exit grid.
 
     Raises
     ------
-    SamplingError, InputError
-        If a pitch or a width that is asked for cannot hold the field; it is that of all surfaces.
+    InputError
+        If a given pitch or width is not finite and above 0.
+    SamplingError
+        If a given pitch or width, which applies to all surfaces, cannot sample the field.
     """
     last = len(light.reach_mm) - 1
     halves = [light.own_half_mm(i) for i in range(last + 1)]
     for i in range(last):
-        # The wider one of two carries what is between.
+        # The wider one of two windows represents the field between the surfaces.
         wider = i if halves[i] > halves[i + 1] else i + 1
         halves[wider] = max(halves[wider], light.leg_half_mm(i))
     farthest_z_mm, nearest_z_mm = light.heights_mm[0][1], light.heights_mm[-1][0]
     ends = ((0, 0, scene.object_grid, farthest_z_mm), (last, last + 1, scene.exit_grid, nearest_z_mm))
     for i, medium, grid, z_mm in ends:
-        # No copy of light that goes beyond the window comes to where light is wanted.
+        # No periodic copy of light that leaves the window reaches the grid.
         walk = abs(grid.z_mm - z_mm) * light.tangents[medium]
         halves[i] = max(halves[i], 0.5 * (_farthest_mm(grid, light.middle_mm) + light.reach_mm[i] + walk))
     return tuple(
@@ -132,9 +134,10 @@ def surface_grids(
 
 
 def arriving(scene: Scene, light: LightWithin) -> BandLimit:
-    """Walks from the object to the first surface: those of light that meets it pass, steeper light fades out.
+    """Return the lateral shifts from the object to the first surface that are transmitted.
 
-    A sharp end of the spectrum would leave ripples over the whole window.
+    Light that meets the surface is transmitted, and steeper light is attenuated smoothly, since a sharp end
+    of the spectrum would cause ripples over the whole window.
     """
     grid, k = scene.object_grid, scene.wavenumber_per_mm * float(scene.system.index[0, 0])
     steepest = min(light.bands_per_mm[0], math.pi / grid.pitch_mm)
@@ -149,22 +152,22 @@ def _farthest_mm(grid: Grid, middle_mm: tuple[float, float]) -> float:
     return max(abs(centre - here) + half for centre, here, half in ends)
 
 
-def handed_over(spectrum: Any, source: Waves, target: Waves) -> Any:
-    """Spectrum in another window of the same middle: of what lies in the smaller one of both.
+def transferred(spectrum: Any, source: Waves, target: Waves) -> Any:
+    """Return the spectrum in another window of the same centre, for the field in the smaller one of both.
 
     With both windows swapped it is the adjoint.
     """
     if source.grid == target.grid:
         return spectrum
     least, orders = min((w.grid.half_widths_mm[0], w.orders) for w in (source, target))
-    count = math.ceil((2 * max(orders) + 1) / HANDED_FINENESS)
+    count = math.ceil((2 * max(orders) + 1) / TRANSFER_FINENESS)
     between = Grid((count,) * len(orders), 2.0 * least / count, 0.0, source.grid.centre_mm)
-    given, taken = (w.frequencies(w.orders) for w in (source, target))
-    there, here = source.points(between), target.points(between)
+    source_cycles, target_cycles = (w.frequencies(w.orders) for w in (source, target))
+    source_points, target_points = source.points(between), target.points(between)
 
     def transform(values: Any, axis: int) -> Any:
-        samples = chirp_z_transform(values, given[axis], there[axis], sign=1, axis=axis)
-        return chirp_z_transform(samples, here[axis], taken[axis], sign=-1, axis=axis)
+        samples = chirp_z_transform(values, source_cycles[axis], source_points[axis], sign=1, axis=axis)
+        return chirp_z_transform(samples, target_points[axis], target_cycles[axis], sign=-1, axis=axis)
 
     spectrum = _along_axes(spectrum, transform, target.shape, count)
     spectrum *= between.cell / source.area
@@ -174,7 +177,7 @@ def handed_over(spectrum: Any, source: Waves, target: Waves) -> Any:
 def fourier_sums(
     values: Any, source: Sequence[Samples], target: Sequence[Samples], sign: int, scale: float
 ) -> Any:
-    """Chirp-z transforms along all axes, times a number."""
+    """Apply chirp-z transforms along all axes, and multiply by a number."""
 
     def transform(values: Any, axis: int) -> Any:
         return chirp_z_transform(values, source[axis], target[axis], sign=sign, axis=axis)
@@ -187,7 +190,7 @@ def fourier_sums(
 def _along_axes(
     values: Any, transform: Callable[[Any, int], Any], shape: tuple[int, ...], longest: int = 0
 ) -> Any:
-    """Along one axis after the other, rows or columns in blocks, in the order that keeps arrays small."""
+    """Transform along one axis after the other in blocks, in the order that keeps arrays small."""
     if values.ndim == 1:
         return transform(values, 0)
     xp = array_module(values)
@@ -196,19 +199,19 @@ def _along_axes(
         count, others = shape[axis], values.shape[1 - axis]
         result = xp.empty((count, others) if axis == 0 else (others, count), dtype=kind)
         for part in parts(others, 4 * max(values.shape[axis] + count, 2 * longest), result):
-            place = (slice(None), part) if axis == 0 else (part, slice(None))
-            result[place] = transform(values[place], axis)
+            block_of = (slice(None), part) if axis == 0 else (part, slice(None))
+            result[block_of] = transform(values[block_of], axis)
         values = result
     return values
 
 
 def parts(count: int, samples: int, like: Any) -> Iterator[slice]:
-    """Parts of a range of rows or columns of so many samples, small enough to be worked on at one time."""
+    """Return parts of a range of rows or columns of so many samples, each small enough for one block."""
     step = block(samples, like)
     return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
 def block(samples: int, like: Any) -> int:
-    """How many rows or columns of so many samples are worked on at one time."""
+    """Return the number of rows or columns of so many samples in a block."""
     most = BLOCK_BYTES if isinstance(like, np.ndarray) else DEVICE_BLOCK_BYTES
     return max(most // (16 * samples), 8)

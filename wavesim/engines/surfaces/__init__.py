@@ -1,1 +1,1 @@
-"""Waves at curved surfaces: where they cross, and the grid that holds them."""
+"""Waves at curved surfaces: samples of the surfaces, and the grid on which the waves are sampled."""

@@ -1,7 +1,7 @@
-"""The transverse grid on which a field is carried through a lens, chosen from rays before any field is.
+"""Choice of the transverse grid for propagation through a lens, from rays.
 
-The rays of the object grid's middle and corners tell how far the light reaches on each surface, and how
-steeply it travels in each medium. Beside them there is room for diffraction: some Fresnel zones.
+The rays of the centre and the corners of the object grid determine how far the light extends on each surface,
+and how steep it is in each medium. A margin of some Fresnel zones is added for diffraction.
 """
 
 from __future__ import annotations
@@ -30,34 +30,35 @@ BAND_MARGIN, REACH_MARGIN, WINDOW_MARGIN = 1.1, 1.05, 1.02
 FRESNEL_ZONES = 4.0
 STEEPEST_SINE = 0.98
 FINENESS = 0.9
-"""Pitch chosen, as a share of the coarsest that holds the field."""
+"""Pitch, as a fraction of the coarsest that samples the field."""
 PROFILE_POINTS = 257
 LARGEST_BYTES, LONGEST_SECONDS = 20e9, 3600.0
-"""More is only done when forced."""
+"""Limits of memory and time above which an engine runs only with `force`."""
 
 
 class TotalReflectionWarning(UserWarning):
-    """Some of the object's light is totally reflected, and never leaves the lens."""
+    """Some of the object's light is totally reflected and never leaves the lens."""
 
 
 @dataclass(frozen=True)
 class WorkingGrid:
-    """Where and in which media a field is carried through a lens.
+    """Transverse grid and media of a propagation through a lens.
 
     Attributes
     ----------
     grid : Grid
         Transverse samples, in the plane z = 0.
     media : tuple of Medium
-        In front of the first surface, and behind each.
+        Medium in front of the first surface, and behind each surface.
     reach_mm : tuple of float
-        Of each surface, the distance from the middle of the grid up to which light meets it.
+        Largest distance from the grid's centre at which light meets each surface.
     heights_mm : tuple of (float, float)
-        Of each surface, the lowest and the highest point within reach.
+        Lowest and highest point of each surface within this distance.
     reflected : float
-        Share of the rays that are totally reflected.
-    spared : float
-        Of the energy of light that fills the stop evenly, what its rim turns beyond the bands.
+        Fraction of the rays that are totally reflected.
+    diffracted : float
+        Fraction of the energy that diffraction at the rim sends beyond the bands, for light that fills the
+        stop evenly.
     """
 
     grid: Grid
@@ -65,11 +66,11 @@ class WorkingGrid:
     reach_mm: tuple[float, ...]
     heights_mm: tuple[tuple[float, float], ...]
     reflected: float
-    spared: float
+    diffracted: float
 
     @property
     def samples_on_surfaces(self) -> list[int]:
-        """Of each surface, the number of the grid's samples within reach."""
+        """Number of the grid's samples on each surface within reach of the light."""
         grid = self.grid
         if grid.is_line:
             return [min(grid.size, math.ceil(2.0 * r / grid.pitch_mm)) for r in self.reach_mm]
@@ -78,7 +79,7 @@ class WorkingGrid:
     def transfers(
         self, scene: Scene, start_mm: float, end_mm: float
     ) -> tuple[FreeSpacePropagator, FreeSpacePropagator]:
-        """From the object to the grid's first plane, and from its last one to the exit."""
+        """Return the propagators from the object to the first plane, and from the last plane to the exit."""
         into = FreeSpacePropagator(
             scene.object_grid, self.grid.at(start_mm), scene.wavelength_um, self.media[0].index
         )
@@ -90,20 +91,20 @@ class WorkingGrid:
 
 @dataclass(frozen=True)
 class LightWithin:
-    """What rays tell of an object's light within a lens.
+    """Extent of an object's light within a lens, from rays.
 
     Attributes
     ----------
     middle_mm : (x, y)
-        About which the lens is sampled.
+        Point about which the lens is sampled.
     bands_per_mm, tangents : tuple of float
-        In each medium, the largest transverse wave number, and the tangent of its angle to the axis.
+        Largest transverse wavenumber in each medium, and the tangent of its angle to the axis.
     reach_mm, heights_mm : tuple
-        Of each surface, as of :class:`WorkingGrid`.
+        Extent on each surface, as in :class:`WorkingGrid`.
     coarsest_mm : tuple of float
-        Of each surface, the pitch at which neither side mistakes one wave of its band for another.
-    reflected, spared : float
-        As of :class:`WorkingGrid`.
+        Coarsest pitch on each surface that avoids aliasing on both sides.
+    reflected, diffracted : float
+        As in :class:`WorkingGrid`.
     """
 
     middle_mm: tuple[float, float]
@@ -113,23 +114,23 @@ class LightWithin:
     heights_mm: tuple[tuple[float, float], ...]
     coarsest_mm: tuple[float, ...]
     reflected: float
-    spared: float
+    diffracted: float
 
     def own_half_mm(self, surface: int) -> float:
-        """Half of the window in which light of a surface that leaves on one side does not come in again."""
+        """Return the half-width of the window in which light of a surface does not wrap around."""
         low, high = self.heights_mm[surface]
         return self.reach_mm[surface] + (high - low) * max(self.tangents[surface : surface + 2])
 
     def leg_half_mm(self, surface: int) -> float:
-        """The same of light between a surface and the next."""
+        """Return the half-width of the window in which light between a surface and the next does not wrap."""
         (low, _), (_, high) = self.heights_mm[surface : surface + 2]
-        here, there = self.reach_mm[surface : surface + 2]
-        return 0.5 * (here + there + (high - low) * self.tangents[surface + 1])
+        own, following = self.reach_mm[surface : surface + 2]
+        return 0.5 * (own + following + (high - low) * self.tangents[surface + 1])
 
 
 @dataclass(frozen=True)
 class _Bundle:
-    """How far the rays of each surface reach from the middle, and how steep they are in each medium."""
+    """Extent of the rays on each surface about the centre, and their largest sine in each medium."""
 
     reach_mm: Array
     sines: Array
@@ -137,31 +138,31 @@ class _Bundle:
 
 
 def check_grid_size(engine: str, samples: int, cost: Cost, force: bool) -> None:
-    """Refuse what takes more memory or time than one run may, unless it is forced.
+    """Check that a run stays within the limits of memory and time, unless it is forced.
 
     Parameters
     ----------
     engine
-        Name.
+        Name of the engine.
     samples
-        Of the largest grid.
+        Samples of the largest grid.
     cost
-        As the engine predicts it.
+        Prediction of the engine.
     force
-        Whether to let it run all the same.
+        Whether to skip the check.
 
     Raises
     ------
     SamplingError
-        If it is refused; names samples, memory and hours.
+        If a limit is exceeded; the message contains samples, memory and hours.
     """
     seconds = cost.setup_seconds + cost.seconds
     if force or (cost.peak_bytes <= LARGEST_BYTES and seconds <= LONGEST_SECONDS):
         return
     raise SamplingError(
         f"engine {engine}: {samples:.3g} samples take {cost.peak_bytes:.3g} bytes and "
-        f"{seconds / 3600:.3g} hours, over {LARGEST_BYTES:.3g} bytes or {LONGEST_SECONDS / 3600:.3g} h: use "
-        "a line, a smaller object or lens, or another engine, or run it all the same with force = True"
+        f"{seconds / 3600:.3g} hours; allowed: {LARGEST_BYTES:.3g} bytes and {LONGEST_SECONDS / 3600:.3g} h: "
+        "use a line, a smaller object or lens, or another engine, or set force = True"
     )
 
 
@@ -171,24 +172,24 @@ def working_grid(
     half_width_mm: float | None = None,
     zones: float = FRESNEL_ZONES,
 ) -> WorkingGrid:
-    """Choose the grid, or check one that is asked for.
+    """Choose the transverse grid, or check a given one.
 
     Parameters
     ----------
     scene
-        What is carried where.
+        Lens, grids and wavelength.
     pitch_mm, half_width_mm
-        Of the grid; chosen if left out.
+        Pitch and half-width of the grid. Default: by the extent of the light.
     zones
-        Room beside the rays for light that the rim turns, in Fresnel zones of the object.
+        Margin for diffraction at the rim, in Fresnel zones of the object.
 
     Raises
     ------
     InputError
-        If hardly a ray gets through the lens, it does not stand behind the object, or a figure turns rays out
-        of the plane of a line.
+        If fewer than three rays pass the lens, the lens does not lie behind the object, or a figure deflects
+        rays out of the plane of a line.
     SamplingError
-        If the pitch or the width asked for cannot hold the field, or light runs along the planes.
+        If the given pitch or width cannot sample the field, or the light is too oblique.
 
     Warns
     -----
@@ -201,21 +202,24 @@ def working_grid(
         Medium(grid, scene.wavelength_um, float(n), band)
         for n, band in zip(scene.system.index[0], light.bands_per_mm, strict=True)
     )
-    return WorkingGrid(grid, media, light.reach_mm, light.heights_mm, light.reflected, light.spared)
+    return WorkingGrid(grid, media, light.reach_mm, light.heights_mm, light.reflected, light.diffracted)
 
 
 def light_within(scene: Scene, zones: float = FRESNEL_ZONES) -> LightWithin:
-    """How far the light of an object reaches within a lens, and how steep it is, from rays.
+    """Measure extent and steepness of an object's light within a lens by tracing rays.
 
     Parameters
     ----------
     scene, zones
-        As of :func:`working_grid`.
+        As in :func:`working_grid`.
 
     Raises
     ------
-    InputError, SamplingError
-        As :func:`working_grid`.
+    InputError
+        If fewer than three rays pass the lens, the lens does not lie behind the object, or a figure deflects
+        rays out of the plane of a line.
+    SamplingError
+        If the light is too oblique.
 
     Warns
     -----
@@ -240,7 +244,7 @@ def light_within(scene: Scene, zones: float = FRESNEL_ZONES) -> LightWithin:
         tuple((low, high) for low, high, _ in profiles),
         tuple(_coarsest_mm(scene, bands, [slope for _, _, slope in profiles])),
         bundle.reflected,
-        _spared(scene, bundle, bands),
+        _diffracted(scene, bundle, bands),
     )
 
 
@@ -252,12 +256,14 @@ def sampled(
     pitch_mm: float | None,
     half_width_mm: float | None,
 ) -> Grid:
-    """Grid about the middle of the lens that is fine and wide enough, or is asked for.
+    """Return a grid about the centre of the lens that is fine and wide enough, or the given one.
 
     Raises
     ------
-    SamplingError, InputError
-        If the pitch or the width asked for cannot hold the field.
+    InputError
+        If the given pitch or width is not finite and above 0.
+    SamplingError
+        If the given pitch or width cannot sample the field.
     """
     pitch = FINENESS * coarsest_mm if pitch_mm is None else pitch_mm
     half = WINDOW_MARGIN * narrowest_mm if half_width_mm is None else half_width_mm
@@ -272,12 +278,12 @@ def _check(pitch: float, coarsest: float, half: float, narrowest: float) -> None
     if pitch > coarsest:
         raise SamplingError(
             f"working grid pitch_mm = {pitch:.4g}: too coarse for the steepest light on the surfaces; "
-            f"at most {coarsest:.4g} mm holds it"
+            f"must be at most {coarsest:.4g} mm"
         )
     if half < narrowest:
         raise SamplingError(
-            f"working grid half_width_mm = {half:.4g}: too narrow, light would come in again on the other "
-            f"side; at least {narrowest:.4g} mm"
+            f"working grid half_width_mm = {half:.4g}: too narrow, so that light wraps around; must be at "
+            f"least {narrowest:.4g} mm"
         )
 
 
@@ -313,12 +319,15 @@ def _bundle(scene: Scene, middle: Array) -> _Bundle:
     )
 
 
-def _reflection_message(share: float) -> str:
-    return f"total reflection: {100.0 * share:.3g} % of the rays from the object's middle and rim never leave"
+def _reflection_message(fraction: float) -> str:
+    return (
+        f"total reflection: {100.0 * fraction:.3g} % of the rays from the object's middle and rim never "
+        "leave the lens"
+    )
 
 
 def _bands(scene: Scene, sines: Array, zones: float) -> tuple[list[float], list[float]]:
-    """Largest transverse wave number in each medium, and the tangent of its angle."""
+    """Return the largest transverse wavenumber in each medium, and the tangent of its angle."""
     k = scene.wavenumber_per_mm * scene.system.index[0]
     zone = np.sqrt(k / _first_leg_mm(scene))
     if np.max(sines) > STEEPEST_SINE:
@@ -330,11 +339,11 @@ def _bands(scene: Scene, sines: Array, zones: float) -> tuple[list[float], list[
     return list(band), list(band / np.sqrt(k * k - band * band))
 
 
-def _spared(scene: Scene, bundle: _Bundle, bands: list[float]) -> float:
-    """Of evenly lit energy, what a straight edge turns by more than the band is wide beyond the rays."""
+def _diffracted(scene: Scene, bundle: _Bundle, bands: list[float]) -> float:
+    """Return the fraction of evenly distributed energy that the rim diffracts beyond the band."""
     stop, k = scene.lens.stop_index, scene.wavenumber_per_mm * scene.system.index[0]
     beyond = np.maximum(np.array(bands) - k * bundle.sines, 1e-300)[stop + 1 :]
-    # An edge's spectrum is 1 / q; a slit has two of them, a disc twice as much rim for its area.
+    # The spectrum of an edge falls as 1 / q; a slit has two edges, a disc twice as much rim for its area.
     rim = 2.0 / bundle.reach_mm[stop:] * (0.5 if scene.object_grid.is_line else 1.0)
     return float(min(1.0, np.max(rim / (2.0 * math.pi * beyond))))
 
@@ -354,7 +363,7 @@ def _first_leg_mm(scene: Scene) -> float:
 
 
 def _profile(scene: Scene, surface: int, middle: Array, reach_mm: float) -> tuple[float, float, float]:
-    """Lowest and highest point, and largest slope, of a surface along the grid's middle lines."""
+    """Return lowest point, highest point and largest slope of a surface along the grid's central lines."""
     t = np.linspace(-reach_mm, reach_mm, PROFILE_POINTS)
     x, y = np.full_like(t, middle[0]), middle[1] + t
     if not scene.object_grid.is_line:
@@ -364,8 +373,8 @@ def _profile(scene: Scene, surface: int, middle: Array, reach_mm: float) -> tupl
     slopes = surface_slopes(scene.system, surface, x[found.inside], y[found.inside], z)
     if z.size == 0 or not np.isfinite(slopes).all():
         raise InputError(
-            f"surface {surface} is not there over the grid's middle where light meets it: it is tilted or "
-            "decentered too far"
+            f"surface {surface} does not exist over the grid's centre where light meets it: reduce its "
+            "tilt or decenter"
         )
     return float(np.min(z)), float(np.max(z)), float(np.max(np.abs(slopes)))
 
@@ -381,6 +390,6 @@ def _coarsest_mm(scene: Scene, bands: list[float], slopes: list[float]) -> list[
 
 
 def _narrowest_mm(light: LightWithin) -> float:
-    """Half of the window in which light of the band that leaves on one side does not come in on the other."""
+    """Return the half-width of the window in which no light of the band wraps around."""
     surfaces = range(len(light.reach_mm))
     return max([light.own_half_mm(i) for i in surfaces] + [light.leg_half_mm(i) for i in surfaces[:-1]])

@@ -1,4 +1,4 @@
-"""Where light meets a refracting surface, at the transverse points of a grid."""
+"""Samples of a refracting surface at the transverse points of a grid, and its transmission."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmiss
 from wavesim.scene.scene import Scene
 
 DEGREE = 10
-"""Of the polynomials in x and y for a surface's transmission."""
+"""Degree of the polynomials in x and y for a surface's transmission."""
 
 BLOCK = 1 << 15
-"""Points for which they are evaluated at one time."""
+"""Points at which the polynomials are evaluated at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Samples of a surface at the transverse points of a grid, ordered by height; arrays of shape (n,).
+    """Samples of a surface at the transverse points of a grid, in order of height; arrays of shape (n,).
 
     Attributes
     ----------
     pixels : ndarray of int
-        Which samples of the grid, counted through.
+        Flat indices of the samples in the grid.
     z_mm : ndarray
         Heights, increasing.
     slopes : tuple of ndarray
-        dh/dy, and on a plane dh/dx.
+        dh/dy, and on a plane also dh/dx.
     transmission : ndarray
-        Factor of the field.
+        Transmission of the field.
     rim_z_mm : float
-        Height of the sample farthest from the middle of the grid.
+        Height of the sample farthest from the centre of the grid.
     """
 
     pixels: NDArray[np.int64]
@@ -49,7 +49,7 @@ class SurfaceSamples:
 
 
 def sample_surfaces(scene: Scene, grid: Grid, reach_mm: tuple[float, ...]) -> list[SurfaceSamples]:
-    """Samples of every surface, up to a distance from the middle of the grid.
+    """Sample every surface up to a distance from the centre of the grid.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def _sample(scene: Scene, grid: Grid, reach_mm: float, surface: int, crossing: C
     near = np.flatnonzero(away <= reach_mm + grid.pitch_mm)
     found = surface_map(scene.system, surface, x[near], y[near])
     lit = rim_weight(np.minimum(found.inwards_mm, reach_mm - away[near]), grid.pitch_mm)
-    there = np.isfinite(found.z_mm) & (lit > 0.0)
-    pixels, z, lit, away = near[there], found.z_mm[there], lit[there], away[near[there]]
+    exists = np.isfinite(found.z_mm) & (lit > 0.0)
+    pixels, z, lit, away = near[exists], found.z_mm[exists], lit[exists], away[near[exists]]
     if not len(pixels):
         raise SamplingError(
             f"no sample of the working grid of {grid.pitch_mm:g} mm lies on surface {surface}"
@@ -82,18 +82,18 @@ def _sample(scene: Scene, grid: Grid, reach_mm: float, surface: int, crossing: C
 
 
 def rim_weight(inwards_mm: Array, pitch_mm: float) -> Array:
-    """What samples next to a rim count for the light within it, so that the rim lies between samples.
+    """Return the weights of samples next to a rim, such that sums over samples integrate up to the rim.
 
-    Their weights integrate what is linear from sample to sample up to the rim, and keep it in its place.
+    They are exact for functions that are linear between samples, and keep the position of the rim.
     """
-    place = np.clip(inwards_mm / pitch_mm, -1.0, 1.0)
-    return np.asarray(np.where(place < 0.0, 0.5 * (1.0 + place) ** 2, 1.0 - 0.5 * (1.0 - place) ** 2))
+    depth = np.clip(inwards_mm / pitch_mm, -1.0, 1.0)
+    return np.asarray(np.where(depth < 0.0, 0.5 * (1.0 + depth) ** 2, 1.0 - 0.5 * (1.0 - depth) ** 2))
 
 
 def surface_slopes(
     system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array, z_mm: Array
 ) -> tuple[Array, Array]:
-    """dh/dy and dh/dx of a surface at points on it, tilted and decentered as it is."""
+    """Return dh/dy and dh/dx of a surface, with its tilt and decenter, at points on it."""
     rotation = system.rotation[0, surface]
     offset = np.stack(np.broadcast_arrays(x_mm, y_mm, z_mm), axis=-1) - system.vertex[0, surface]
     local = offset @ rotation
@@ -103,7 +103,7 @@ def surface_slopes(
 
 
 def transmission_at(scene: Scene, surface: int, crossing: Crossings, x: Array, y: Array) -> Array:
-    """Factor of the field for the rays of the middle of the object; beyond them that of the nearest."""
+    """Return the field's transmission for rays of the object's centre; beyond them the nearest value."""
     is_line = scene.object_grid.is_line
     n1, n2 = (float(n) for n in scene.system.index[0, surface : surface + 2])
     known = transmission(scene.coating, n1, n2, crossing.incidence, crossing.refraction, is_line)
@@ -115,7 +115,7 @@ def transmission_at(scene: Scene, surface: int, crossing: Crossings, x: Array, y
     u, v = (crossing.x_mm - middle[0]) / radius, (crossing.y_mm - middle[1]) / radius
     powers = np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))
     basis = chebvander2d(u, v, (DEGREE, DEGREE))[:, powers.ravel() <= DEGREE]
-    # Normal equations without BLAS, whose threads wait for each other longer than this takes.
+    # Normal equations without BLAS, whose threads would wait for each other longer than this takes.
     square = np.einsum("ni,nj->ij", basis, basis)
     square[np.diag_indices_from(square)] += 1e-12 * len(known)
     terms = np.zeros(powers.shape)
@@ -130,7 +130,7 @@ def transmission_at(scene: Scene, surface: int, crossing: Crossings, x: Array, y
 
 
 def other_transmission(scene: Scene) -> float:
-    """Relative error at worst by giving all light the transmission of that from the object's middle."""
+    """Return the largest relative error of using the transmission of light from the object's centre."""
     grid = scene.object_grid
     (x, y), half = grid.centre_mm, (0.0, *grid.half_widths_mm[::-1])[-2:]
     middle, worst = crossings(scene, (x, y)), 0.0
@@ -142,8 +142,8 @@ def other_transmission(scene: Scene) -> float:
         total = 0.0
         for i, (known, new) in enumerate(zip(middle, other, strict=True)):
             n1, n2 = (float(n) for n in scene.system.index[0, i : i + 2])
-            right = transmission(scene.coating, n1, n2, new.incidence, new.refraction, grid.is_line)
-            taken = transmission_at(scene, i, known, new.x_mm, new.y_mm)
-            total += float(np.mean((taken / right - 1.0) ** 2))
+            actual = transmission(scene.coating, n1, n2, new.incidence, new.refraction, grid.is_line)
+            assumed = transmission_at(scene, i, known, new.x_mm, new.y_mm)
+            total += float(np.mean((assumed / actual - 1.0) ** 2))
         worst = max(worst, math.sqrt(total))
     return worst

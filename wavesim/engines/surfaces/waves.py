@@ -1,16 +1,19 @@
-"""Plane waves of one medium on a curved surface, and the waves that a surface sends into a medium.
+"""Plane waves of a medium on a curved surface, and the waves that a surface emits into a medium.
 
-A wave with spectrum S at the plane z = r is, on a surface z = h(x, y), the sum of
-S exp(i kx x + i ky y + i kz (h - r)) over its plane waves, and a surface that carries the values v sends out
+A field with spectrum S at the plane z = r has on a surface z = h(x, y) the values
 
-    S = sum of v (1 - (kx dh/dx + ky dh/dy) / kz) exp(-i kx x - i ky y - i kz (h - r)),
+    sum over plane waves of S exp(i kx x + i ky y + i kz (h - r)),
 
-Kirchhoff's integral for a wave that leaves it. Both are had from ordinary Fourier transforms on planes one
-step apart: between planes each sample takes part in the four nearest, by the cubic B-spline, whose filtering
-is divided out beforehand for every plane wave. What that leaves falls with the fourth power of the step.
+and a surface that carries the values v emits, by Kirchhoff's integral for waves that leave it,
 
-Source: M. Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Process. Mag. 16 (6),
-22 (1999).
+    S = sum of v (1 - (kx dh/dx + ky dh/dy) / kz) exp(-i kx x - i ky y - i kz (h - r)).
+
+Both follow from ordinary Fourier transforms on equidistant planes. Between planes each sample interpolates
+the four nearest ones by the cubic B-spline, whose frequency response is divided out for every plane wave. The
+remaining error falls with the fourth power of the step.
+
+Reference: M. Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Process. Mag. 16
+(6), 22 (1999).
 """
 
 from __future__ import annotations
@@ -33,16 +36,16 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Medium:
-    """Plane waves of a homogeneous medium on a grid, up to a largest transverse wave number.
+    """Plane waves of a homogeneous medium on a grid, up to a largest transverse wavenumber.
 
     Attributes
     ----------
     grid : Grid
-        Transverse samples; its z does not matter.
+        Transverse samples; its z has no effect.
     wavelength_um, index : float
-        Vacuum wavelength; refractive index.
+        Vacuum wavelength, and refractive index.
     band_per_mm : float
-        Largest transverse component of the wave vector that is carried.
+        Largest transverse component of the wave vector.
     """
 
     grid: Grid
@@ -52,63 +55,63 @@ class Medium:
 
     @property
     def largest_kz_per_mm(self) -> float:
-        """Of the wave along the axis."""
+        """kz of the wave along the axis."""
         return 2e3 * math.pi * self.index / self.wavelength_um
 
     @property
     def smallest_kz_per_mm(self) -> float:
-        """Of the steepest wave carried."""
+        """kz of the steepest wave in the band."""
         return math.sqrt(self.largest_kz_per_mm**2 - self.band_per_mm**2)
 
     def phase_across(self, step_mm: float) -> float:
-        """Phase by which the steepest and the flattest wave differ after a step, in radians."""
+        """Return the phase in radians by which the steepest and the axial wave differ after a step."""
         return (self.largest_kz_per_mm - self.smallest_kz_per_mm) * step_mm
 
     @cached_property
     def kz(self) -> Array:
-        """Axial wave numbers in FFT order; those outside the band stand at its edge."""
+        """Axial wavenumbers in FFT order; waves outside the band have the value at its edge."""
         cycles = fft_frequencies(self.grid.shape, self.grid.pitch_mm)
         kz, _ = axial_wavenumbers(cycles, self.wavelength_um, self.index)
         return np.asarray(np.maximum(kz, self.smallest_kz_per_mm))
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
-        """Plane waves within the band, in FFT order."""
+        """Mask of the plane waves within the band, in FFT order."""
         return np.asarray(self.kz > self.smallest_kz_per_mm)
 
     def transverse(self, axis: int) -> Array:
-        """Wave numbers along one axis of the grid, shaped to broadcast."""
+        """Return the wavenumbers along one axis of the grid, shaped to broadcast."""
         return np.asarray(2.0 * np.pi * fft_frequencies(self.grid.shape, self.grid.pitch_mm)[axis])
 
     def over(self, distance_mm: float) -> ComplexArray:
-        """Factor of each plane wave over a distance."""
+        """Return the factor of each plane wave over a distance."""
         factor = phasor_of(self.kz * distance_mm)
         factor[~self.inside] = 0.0
         return np.asarray(factor)
 
 
 def interpolation_error(phase_across: float) -> float:
-    """Largest relative error of a plane wave between planes, for a phase across the step."""
-    share = phase_across / (4.0 * math.pi)
-    return (share / (1.0 - share)) ** 4 if share < 0.5 else 1.0
+    """Return the largest relative error of a plane wave between planes, for a phase across the step."""
+    fraction = phase_across / (4.0 * math.pi)
+    return (fraction / (1.0 - fraction)) ** 4 if fraction < 0.5 else 1.0
 
 
 def planes_across(height_mm: float, step_mm: float) -> int:
-    """Number of planes on which a surface of some extent along z takes part."""
+    """Return the number of planes that interpolate a surface of some extent along z."""
     return 1 if height_mm == 0.0 else math.floor(height_mm / step_mm) + 4
 
 
 class SurfaceWaves:
-    """The waves of one medium at one surface.
+    """The plane waves of one medium at one surface.
 
     Parameters
     ----------
     medium
-        On one side of the surface.
+        Medium on one side of the surface.
     samples
-        Of the surface.
+        Samples of the surface.
     step_mm
-        Between planes.
+        Distance between planes.
     """
 
     def __init__(self, medium: Medium, samples: SurfaceSamples, step_mm: float) -> None:
@@ -117,32 +120,32 @@ class SurfaceWaves:
         self.flat = high == low
         self.planes = planes_across(high - low, step_mm)
         self.first_z_mm = low if self.flat else low - step_mm
-        """Plane to which spectra belong: the first one."""
+        """Position of the first plane, to which spectra refer."""
         self._carrier = 0.5 * (medium.largest_kz_per_mm + medium.smallest_kz_per_mm)
 
     def evaluate(self, spectrum: ComplexArray) -> ComplexArray:
-        """Values on the surface of the waves with a spectrum at the first plane."""
+        """Return the values on the surface of the waves with a spectrum at the first plane."""
         size = self.medium.grid.size
         wave = spectrum * self._unfiltered
         step = self.medium.over(self.step_mm)
         values = np.zeros(len(self.samples.pixels), complex)
         for plane in range(self.planes):
-            part, weight = self._share(plane)
+            part, weight = self._samples_near(plane)
             if part.start < part.stop:
                 field = scipy.fft.ifftn(wave, norm="ortho", workers=-1).reshape(size)
                 values[part] += weight * field[self.samples.pixels[part]]
-                del field  # before the next is made
+                del field  # frees its memory before the next transform
             wave *= step
         return values
 
     def collect(self, values: ComplexArray) -> ComplexArray:
-        """Exact adjoint of :meth:`evaluate`."""
+        """Apply the exact adjoint of :meth:`evaluate` to values on the surface."""
         shape = self.medium.grid.shape
-        back = self.medium.over(-self.step_mm)
+        step_back = self.medium.over(-self.step_mm)
         spectrum = np.zeros(shape, complex)
         for plane in reversed(range(self.planes)):
-            spectrum *= back
-            part, weight = self._share(plane)
+            spectrum *= step_back
+            part, weight = self._samples_near(plane)
             if part.start < part.stop:
                 field = np.zeros(self.medium.grid.size, complex)
                 field[self.samples.pixels[part]] = weight.conj() * values[part]
@@ -152,19 +155,19 @@ class SurfaceWaves:
         return spectrum
 
     def radiate(self, values: ComplexArray) -> ComplexArray:
-        """Spectrum at the first plane of the waves that the surface sends into the medium."""
+        """Return the spectrum, at the first plane, of the waves that the surface emits into the medium."""
         spectrum = self.collect(values)
         if not self.flat:
             for axis, slope in enumerate(self.samples.slopes):
-                part = self.collect(slope * values)
-                part *= self.medium.transverse(axis)
-                part /= self.medium.kz
-                spectrum -= part
-                del part
+                tilted = self.collect(slope * values)
+                tilted *= self.medium.transverse(axis)
+                tilted /= self.medium.kz
+                spectrum -= tilted
+                del tilted
         return spectrum
 
     def radiate_adjoint(self, spectrum: ComplexArray) -> ComplexArray:
-        """Exact adjoint of :meth:`radiate`."""
+        """Apply the exact adjoint of :meth:`radiate` to a spectrum."""
         values = self.evaluate(spectrum)
         if not self.flat:
             for axis, slope in enumerate(self.samples.slopes):
@@ -176,26 +179,26 @@ class SurfaceWaves:
 
     @property
     def _unfiltered(self) -> Array:
-        """What undoes the filtering by the spline, and keeps the band."""
+        """Inverse of the spline's frequency response within the band, 0 outside it."""
         if self.flat:
             return self.medium.inside.astype(float)
         phase = (self.medium.kz - self._carrier) * self.step_mm
         return np.asarray(self.medium.inside / np.sinc(phase / (2.0 * np.pi)) ** 4)
 
-    def _share(self, plane: int) -> tuple[slice, ComplexArray]:
-        """Samples that take part on a plane, and their weights."""
+    def _samples_near(self, plane: int) -> tuple[slice, ComplexArray]:
+        """Return the samples that a plane interpolates, and their weights."""
         z = self.samples.z_mm
         if self.flat:
             return slice(0, len(z)), np.ones(len(z), complex)
-        here = self.first_z_mm + plane * self.step_mm
-        low, high = np.searchsorted(z, [here - 2.0 * self.step_mm, here + 2.0 * self.step_mm])
+        plane_z = self.first_z_mm + plane * self.step_mm
+        low, high = np.searchsorted(z, [plane_z - 2.0 * self.step_mm, plane_z + 2.0 * self.step_mm])
         part = slice(int(low), int(high))
-        off = z[part] - here
-        return part, _cubic_spline(off / self.step_mm) * np.exp(1j * self._carrier * off)
+        offset = z[part] - plane_z
+        return part, _cubic_spline(offset / self.step_mm) * np.exp(1j * self._carrier * offset)
 
 
 def _cubic_spline(t: Array) -> Array:
-    """Cubic B-spline of unit spacing, 0 from |t| = 2 on."""
+    """Return the cubic B-spline of unit spacing, which vanishes from |t| = 2 on."""
     t = np.abs(t)
     outer = np.maximum(2.0 - t, 0.0) ** 3
     return np.asarray((outer - 4.0 * np.maximum(1.0 - t, 0.0) ** 3) / 6.0)

@@ -1,4 +1,4 @@
-"""What eikonal tiles take, told from sizes and from the rays of the middle tile."""
+"""Predicted time and memory of eikonal tiles, from sizes and from the rays of the middle tile."""
 
 from __future__ import annotations
 
@@ -20,35 +20,36 @@ from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
 PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
-"""To see how wide tiles may be, and to fit the maps of each, on a line and on a plane."""
+"""Time of probing the tile width, and of fitting the maps of each tile, on a line and on a plane."""
 
 EDGE_SECONDS, EDGE_PASSES = {True: 0.007, False: 0.02}, 350
-"""To find how the light of each falls off at the rim; complex products that take as long as to draw it, for
-each sample of the plane."""
+"""Time to find the diffraction at the rim of each tile, and complex products that take as long as its
+evaluation for a sample of the plane."""
 
 SPREAD_PASSES = 60
 """Complex products that take as long as one nonuniform point."""
 
 SPREAD_OUT = {True: 1.0, False: 2.4}
-"""What transforms beyond a processor's cache cost besides their operations, on a line and on a plane."""
+"""Slowdown of transforms that exceed a processor's cache, on a line and on a plane."""
 
 CARRY_PASSES, TAP_PASSES = 2.0, 0.55
-"""Complex products as which count, for each sample of a window: its carrier and the plane; one tap of what
-brings a coarse field there."""
+"""Time for each sample of a window in complex products: for its carrier and the plane, and for each tap of
+the interpolation from a coarse grid."""
 
-PLACES_BYTES = 24
-"""Of both transforms of a tile, for each point and dimension."""
+POINT_BYTES = 24
+"""Memory of both transforms of a tile for each point and dimension."""
 
 BASE_BYTES, LEAST_BYTES = 100_000, {True: 1_500_000, False: 18_000_000}
-"""Rays of one tile; and with the matrices to fit polynomials to them, on a line and on a plane."""
+"""Memory of the rays of one tile, and of the rays with the matrices of the polynomial fits, on a line and on
+a plane."""
 
 
 @dataclass(frozen=True)
 class _Size:
-    """Numbers of samples of one tile: its object, coarse grid, nonuniform points, window on the plane.
+    """Numbers of samples of one tile: object, coarse grid, nonuniform points, window on the plane.
 
-    `between` is that of rows of the window on columns of the coarse grid; `map_terms` that of its maps'
-    polynomials along one axis.
+    `between` counts the rows of the window on the columns of the coarse grid, `map_terms` the polynomials of
+    its maps along one axis.
     """
 
     modes: int
@@ -69,7 +70,7 @@ def tiles_cost(
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
 ) -> Cost:
-    """Predict time and memory, all tiles taken for equal to the middle one; seconds for complex128 fields."""
+    """Predict time and memory from the middle tile; the time is that of complex128 fields."""
     middle = tiles[len(tiles) // 2]
     carrier = mapper(middle.centre_mm)
     size = _sizes(scene, plane, middle, carrier, error)
@@ -127,9 +128,9 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
 def _bytes(
     size: _Size, rank: int, low_rank: bool, dimensions: int, count: int, value_bytes: int
 ) -> tuple[int, int]:
-    """Kept by one of so many tiles, and held beside while one is made or some are used at once."""
-    # Both transforms keep the places of their points, in double precision, and an order of them.
-    kept = value_bytes * rank * (size.modes + size.points) + PLACES_BYTES * dimensions * size.points
+    """Return the memory that one of `count` tiles keeps, and the temporary memory of its set-up and use."""
+    # Both transforms keep the positions of their points in double precision, and a permutation of them.
+    kept = value_bytes * rank * (size.modes + size.points) + POINT_BYTES * dimensions * size.points
     kept += value_bytes * size.window + size.coarse if size.taps else size.window
     making = (2 * value_bytes * rank + FLOAT64 * (3 * dimensions + 3)) * size.points
     if dimensions == 1:

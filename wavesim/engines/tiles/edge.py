@@ -1,4 +1,4 @@
-"""What goes wrong at the aperture's edge when rays carry the field."""
+"""Errors at the aperture's edge of a field that rays carry."""
 
 from __future__ import annotations
 
@@ -17,42 +17,43 @@ from wavesim.rays.ray_bundles import shoot
 from wavesim.scene.scene import Scene
 
 SHARED_ZONES = 2.5
-"""Where edges are sharp, tiles whose centres lie within so many Fresnel zones of the stop share one edge.
+"""Width of the region, in Fresnel zones on the stop, within which tiles share one footprint if edges are
+sharp.
 
-Their fields cancel each other where the whole object sends no light; edges finer than light can draw them
-would cut pieces out of that.
+Where the object as a whole sends no light, the fields of its tiles cancel each other. Edges that are finer
+than diffraction allows would disturb this cancellation.
 """
 
 LEAST_SHARED = 0.7
-"""Share of its footprint that a tile must have in common with its neighbours."""
+"""Least fraction of its footprint that a tile must share with its neighbours."""
 
 
-UNTOLD = 0.35
-"""Of the energy that diffraction moves at a sharp edge, what goes farther from it than 1, in x of
-:mod:`wavesim.rays.edges`; farther than x: so much over x."""
+FAR_ENERGY = 0.35
+"""Energy that diffraction moves beyond x = 1 from a sharp edge, in the x of :mod:`wavesim.rays.edges`, as a
+fraction of all that it moves; beyond x it is this fraction over x."""
 
-MOVED = {"sharp": 0.5, "drawn": 0.2}
-"""Of the way by which footprints of a tile's ends differ from the centre's, what counts as lost: its mean
-point is half as far away, and edges that light draws differ by less than sharp ones. The second measured."""
+LOST_STRIP = {"sharp": 0.5, "drawn": 0.2}
+"""Fraction of the displacement between the footprints of a tile's ends and of its centre that counts as lost.
+The mean point of a tile is half as far away, and edges with diffraction differ by less than sharp ones. The
+second value is measured."""
 
 SECOND_ORDER = 0.5
-"""Error of Fresnel's edge, as a multiple of the squared error of a sharp one: the next order in
-wavelength over distances. Measured on twins of the paper's lens."""
+"""Error of Fresnel's edge as a multiple of the squared error of a sharp edge: the next order in wavelength
+over distance. Measured on twins of the paper's lens."""
 
 
 def shared_spans(
     scene: Scene, tiles: Sequence[Tile], carriers: Sequence[RayMap], axes: Sequence[Array]
 ) -> list[NDArray[np.intp]]:
-    """Samples of a plane inside the footprints of each tile and of all its neighbours, one for each tile.
+    """Return the samples of a plane inside the footprints of each tile and of all its neighbours.
 
-    For edges that are sharp; those that Fresnel integrals draw are each tile's own.
-
-    As :meth:`RayMap.row_spans`.
+    This applies to sharp edges; edges with Fresnel diffraction are computed for each tile. The result has the
+    form of :meth:`RayMap.row_spans` for each tile.
 
     Raises
     ------
     SamplingError
-        If neighbouring footprints have too little in common.
+        If neighbouring footprints overlap too little.
     """
     width = SHARED_ZONES * _zone_mm(scene, float(scene.system.vertex[0, scene.lens.stop_index, 2]))
     groups = [_group(scene.object_grid, tile, width) for tile in tiles]
@@ -64,11 +65,11 @@ def shared_spans(
             spans = np.column_stack([first, np.maximum(np.minimum(common[group][:, 1], spans[:, 1]), first)])
         common[group] = spans
     for group, carrier in zip(groups, carriers, strict=True):
-        own, left = (int(np.sum(s[:, 1] - s[:, 0])) for s in (carrier.row_spans(axes), common[group]))
-        if left < LEAST_SHARED * own:
+        own, shared = (int(np.sum(s[:, 1] - s[:, 0])) for s in (carrier.row_spans(axes), common[group]))
+        if shared < LEAST_SHARED * own:
             raise SamplingError(
-                f"plane z = {carrier.plane_z_mm:g} mm: neighbouring tiles light different parts of it: it "
-                "lies near an image of the object; choose plane_z_mm nearer to the lens"
+                f"plane z = {carrier.plane_z_mm:g} mm: neighbouring tiles illuminate different parts of it, "
+                "since it lies near an image of the object; choose plane_z_mm nearer to the lens"
             )
     return [common[group] for group in groups]
 
@@ -80,14 +81,14 @@ def _group(grid: Grid, tile: Tile, width_mm: float) -> tuple[int, ...]:
 
 
 def _zone_mm(scene: Scene, z_mm: float) -> float:
-    """Radius of the first Fresnel zone of an object point, on a plane."""
+    """Return the radius of the first Fresnel zone of an object point on a plane."""
     return math.sqrt(1e-3 * scene.wavelength_um * (z_mm - scene.object_grid.z_mm))
 
 
 def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]:
-    """Relative errors of the field: from a footprint that moves over a tile, and from a sharp edge.
+    """Return the relative errors of the field from a moving footprint, and from a sharp edge.
 
-    Both are shares of the footprint near its rim, taken for evenly lit: the strip by which the footprints of
+    Both follow from fractions of the evenly lit footprint near its rim: the strip by which the footprints of
     the tile's points differ from the centre's, and the first Fresnel zone between the lens and the plane.
     """
     moved = []
@@ -100,32 +101,32 @@ def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]
         end = shoot(scene, points, carrier.pupil.rim, carrier.plane_z_mm, clip=False).position
         axes = [1] if carrier.pupil.is_line else [1, 0]
         moved.append(np.mean(np.linalg.norm(end[:, axes] - carrier.rim_mm, axis=1)))
-    strip = MOVED["sharp" if carrier.edge is None else "drawn"] * float(np.nanmax(moved))
+    strip = LOST_STRIP["sharp" if carrier.edge is None else "drawn"] * float(np.nanmax(moved))
     apart = max(carrier.plane_z_mm - float(scene.system.vertex[0, 0, 2]), 0.0)
     zone = math.sqrt(1e-3 * scene.wavelength_um * apart)
-    share = rim_share(carrier.rim_mm)
-    return tuple(min(1.0, math.sqrt(share * width)) for width in (strip, 0.1 * zone))  # type: ignore[return-value]
+    per_mm = rim_fraction_per_mm(carrier.rim_mm)
+    return tuple(min(1.0, math.sqrt(per_mm * width)) for width in (strip, 0.1 * zone))  # type: ignore[return-value]
 
 
 def drawn_error(scene: Scene, tile: Tile, carrier: RayMap, sharp: float) -> float:
-    """Relative error of the field from an edge that Fresnel integrals draw, of that of a sharp edge.
+    """Return the relative error of an edge with Fresnel diffraction, from the error of a sharp edge.
 
-    Light that the object grid ends before it comes to the rim has a sharp edge all the same.
+    Light beyond the band of the object grid before the rim still has a sharp edge.
     """
     if carrier.edge is None:
         return sharp
-    told = carrier.edge.told(tile.width_mm)
-    held = 0.5e-3 * scene.wavelength_um / tile.pitch_mm
-    cut = float(np.mean(np.any(np.abs(carrier.maps.at(carrier.rim_mm)[2:]) > held, axis=0)))
-    untold = min(1.0, UNTOLD / told + cut)
-    return min(sharp, math.hypot(SECOND_ORDER * sharp**2, sharp * math.sqrt(untold)))
+    resolved = carrier.edge.resolved_to(tile.width_mm)
+    limit = 0.5e-3 * scene.wavelength_um / tile.pitch_mm
+    cut = float(np.mean(np.any(np.abs(carrier.maps.at(carrier.rim_mm)[2:]) > limit, axis=0)))
+    unresolved = min(1.0, FAR_ENERGY / resolved + cut)
+    return min(sharp, math.hypot(SECOND_ORDER * sharp**2, sharp * math.sqrt(unresolved)))
 
 
-def rim_share(rim_mm: Array) -> float:
-    """Share of the footprint in a strip along its rim, per mm of its width."""
+def rim_fraction_per_mm(rim_mm: Array) -> float:
+    """Return the fraction of the footprint in a strip along its rim, per mm of the strip's width."""
     if rim_mm.shape[1] == 1:
         return 2.0 / float(np.ptp(rim_mm))
     y, x = rim_mm.T
-    turned = np.roll(rim_mm, -1, axis=0)
-    area = 0.5 * abs(float(np.sum(y * turned[:, 1] - x * turned[:, 0])))
-    return float(np.sum(np.linalg.norm(turned - rim_mm, axis=1))) / area
+    following = np.roll(rim_mm, -1, axis=0)
+    area = 0.5 * abs(float(np.sum(y * following[:, 1] - x * following[:, 0])))
+    return float(np.sum(np.linalg.norm(following - rim_mm, axis=1))) / area

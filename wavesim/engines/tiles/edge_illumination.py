@@ -1,8 +1,8 @@
-"""How much of an object's light goes to the aperture's rim, where eikonal tiles err.
+"""Light of an object at the aperture's rim, where eikonal tiles have their largest errors.
 
-What they leave out there is proportional to the amplitude that reaches the rim. An object that fills the
-aperture evenly sends it the mean amplitude; most objects send far less. The spectrum is that of each tile by
-itself, since each has its own rim: what a cut adds to it errs, too.
+These errors are proportional to the amplitude at the rim. An object that fills the aperture evenly has the
+mean amplitude there; most objects have far less. The spectra are those of single tiles, since each tile has
+its own rim: light that the cut between tiles diffracts to the rim causes errors, too.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
 NEAR_RIM = 0.05
-"""Of the aperture's radius: so near to the rim light counts as the rim's, or as near as a tile's light can
-tell directions apart. Measured, as what keeps predictions above the errors of all objects."""
+"""Width of the rim, relative to the aperture's radius, unless a tile's light resolves directions less finely.
+It is measured: predictions with this value bound the errors of all objects."""
 
 BINS = 8.0
-"""Of a spectrum, over the aperture's radius at least."""
+"""Least number of bins of a spectrum over the aperture's radius."""
 
 
 def edge_illumination(scene: Scene, tiles: Sequence[Tile], plane_z_mm: float, light: Light) -> float:
-    """Amplitude of an object's light at the aperture's rim, over that of one that fills the aperture evenly.
+    """Return the amplitude of an object's light at the aperture's rim, relative to an evenly filled aperture.
 
-    Root of the mean energy in a direction about the rim, over that in all directions which the lens takes; of
-    the rim's two sides the brighter one. 1 for light of which nothing is taken.
+    It is the root of the mean energy in a direction next to the rim, over the mean in all directions that the
+    lens transmits. The brighter one of the rim's two sides counts. It is 1 if the lens transmits no light.
 
     Parameters
     ----------
     scene, tiles
-        Lens, and the cut of its object.
+        Lens, and the tiles of its object.
     plane_z_mm
         z of a plane behind the lens that rays reach.
     light
-        Behind the object.
+        Light behind the object.
     """
     rims = _Rims(scene, tiles, plane_z_mm)
     found = np.zeros(3)
@@ -50,25 +50,25 @@ def edge_illumination(scene: Scene, tiles: Sequence[Tile], plane_z_mm: float, li
         values = light.field.values[tile.part]
         if np.any(values):
             found += _densities(values, tile, rims.of(tile), 1e-3 * scene.wavelength_um)
-    *at_rim, taken = found
-    if taken == 0.0:
+    *at_rim, transmitted = found
+    if transmitted == 0.0:
         return 1.0
-    return math.sqrt((1.0 - light.even) * max(at_rim) / taken + light.even)
+    return math.sqrt((1.0 - light.even) * max(at_rim) / transmitted + light.even)
 
 
 class _Rims:
-    """Direction cosines of the rim, linear in the object point between tiles far apart.
+    """Direction cosines of the rim as a linear function of the object point, from some tiles far apart.
 
     Parameters
     ----------
     scene, tiles, plane_z_mm
-        As of :func:`edge_illumination`.
+        As in :func:`edge_illumination`.
     """
 
     def __init__(self, scene: Scene, tiles: Sequence[Tile], plane_z_mm: float) -> None:
         centres = np.array([tile.centre_mm for tile in tiles])
-        turned = centres @ [[1.0, 1.0], [1.0, -1.0]]
-        ends = {*np.argmin(turned, axis=0).tolist(), *np.argmax(turned, axis=0).tolist(), len(tiles) // 2}
+        diagonal = centres @ [[1.0, 1.0], [1.0, -1.0]]
+        ends = {*np.argmin(diagonal, axis=0).tolist(), *np.argmax(diagonal, axis=0).tolist(), len(tiles) // 2}
         self._middle = centres[len(tiles) // 2]
         found = [_rim_cosines(scene, tiles[i].centre_mm, plane_z_mm) for i in sorted(ends)]
         terms = self._terms(centres[sorted(ends)])
@@ -80,7 +80,7 @@ class _Rims:
         return np.column_stack([np.ones(len(points_mm)), points_mm - self._middle])
 
     def of(self, tile: Tile) -> Array:
-        """Of a tile's centre, shape (arms, d), in the order (y, x)."""
+        """Return the rim's direction cosines for a tile's centre, shape (arms, d), in the order (y, x)."""
         return np.reshape(self._terms(np.array([tile.centre_mm])) @ self._slopes, self._shape)
 
 
@@ -90,11 +90,11 @@ def _rim_cosines(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float)
 
 
 def _densities(values: NDArray, tile: Tile, rim: Array, wavelength_mm: float) -> Array:
-    """Mean energy in a direction: of those next to the rim outside and inside, and of all inside."""
+    """Return the mean energy in a direction: next to the rim outside and inside, and over the aperture."""
     middle = rim.mean(axis=0)
     radius = float(np.mean(np.linalg.norm(rim - middle, axis=1)))
     least = math.ceil(BINS * wavelength_mm / (tile.pitch_mm * radius))
-    # On a line only two ends are there to be averaged over.
+    # A line has only two rim points to average over, and needs a finer spectrum.
     shape = [scipy.fft.next_fast_len(max((3 - values.ndim) * n, least)) for n in values.shape]
     energy = scipy.fft.fftshift(np.abs(scipy.fft.fftn(values, shape)) ** 2)
     axes = [wavelength_mm * scipy.fft.fftshift(scipy.fft.fftfreq(n, tile.pitch_mm)) for n in shape]

@@ -1,10 +1,13 @@
 """Eikonal tiles: rays carry the phase, Fourier transforms carry the object.
 
-The object is cut into tiles. Near a tile's centre c the optical path to a sensor point s is that of c less
-p(s).d, but for a small rest, so that the field of a tile is a spectrum at the directions p(s), times
-a exp(i k V): U(s) = lambda^(-1) a exp(i k V - i pi/2) sum_r u_r(s) times the integral of O(d) v_r(d)
-exp(-i k p(s).d), on a plane; on a line lambda and the phase go with half of these powers. Amplitude a and
-path V come from rays, so that it is the leading order in wavelength over the distances to caustics.
+The object is cut into tiles. For a point c + d of a tile with centre c, the optical path to a sensor point s
+is that of c minus p(s).d, apart from a small residual. The field of a tile is therefore a spectrum at the
+directions p(s), times a exp(i k V). On a plane
+
+    U(s) = lambda^(-1) a exp(i k V - i pi/2) sum_r u_r(s) integral of O(d) v_r(d) exp(-i k p(s).d);
+
+on a line, the powers of lambda and the constant phase are half of these. Amplitude a and path V come from
+rays. The method is the leading order in wavelength over the distances to caustics.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from wavesim.engines.tiles.operator import (
     Tile,
     TileOperator,
     add_tiles,
-    add_tiles_back,
+    add_tiles_adjoint,
     at_once,
     precision_for,
 )
@@ -40,14 +43,14 @@ from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
-TILE_SHARE, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05
-"""Of the error allowed, what tiles are chosen to leave by their width; the least and the most they may."""
+TILE_FRACTION, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05
+"""Fraction of the allowed error that the width of the tiles may cause, with a lower and an upper limit."""
 
 NARROWEST, NARROWEST_DRAWN = 8, 2
-"""Tile that is tried, and one that is compared, in object samples."""
+"""Narrowest tile that the choice of an engine tries, and that comparisons show, in object samples."""
 
-EXPANSION_SHARE = 0.5
-"""Of the error allowed, what a tile's expansion may take."""
+EXPANSION_FRACTION = 0.5
+"""Fraction of the allowed error that the expansion of a tile may cause."""
 
 
 class EikonalTiles(Engine):
@@ -56,28 +59,28 @@ class EikonalTiles(Engine):
     Parameters
     ----------
     scene : Scene
-        What is carried where.
+        Lens, grids and wavelength.
     tile_width_mm : float, optional
-        Largest side of a tile; chosen from the error allowed if left out.
+        Largest side of a tile. Default: by the allowed error.
     error : float
-        Relative L2 error of the exit field that tiles may leave, for an object that fills them evenly with
+        Relative L2 error of the exit field that tiles may cause, for an object that fills them evenly with
         light of all directions.
     quadratic : {"low-rank", "mean"}
-        What stands for the rest of the path over a tile, of second and higher order in d: a short sum of
-        products, or its mean over the footprint. With the mean, tiles must be narrower.
+        Representation of the path over a tile beyond the linear term in d: a short sum of products, or its
+        mean over the footprint. With the mean, tiles must be narrower.
     plane_z_mm : float, optional
         z of the plane behind the lens on which tiles are summed, where rays must not fold; free space lies
-        between it and the exit grid. Left out, it is the exit grid's, or one that is free of folds.
+        between it and the exit grid. Default: the exit grid's, or one that is free of folds.
 
     Raises
     ------
     InputError
-        If a setting is not usable, or no light gets through.
+        If a setting is not usable, or no ray passes the lens.
     FoldError
-        On first use, if rays fold on the plane asked for, or on all planes.
+        On first use, if rays fold on the given plane, or on all planes.
     SamplingError
-        On first use, if tiles of the width asked for err by more than three times the error allowed; up to
-        that there is a SamplingWarning.
+        On first use, if the error of tiles of the given width exceeds three times the allowed error. A
+        smaller excess causes a SamplingWarning.
     """
 
     name = "eikonal"
@@ -85,12 +88,12 @@ class EikonalTiles(Engine):
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
-        """Wide tiles, then narrower ones."""
-        left = float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))
-        yield {"error": left}
-        width = 0.5 * cls(scene, error=left).settings()["tile_width_mm"]
+        """Yield the widest tiles, then narrower ones."""
+        expansion_error = float(np.clip(TILE_FRACTION * error, LEAST_ERROR, MOST_ERROR))
+        yield {"error": expansion_error}
+        width = 0.5 * cls(scene, error=expansion_error).settings()["tile_width_mm"]
         while width > 0.5 * NARROWEST * scene.object_grid.pitch_mm:
-            yield {"error": left, "tile_width_mm": width}
+            yield {"error": expansion_error, "tile_width_mm": width}
             width *= 0.5
 
     @classmethod
@@ -128,21 +131,21 @@ class EikonalTiles(Engine):
             raise InputError(f"plane_z_mm = {plane_z_mm!r}: must be finite")
         self._tile_width_mm, self._error, self._quadratic = tile_width_mm, error, quadratic
         self._plane_z_mm = plane_z_mm
-        self._allowed = EXPANSION_SHARE * error if quadratic == "low-rank" else error
+        self._allowed = EXPANSION_FRACTION * error if quadratic == "low-rank" else error
         self._maps: dict[tuple[float, float], RayMap] = {}
         self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
 
     @cached_property
     def plane(self) -> ExitPlane:
-        """Where tiles are summed, and the free space behind."""
+        """Plane on which tiles are summed, and the free space behind it."""
         return exit_plane(self.scene, self._plane_z_mm)
 
     @cached_property
     def probe(self) -> Probe:
-        """The cut into tiles, and what some of them leave out.
+        """Cut of the object into tiles, and the residuals of some of them.
 
-        Narrow tiles reach farther out: where rays behind the rim can be followed for the object's middle but
-        not for its corners, no edge is drawn.
+        If rays outside the rim can be traced for the object's centre but not for its corners, edges stay
+        sharp.
         """
         try:
             return self._probed()
@@ -161,46 +164,47 @@ class EikonalTiles(Engine):
 
     @cached_property
     def _draws_edges(self) -> bool:
-        """Whether the light of the object's middle falls off at its rim as Fresnel integrals can tell.
+        """Whether ray maps represent the Fresnel diffraction at the rim for the object's centre.
 
-        Not where rays behind the rim are too rough, as of a figure that was measured up to there.
+        They do not where rays outside the rim are too irregular, such as for a figure that is measured up to
+        it.
         """
         middle = self.scene.object_grid.centre_mm
         try:
-            found = self._mapped(middle, True)
+            found = self._traced_map(middle, True)
         except (FoldError, RayMapError):
             return False
-        if found.tells_edge:
+        if found.resolves_edge:
             self._maps[middle] = found
-        return found.tells_edge
+        return found.resolves_edge
 
     def _map(self, point_mm: tuple[float, float]) -> RayMap:
         edge = self._draws_edges
         if point_mm not in self._maps:
-            self._maps[point_mm] = self._mapped(point_mm, edge)
+            self._maps[point_mm] = self._traced_map(point_mm, edge)
         return self._maps[point_mm]
 
-    def _mapped(self, point_mm: tuple[float, float], edge: bool) -> RayMap:
+    def _traced_map(self, point_mm: tuple[float, float], edge: bool) -> RayMap:
         reach_mm = max(self.scene.object_grid.half_widths_mm)
         return ray_map(self.scene, point_mm, self.plane.grid.z_mm, reach_mm, edge=edge)
 
     def _expansions(self) -> list[Separable]:
         allowed = max(self._allowed, self.probe.error(self._quadratic, self._allowed))
-        known = dict(zip(self.probe.looked_at, self.probe.residuals, strict=True))
+        known = dict(zip(self.probe.probed, self.probe.residuals, strict=True))
 
-        def of_tile(number: int, tile: Tile) -> Separable:
-            residual = known.get(number) or residual_of(self.scene, tile, self._map)
+        def of_tile(index: int, tile: Tile) -> Separable:
+            residual = known.get(index) or residual_of(self.scene, tile, self._map)
             return expansion(residual, self._quadratic, allowed)
 
-        return at_once([partial(of_tile, *numbered) for numbered in enumerate(self.probe.tiles)])
+        return at_once([partial(of_tile, *indexed) for indexed in enumerate(self.probe.tiles)])
 
     def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:
             with one_blas_thread():
-                self._operators[dtype] = self._made(precision_for(dtype, self._error))
+                self._operators[dtype] = self._tile_operators(precision_for(dtype, self._error))
         return self._operators[dtype]
 
-    def _made(self, precision: Precision) -> tuple[TileOperator, ...]:
+    def _tile_operators(self, precision: Precision) -> tuple[TileOperator, ...]:
         grid = self.plane.grid
         axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
         tiles = self.probe.tiles
@@ -212,14 +216,14 @@ class EikonalTiles(Engine):
             spans = shared_spans(self.scene, tiles, carriers, axes)
         threads = max(1, THREADS // len(tiles))
 
-        def made(number: int) -> TileOperator:
-            own = tiles[number], carriers[number], expansions[number], axes, spans[number]
+        def operator_of(index: int) -> TileOperator:
+            own = tiles[index], carriers[index], expansions[index], axes, spans[index]
             return TileOperator(self.scene, *own, precision, threads)
 
-        return tuple(at_once([partial(made, number) for number in range(len(tiles))]))
+        return tuple(at_once([partial(operator_of, index) for index in range(len(tiles))]))
 
     def _forward(self, values: Any) -> Any:
-        field = _usable(values)
+        field = _complex_field(values)
         result = np.zeros(self.plane.grid.shape, field.dtype)
         scaled = field * field.real.dtype.type(self.scene.object_grid.cell)
         add_tiles(self._prepared(field.dtype), scaled, result)
@@ -228,17 +232,17 @@ class EikonalTiles(Engine):
         return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
-        """Each tile, the rays that carry it, and what carries fields of a type."""
+        """Yield each tile, the ray map of its centre, and its operator for fields of a type."""
         for tile, operator in zip(self.probe.tiles, self._prepared(dtype), strict=True):
             yield tile, self._map(tile.centre_mm), operator
 
     def _adjoint(self, values: Any) -> Any:
-        field = np.ascontiguousarray(_usable(values))
+        field = np.ascontiguousarray(_complex_field(values))
         dtype = field.dtype
         if self.plane.beyond is not None:
             field = self.plane.beyond.adjoint(field.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_back(self._prepared(dtype), field, result)
+        add_tiles_adjoint(self._prepared(dtype), field, result)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def settings(self) -> dict[str, Any]:
@@ -251,26 +255,26 @@ class EikonalTiles(Engine):
             "plane_z_mm": self.plane.grid.z_mm,
         }
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         rms, largest = self.probe.neglected_waves
         count, rank = len(self.probe.tiles), 1
-        left = self.probe.error(self._quadratic, self._allowed)
+        expansion_error = self.probe.error(self._quadratic, self._allowed)
         if self._quadratic == "low-rank":
             rank = self.probe.rank_for(self._allowed)
-        what = (
+        description = (
             f"path of second and higher order in a tile's offset, beyond {rank} term(s) in each of {count} "
             f"tile(s); beyond their mean it is {rms:.2g} waves rms, {largest:.2g} at most"
         )
         middle = self.probe.tiles[len(self.probe.tiles) // 2]
         carrier = self._map(middle.centre_mm)
-        share, sharp = edge_error(self.scene, middle, carrier)
+        moved, sharp = edge_error(self.scene, middle, carrier)
         drawn = drawn_error(self.scene, middle, carrier, sharp)
-        parts = (
-            ErrorTerm(what, left),
-            ErrorTerm("movement of the aperture's edge over a tile", share, at_rim=True),
+        terms = (
+            ErrorTerm(description, expansion_error),
+            ErrorTerm("movement of the aperture's edge over a tile", moved, at_rim=True),
             ErrorTerm("diffraction at the aperture's edge, beyond Fresnel's", drawn, at_rim=True),
         )
-        return tuple(sorted(parts, key=lambda part: -part.relative_error))
+        return tuple(sorted(terms, key=lambda term: -term.relative_error))
 
     def edge_illumination(self, light: Light) -> float:
         return edge_illumination(self.scene, self.probe.tiles, self.plane.grid.z_mm, light)
@@ -288,6 +292,6 @@ class EikonalTiles(Engine):
         )
 
 
-def _usable(values: Any) -> NDArray[np.complexfloating]:
+def _complex_field(values: Any) -> NDArray[np.complexfloating]:
     field = np.asarray(values)
     return field if field.dtype == np.complex64 else field.astype(np.complex128, copy=False)

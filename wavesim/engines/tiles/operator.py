@@ -1,8 +1,8 @@
-"""The field of one tile of the object on a plane behind the lens, and back.
+"""The field of one tile of the object on a plane behind the lens, and its adjoint.
 
-A nonuniform Fourier transform gives the tile's spectrum at the directions in which its centre's rays leave.
-Without its carrier a exp(i k V) the field is band-limited by the tile's own width: on a plane it is computed
-on a coarse grid and interpolated, where that grid has fewer samples.
+A nonuniform Fourier transform evaluates the tile's spectrum at the directions of its centre's rays. Without
+its carrier a exp(i k V), the field has a bandwidth that is proportional to the tile's width. On a plane it is
+computed on a coarse grid and interpolated, if this grid has fewer samples.
 """
 
 from __future__ import annotations
@@ -32,33 +32,34 @@ from wavesim.fields.resampling import (
 )
 from wavesim.rays.maps import RayMap, SmoothMap
 from wavesim.rays.ray_bundles import RayBundle
-from wavesim.runtime.device import Precision, folded, plan_of_terms, sum_of_terms, terms_back
+from wavesim.runtime.device import Precision, adjoint_of_terms, folded, plan_of_terms, sum_of_terms
 from wavesim.runtime.threads import THREADS, for_blocks
 from wavesim.scene.scene import Scene
 
-Part = TypeVar("Part")
+Result = TypeVar("Result")
 
 BAND_MARGIN = 1.1
-"""Of the coarse grid's band, for the slow factors beside the Fourier kernel."""
+"""Margin of the coarse grid's band for the slowly varying factors besides the Fourier kernel."""
 
 WORTH_WHILE = 1.5
-"""A coarse grid is used where its samples are so much wider apart than the fine ones."""
+"""Least ratio of the coarse to the fine pitch for which a coarse grid is used."""
 
 COARSEST = 1.0 / 300.0
-"""Step of a coarse grid, as a share of the footprint's width at most: its samples reach beyond the border,
-where maps are not held to rays."""
+"""Largest step of a coarse grid as a fraction of the footprint's width. Its samples extend beyond the border,
+where no rays support the maps."""
 
 SAMPLES = 2**18
-"""Of a carrier, made at a time."""
+"""Samples of a carrier that are computed at a time."""
 
 WITHIN_BAND = 0.99
-"""Of the largest cosine that the object grid holds: where all rays are within it, no sample is looked at."""
+"""Fraction of the object grid's largest cosine. If all rays are below it, samples are not checked one by
+one."""
 
 POINTS_PER_THREAD = 2**16
-"""Of a transform that has threads of its own: with fewer, they wait for each other longer than they work."""
+"""Least points for each thread of a transform. With fewer points, threads wait longer than they work."""
 
 GROUP = 4 * THREADS
-"""Tiles whose fields may wait for each other: between groups, threads wait."""
+"""Tiles whose fields are computed before they are added, since threads wait between groups."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +69,13 @@ class Tile:
     Attributes
     ----------
     part : tuple of slice
-        Of the object grid's samples.
+        Samples of the object grid.
     centre_mm : (x, y)
-        The sample whose rays carry the tile.
+        Sample whose rays carry the tile.
     offsets_mm : tuple of ndarray
-        Of the samples from the centre, y (and x).
+        Offsets of the samples from the centre, y (and x).
     pitch_mm : float
-        Of the object grid.
+        Pitch of the object grid.
     """
 
     part: tuple[slice, ...]
@@ -84,25 +85,25 @@ class Tile:
 
     @property
     def spans_mm(self) -> Array:
-        """From where to where the tile extends about its centre, shape (d, 2)."""
+        """Extent of the tile about its centre, shape (d, 2)."""
         half = 0.5 * self.pitch_mm
         return np.array([[o[0] - half, o[-1] + half] for o in self.offsets_mm])
 
     @property
     def width_mm(self) -> float:
-        """From its first sample to its last along the longer side."""
+        """Distance from its first sample to its last along the longer side."""
         return float(max(o[-1] - o[0] for o in self.offsets_mm))
 
 
 def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
-    """Well below the error allowed, and no finer than the type of number holds."""
+    """Return a precision well below the allowed error, and not finer than the data type."""
     single = dtype == np.complex64
     transform = float(np.clip(4e-2 * error, 1e-5, 2e-3)) if single else 1e-12
     return Precision(dtype, transform, max(4e-2 * error, 1e-7))
 
 
 def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float) -> Array:
-    """Sample spacings that hold a tile's field without its carrier, in the order (y, x)."""
+    """Return the sample spacings for a tile's field without its carrier, in the order (y, x)."""
     ok = bundle.ok
     slopes = np.abs(bundle.cosine_jacobian[ok] @ np.linalg.inv(bundle.jacobian[ok]))
     reach = np.max(np.abs(spans_mm), axis=1)
@@ -112,31 +113,31 @@ def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float
 
 
 def coarse_is_used(steps_mm: Array, axes: tuple[Array, ...]) -> bool:
-    """Whether a tile's field is computed on a coarse grid, and not at the samples themselves."""
+    """Return whether a tile's field is computed on a coarse grid instead of the samples themselves."""
     if len(axes) == 1 or min(len(axis) for axis in axes) < 2:
         return False
     return bool(steps_mm.min() > WORTH_WHILE * (axes[0][1] - axes[0][0]))
 
 
 class TileOperator:
-    """One tile, ready to be carried to a plane and back.
+    """The propagation of one tile to a plane.
 
     Parameters
     ----------
     scene
         Lens and wavelength.
     tile
-        Which part of the object.
+        Part of the object.
     carrier, factors
-        Of the tile's centre, and of what the Fourier transform leaves out.
+        Ray map of the tile's centre, and expansion of the residual beyond the Fourier transform.
     axes
         Samples y (and x) of the plane.
     spans
-        Those that the tile's light reaches: first and end per row.
+        Samples that the tile's light reaches: first and end of each row.
     precision
-        How finely.
+        Precision of transform and interpolation.
     threads
-        That one transform may have; where tiles share the threads, one.
+        Threads of one transform.
     """
 
     def __init__(
@@ -166,19 +167,19 @@ class TileOperator:
         k = scene.wavenumber_per_mm
         limit = np.pi / (k * tile.pitch_mm)
         width = tile.width_mm
-        carried = _carrier(carrier, fine, lit - across.start, k, limit, width, self._dtype)
-        if not np.any(carried):
+        carrier_values = _carrier(carrier, fine, lit - across.start, k, limit, width, self._dtype)
+        if not np.any(carrier_values):
             return
         steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, k)
-        self._ways: tuple[Weights, Weights] | None = None
-        self._carried: NDArray = carried
+        self._interpolation: tuple[Weights, Weights] | None = None
+        self._carrier: NDArray = carrier_values
         if coarse_is_used(steps, axes):
             kernel = kernel_for(precision.interpolation_error)
             coarse = tuple(coarse_axis(a, h, kernel) for a, h in zip(fine, steps, strict=True))
-            self._prepare_coarse(fine, coarse, kernel, carried)
+            self._prepare_coarse(fine, coarse, kernel, carrier_values)
         else:
             coarse = fine
-            self._needed = carried != 0.0
+            self._needed = carrier_values != 0.0
         self._coarse, self._per_cosine, self._precision = coarse, k * tile.pitch_mm, precision
         self._threads = threads
         sensor = None
@@ -189,61 +190,62 @@ class TileOperator:
                 sensor = factors.sensor_factors.at(coarse[0][self._needed, None])
         if sensor is None:
             sensor = np.ones((1, np.count_nonzero(self._needed)))
-        if self._ways is None:
-            sensor = carried[self._needed] * sensor
+        if self._interpolation is None:
+            sensor = carrier_values[self._needed] * sensor
         self._weights = sensor.astype(self._dtype)
-        self._point_at(self._on_points(carrier.maps)[2:])
+        self._set_points(self._on_points(carrier.maps)[2:])
 
     @property
-    def _place(self) -> tuple[int, int]:
-        """Row and column of the plane where its window begins."""
+    def _origin(self) -> tuple[int, int]:
+        """Row and column of the plane at which the tile's window begins."""
         return self.window[0].start, self.window[-1].start
 
-    def turned(self, carrier: RayMap, changes: SmoothMap, wavenumber_per_mm: float) -> TileOperator:
-        """The tile behind a slightly different lens.
+    def perturbed(self, carrier: RayMap, changes: SmoothMap, wavenumber_per_mm: float) -> TileOperator:
+        """Return the operator of the tile behind a slightly different lens.
 
-        Paths and directions change, amplitudes and what the transform leaves out do not.
+        Paths and directions change; amplitudes and the residual expansion do not.
 
         Parameters
         ----------
         carrier
-            Of the tile's centre, as the tile was made of it.
+            Ray map of the tile's centre from which this operator was made.
         changes
-            Of path and object-side cosines, in the order of its maps.
+            Changes of path and object-side cosines, in the order of its maps.
         wavenumber_per_mm
+            Vacuum wavenumber.
         """
         if self._plans is None:
             return self
         result, change = copy(self), self._on_points(changes)
-        fine = changes.along(self._fine).each() if self._ways is not None else iter([change[0]])
-        turn = np.exp(1j * wavenumber_per_mm * next(iter(fine))).astype(self._dtype)
-        if self._ways is not None:
-            result._carried = self._carried * turn
+        fine = changes.along(self._fine).each() if self._interpolation is not None else iter([change[0]])
+        twiddle = np.exp(1j * wavenumber_per_mm * next(iter(fine))).astype(self._dtype)
+        if self._interpolation is not None:
+            result._carrier = self._carrier * twiddle
         else:
-            result._weights = self._weights * turn
-        result._point_at(self._on_points(carrier.maps)[2:] + change[1:])
+            result._weights = self._weights * twiddle
+        result._set_points(self._on_points(carrier.maps)[2:] + change[1:])
         return result
 
     def _on_points(self, maps: SmoothMap) -> Array:
-        """Values of maps where the transform has its points, shape (functions, points)."""
+        """Return the values of maps at the points of the transform, shape (functions, points)."""
         return np.stack([values[self._needed] for values in maps.along(self._coarse).each()])
 
-    def _point_at(self, cosines: Array) -> None:
+    def _set_points(self, cosines: Array) -> None:
         shape = self._tile_factors.shape
         self._plans = _plans(cosines * self._per_cosine, shape, self._precision, self._threads)
 
     def _prepare_coarse(
-        self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carried: NDArray
+        self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carrier: NDArray
     ) -> None:
         along_y, along_x = (interpolation(c, f, kernel) for c, f in zip(coarse, fine, strict=True))
-        touched = [replace(way, weight=(way.weight != 0.0).astype(np.float32)) for way in (along_y, along_x)]
-        lit = (carried != 0.0).astype(np.complex64)
+        touched = [replace(w, weight=(w.weight != 0.0).astype(np.float32)) for w in (along_y, along_x)]
+        lit = (carrier != 0.0).astype(np.complex64)
         self._needed = gathered(lit, (touched[0], touched[1]), lit, threads=1).real > 0.0
         real = np.float32 if self._dtype == np.complex64 else np.float64
-        self._ways = along_y.astype(real), along_x.astype(real)
+        self._interpolation = along_y.astype(real), along_x.astype(real)
 
-    def carried(self, values: NDArray) -> NDArray | None:
-        """The tile's field as its transform gives it, of values on its part; None where it is dark."""
+    def transformed(self, values: NDArray) -> NDArray | None:
+        """Return the tile's field from its transform, for values on its part; None where it is dark."""
         if self._plans is None:
             return None
         field = np.zeros(self._needed.shape, self._dtype)
@@ -251,54 +253,54 @@ class TileOperator:
         return field
 
     def add(self, field: NDArray | None, result: NDArray) -> None:
-        """Add what :meth:`carried` gives to the field on the plane."""
+        """Add the result of :meth:`transformed` to the field on the plane."""
         if field is None:
             return
-        if self._ways is None:
+        if self._interpolation is None:
             result[self.window] += field
         else:
-            add_interpolated(field, self._ways, self._carried, result, self._place)
+            add_interpolated(field, self._interpolation, self._carrier, result, self._origin)
 
-    def back(self, values: NDArray, threads: int = 1) -> NDArray:
-        """The conjugate transpose of :meth:`carried` and :meth:`add`: values on the object."""
+    def adjoint(self, values: NDArray, threads: int = 1) -> NDArray:
+        """Apply the conjugate transpose of :meth:`transformed` and :meth:`add` to a field on the plane."""
         if self._plans is None:
             return np.zeros((), self._dtype)
-        if self._ways is None:
+        if self._interpolation is None:
             field = values[self.window]
         else:
-            field = gathered(values, self._ways, self._carried, self._place, threads)
+            field = gathered(values, self._interpolation, self._carrier, self._origin, threads)
         strength = field[self._needed]
-        return np.asarray(terms_back(self._plans[1], np, strength, self._tile_factors, self._weights))
+        return np.asarray(adjoint_of_terms(self._plans[1], np, strength, self._tile_factors, self._weights))
 
 
 def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
     """Add the fields of all tiles of the object to the field on the plane."""
     for start in range(0, len(operators), GROUP):
         some = operators[start : start + GROUP]
-        fields = at_once([partial(one.carried, values[one.part]) for one in some])
+        fields = at_once([partial(one.transformed, values[one.part]) for one in some])
         for operator, field in zip(some, fields, strict=True):
             operator.add(field, result)
 
 
-def add_tiles_back(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
-    """The conjugate transpose of :func:`add_tiles`: adds to the object."""
+def add_tiles_adjoint(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
+    """Apply the conjugate transpose of :func:`add_tiles`; add the result to the field on the object."""
     for start in range(0, len(operators), GROUP):
         some = operators[start : start + GROUP]
-        parts = at_once([partial(one.back, values, max(1, THREADS // len(some))) for one in some])
+        parts = at_once([partial(one.adjoint, values, max(1, THREADS // len(some))) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
 
 
-def at_once(works: Sequence[Callable[[], Part]]) -> list[Part]:
-    """What works give, each in a thread.
+def at_once(works: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Return the results of functions, each called in a thread.
 
-    One transform in several threads takes several times its work where other processes run beside it.
+    Threads within one transform would take several times its work where other processes run on the machine.
     """
-    return for_blocks(lambda number, _: works[number](), len(works), 1)
+    return for_blocks(lambda index, _: works[index](), len(works), 1)
 
 
 def _plans(angles: Array, shape: tuple[int, ...], precision: Precision, threads: int) -> tuple[Any, Any]:
-    """Transforms of types 2 and 1 that are each other's conjugate transpose."""
+    """Return transforms of types 2 and 1 that are each other's conjugate transpose."""
     points = folded(angles, precision.dtype)
     most = min(threads, max(1, shape[0] * angles.shape[1] // POINTS_PER_THREAD))
     first, second = (plan_of_terms(kind, shape, precision, most) for kind in (2, 1))
@@ -316,15 +318,18 @@ def _carrier(
     width_mm: float,
     dtype: np.dtype[Any],
 ) -> NDArray:
-    """a exp(i k V) with the constant phase of the propagator, 0 outside the footprint and the object's band.
+    """Return a exp(i k V) with the constant phase of the propagator, 0 outside the footprint and the object's
+    band.
 
-    Shape of the axes; `limit` is the largest cosine that the object grid holds.
+    The result has the shape of the axes; `limit` is the largest cosine that the object grid samples.
     """
     wavelength_mm = 2.0 * np.pi / wavenumber_per_mm
-    turn = -0.25 * np.pi * len(axes) - 0.5 * np.pi * carrier.caustics
+    constant_phase = -0.25 * np.pi * len(axes) - 0.5 * np.pi * carrier.caustics
     scale = wavelength_mm ** (-0.5 * len(axes))
-    held = np.abs(carrier.bundle.cosines[carrier.bundle.ok]).max() < WITHIN_BAND * limit
-    maps = carrier.maps if not held else replace(carrier.maps, coefficients=carrier.maps.coefficients[:2])
+    is_within = np.abs(carrier.bundle.cosines[carrier.bundle.ok]).max() < WITHIN_BAND * limit
+    maps = (
+        carrier.maps if not is_within else replace(carrier.maps, coefficients=carrier.maps.coefficients[:2])
+    )
     result = np.zeros(tuple(len(a) for a in axes), dtype)
     rows_at_once = max(1, SAMPLES // len(axes[1])) if len(axes) == 2 else len(axes[0])
     columns = np.arange(len(axes[-1]))
@@ -338,7 +343,7 @@ def _carrier(
         for cosine in cosines:
             inside &= np.abs(cosine) <= limit
         path *= wavenumber_per_mm
-        path += turn
+        path += constant_phase
         amplitude *= scale
         part = result[rows]
         np.multiply(phasor_of(path, dtype), amplitude, out=part, where=inside, casting="same_kind")

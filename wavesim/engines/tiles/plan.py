@@ -1,4 +1,4 @@
-"""Into how many tiles an object has to be cut, for the error allowed."""
+"""Number of tiles into which an object is cut, by the allowed error."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from wavesim.fields.guards import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 
-RANK_SOUGHT, RANK_OF_MANY, MANY = 5, 8, 16
-"""Terms that a tile may take before narrower tiles are cheaper; and where these would be more than so many,
-each with rays of its own to be traced and fitted. Transforms carry eight terms in two vectors."""
+TARGET_RANK, TARGET_RANK_OF_MANY, MANY = 5, 8, 16
+"""Number of terms above which narrower tiles are cheaper, for few and for many tiles, and the number of tiles
+from which they are many. Each tile needs its own rays and maps. Transforms process eight terms in two
+vectors."""
 
 REFUSED = 3.0
-"""Times the error allowed, beyond which a tile width asked for is refused."""
+"""Largest error of a given tile width, as a multiple of the allowed error."""
 
 Mapper = Callable[[tuple[float, float]], RayMap]
 
 
 def cut(grid: Grid, counts: tuple[int, ...]) -> tuple[Tile, ...]:
-    """Tiles of a grid, `counts` along y (and x), as even as samples allow."""
+    """Cut a grid into tiles, `counts` along y (and x), as equal as the samples allow."""
     axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
     cuts = [np.linspace(0, n, c + 1).round().astype(int) for n, c in zip(grid.shape, counts, strict=True)]
     tiles = []
-    for place in product(*(range(c) for c in counts)):
-        part = tuple(slice(int(c[i]), int(c[i + 1])) for c, i in zip(cuts, place, strict=True))
+    for position in product(*(range(c) for c in counts)):
+        part = tuple(slice(int(c[i]), int(c[i + 1])) for c, i in zip(cuts, position, strict=True))
         inside = [axis[s] for axis, s in zip(axes, part, strict=True)]
         middle = [float(axis[len(axis) // 2]) for axis in inside]
         centre = (0.0 if grid.is_line else middle[1], middle[0])
@@ -45,60 +46,60 @@ def cut(grid: Grid, counts: tuple[int, ...]) -> tuple[Tile, ...]:
 
 
 def counts_for(grid: Grid, width_mm: float) -> tuple[int, ...]:
-    """Tiles along each side that are no wider than asked for."""
+    """Return the number of tiles along each side that are at most as wide as given."""
     return tuple(min(n, max(1, math.ceil(n * grid.pitch_mm / width_mm - 1e-9))) for n in grid.shape)
 
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """Some tiles of a cut, and what they leave out.
+    """A cut of the object into tiles, and the residuals of some of them.
 
     Attributes
     ----------
     counts : tuple of int
-        Tiles along each side of the object.
+        Number of tiles along each side of the object.
     tiles : tuple of Tile
-        All of them.
-    looked_at : tuple of int
-        Which of them: the middle tile and those in the corners.
+        All tiles.
+    probed : tuple of int
+        Indices of the probed tiles: the middle one and those in the corners.
     residuals : tuple of Residual
-        Of those.
+        Residuals of the probed tiles.
     """
 
     counts: tuple[int, ...]
     tiles: tuple[Tile, ...]
-    looked_at: tuple[int, ...]
+    probed: tuple[int, ...]
     residuals: tuple[Residual, ...]
 
     @cached_property
     def mean_error(self) -> float:
-        """Largest relative error if one mean stands for the residual."""
+        """Largest relative error if the residual is replaced by its mean."""
         return max(r.mean_error() for r in self.residuals)
 
     def rank_for(self, error: float) -> int:
-        """Most terms that a tile takes for an error."""
+        """Return the largest number of terms that a tile needs for an error."""
         return max(r.rank_for(error) for r in self.residuals)
 
-    def rank_sought(self, error: float) -> int:
-        """Terms beyond which narrower tiles are cheaper."""
-        narrower = len(self.tiles) * self.rank_for(error) / RANK_SOUGHT
-        return RANK_SOUGHT if narrower <= MANY else RANK_OF_MANY
+    def target_rank(self, error: float) -> int:
+        """Return the number of terms above which narrower tiles are cheaper."""
+        narrower = len(self.tiles) * self.rank_for(error) / TARGET_RANK
+        return TARGET_RANK if narrower <= MANY else TARGET_RANK_OF_MANY
 
     def error(self, quadratic: Quadratic, allowed: float) -> float:
-        """Largest relative error that is left."""
+        """Return the largest relative error of the expansion."""
         if quadratic == "mean":
             return self.mean_error
-        return max(r.left_by(min(r.rank_for(allowed), MAX_RANK)) for r in self.residuals)
+        return max(r.error_of(min(r.rank_for(allowed), MAX_RANK)) for r in self.residuals)
 
     @property
     def neglected_waves(self) -> tuple[float, float]:
-        """Path that a mean leaves out in the worst tile: rms over the footprint, and largest."""
+        """Path beyond the mean in the worst tile, in waves: rms over the footprint, and largest."""
         waves = np.array([r.neglected_waves for r in self.residuals])
         return float(waves[:, 0].max()), float(waves[:, 1].max())
 
 
 def probe(scene: Scene, counts: tuple[int, ...], mapper: Mapper) -> Probe:
-    """Look at the middle tile and at the corner tiles of a cut.
+    """Compute the residuals of the middle tile and of the corner tiles of a cut.
 
     Raises
     ------
@@ -107,23 +108,23 @@ def probe(scene: Scene, counts: tuple[int, ...], mapper: Mapper) -> Probe:
     """
     tiles = cut(scene.object_grid, counts)
     corners = set(product(*((0, c - 1) for c in counts))) | {tuple(c // 2 for c in counts)}
-    chosen = tuple(int(np.ravel_multi_index(place, counts)) for place in sorted(corners))
-    residuals = at_once([partial(residual_of, scene, tiles[number], mapper) for number in chosen])
-    return Probe(counts, tiles, chosen, tuple(residuals))
+    probed = tuple(int(np.ravel_multi_index(position, counts)) for position in sorted(corners))
+    residuals = at_once([partial(residual_of, scene, tiles[index], mapper) for index in probed])
+    return Probe(counts, tiles, probed, tuple(residuals))
 
 
 def residual_of(scene: Scene, tile: Tile, mapper: Mapper) -> Residual:
-    """What the Fourier transform leaves out of one tile."""
+    """Return the residual of one tile beyond its Fourier transform."""
     return tile_residual(scene, tile.centre_mm, tile.spans_mm, mapper(tile.centre_mm))
 
 
 def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mapper) -> Probe:
-    """The widest tiles that keep to an error.
+    """Return the cut into the widest tiles that meet an error limit.
 
     Raises
     ------
     SamplingError
-        If not even tiles of one sample do; caused by a RayMapError where these cannot be followed.
+        If even tiles of one sample exceed it. The cause is a RayMapError where their rays cannot be traced.
     """
     grid = scene.object_grid
     side = max(grid.shape) * grid.pitch_mm
@@ -132,14 +133,14 @@ def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mappe
         counts = counts_for(grid, side / parts)
         try:
             found = probe(scene, counts, mapper)
-        except RayMapError as met:
-            grow, problem = 2.0, met
+        except RayMapError as error_of_map:
+            grow, problem = 2.0, error_of_map
         else:
             problem = None
             if quadratic == "mean":
                 grow = math.sqrt(found.mean_error / error)
             else:
-                grow = math.sqrt(found.rank_for(error) / found.rank_sought(error))
+                grow = math.sqrt(found.rank_for(error) / found.target_rank(error))
             if grow <= 1.0:
                 return found
         if all(c == n for c, n in zip(counts, grid.shape, strict=True)):
@@ -150,29 +151,29 @@ def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mappe
 
 
 def checked_probe(scene: Scene, width_mm: float, error: float, quadratic: Quadratic, mapper: Mapper) -> Probe:
-    """Tiles of a width asked for.
+    """Return the cut into tiles of a given width.
 
     Raises
     ------
     SamplingError
-        If they leave more than three times the error allowed.
+        If their error exceeds three times the allowed error.
     """
     try:
         found = probe(scene, counts_for(scene.object_grid, width_mm), mapper)
     except RayMapError as problem:
         raise SamplingError(f"tile_width_mm = {width_mm:g}: {problem}") from problem
-    left = found.error(quadratic, error)
-    if left > error:
+    tile_error = found.error(quadratic, error)
+    if tile_error > error:
         message = (
-            f"tile_width_mm = {width_mm:g}: leaves a relative error of {left:.2g}, {error:.2g} is allowed; "
-            "make tiles narrower, or allow more"
+            f"tile_width_mm = {width_mm:g}: leaves a relative error of {tile_error:.2g} "
+            f"(allowed: {error:.2g}); make tiles narrower, or allow a larger error"
         )
-        if left > REFUSED * error:
+        if tile_error > REFUSED * error:
             raise SamplingError(message)
         warnings.warn(message, SamplingWarning, stacklevel=2)
     return found
 
 
 def expansion(residual: Residual, quadratic: Quadratic, error: float) -> Separable:
-    """Terms of one tile."""
+    """Return the expansion of one tile's residual."""
     return residual.mean_term() if quadratic == "mean" else residual.low_rank(error)

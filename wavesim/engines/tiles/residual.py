@@ -1,11 +1,11 @@
-"""What a tile's field is beside the Fourier transform of its object, and a short expansion of it.
+"""Residual of a tile's field beyond the Fourier transform of its object, and a short expansion of it.
 
-The light of object point c + d at sensor point s differs from that of c by a factor
-exp(-i k p(s).d) R(s, d). The first is the Fourier kernel. The second, R = a'/a exp(i k (V' - V + p.d)), holds
-all that is left: the quadratic term of V in d, cubic ones, the change of amplitude. Rays from points of the
-tile, aimed at the sensor points of the rays from c, sample it. It is replaced by few terms
-sum_r u_r(s) v_r(d): one, its mean over the footprint, or as many of its singular vectors as the error
-allowed asks for.
+The light of object point c + d at sensor point s differs from that of c by a factor exp(-i k p(s).d) R(s, d).
+The first part is the Fourier kernel. The residual R = a'/a exp(i k (V' - V + p.d)) contains the rest: the
+quadratic and cubic terms of V in d, and the change of amplitude. It is sampled by rays from points of the
+tile that are aimed at the sensor points of the rays from c. A sum of few terms sum_r u_r(s) v_r(d)
+approximates it: its mean over the footprint, or as many of its singular vectors as the allowed error
+requires.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ ComplexArray = NDArray[np.complex128]
 Quadratic = Literal["mean", "low-rank"]
 
 NODES = 5
-"""Points along each side of a tile from which rays are aimed: R's exponent is of fourth order in d there."""
+"""Points along each side of a tile from which rays are aimed; the exponent of R is of fourth order in d."""
 
 FINE_NODES = 14
 SAMPLE_ORDER, FACTOR_ORDER = {True: 48, False: 14}, {True: 40, False: 12}
-"""Orders, on a line and on a plane, of the rays' sampling and of the polynomials for u_r(s)."""
+"""Orders of the rays' sampling, and of the polynomials for u_r(s), on a line and on a plane."""
 
 AIM_STEPS = 5
 AIMED_MM = 1e-6
@@ -45,13 +45,13 @@ class Separable:
     Attributes
     ----------
     sensor_factors : SmoothMap or None
-        u_r(s), rank r; None is the one factor 1.
+        u_r(s) of all terms; None for the single factor 1.
     logarithm : ndarray, shape (nodes[, nodes])
-        Of a factor that all v_r(d) share, at Chebyshev points of the tile (y, x).
+        Logarithm of a factor that all v_r(d) share, at Chebyshev points of the tile (y, x).
     tile_nodes : ndarray, shape (rank, nodes[, nodes])
-        The rest of v_r(d), at Chebyshev points of the tile.
+        The other factor of v_r(d), at Chebyshev points of the tile.
     spans_mm : ndarray, shape (d, 2)
-        From where to where the tile extends about c, in the order (y, x).
+        Extent of the tile about c, in the order (y, x).
     relative_error : float
         Root of the mean of |R - sum|^2 over tile and footprint.
     """
@@ -68,20 +68,20 @@ class Separable:
         return len(self.tile_nodes)
 
     def tile_factors(self, offsets_mm: list[Array]) -> ComplexArray:
-        """v_r(d) on the grid of offsets (y, or y and x), shape (rank, ny[, nx])."""
+        """Return v_r(d) on the grid of offsets (y, or y and x), shape (rank, ny[, nx])."""
         return np.asarray(np.exp(self.shared_logarithm(offsets_mm)) * self.own_tile_factors(offsets_mm))
 
     def shared_logarithm(self, offsets_mm: list[Array]) -> ComplexArray:
-        """Logarithm of the factor that all v_r(d) share, on the grid of offsets, shape (ny[, nx])."""
+        """Return the logarithm of the common factor of all v_r(d) on the offsets, shape (ny[, nx])."""
         return self._at(self.logarithm[None], offsets_mm)[0]
 
     def own_tile_factors(self, offsets_mm: list[Array]) -> ComplexArray:
-        """The rest of v_r(d) on the grid of offsets, shape (rank, ny[, nx])."""
+        """Return the other factor of v_r(d) on the grid of offsets, shape (rank, ny[, nx])."""
         return self._at(self.tile_nodes, offsets_mm)
 
     def _at(self, values: ComplexArray, offsets_mm: list[Array]) -> ComplexArray:
-        places = [_scaled(o, span) for o, span in zip(offsets_mm, self.spans_mm, strict=True)]
-        return _along_axes([_interpolation(values.shape[1], p) for p in places], values)
+        positions = [_scaled(o, span) for o, span in zip(offsets_mm, self.spans_mm, strict=True)]
+        return _along_axes([_interpolation(values.shape[1], p) for p in positions], values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +93,12 @@ class Residual:
     sensor_mm : ndarray, shape (n, d)
         Sensor points.
     weights : ndarray, shape (n,)
-        Their shares of the light that an even spectrum sends through the lens, 0 in the shadow behind the
-        rim; their sum is 1.
+        Fraction of the light of an even spectrum at each sensor point, 0 in the shadow behind the rim; their
+        sum is 1.
     logarithm : complex ndarray, shape (n, nodes[, nodes])
-        At the Chebyshev points of the tile, borders included.
+        Values at the Chebyshev points of the tile, borders included.
     spans_mm : ndarray, shape (d, 2)
-        Of the tile about c.
+        Extent of the tile about c.
     """
 
     sensor_mm: Array
@@ -113,7 +113,7 @@ class Residual:
 
     @cached_property
     def neglected_waves(self) -> tuple[float, float]:
-        """Path that the mean leaves out, at the tile's worst point: rms over the footprint, and largest."""
+        """Path beyond the mean at the tile's worst point, in waves: rms over the footprint, and largest."""
         waves = (self.logarithm - self.mean).imag[self.weights > 0.0] / (2.0 * np.pi)
         square = np.tensordot(self.weights[self.weights > 0.0], waves**2, axes=1)
         return float(np.sqrt(square.max())), float(np.abs(waves).max())
@@ -122,72 +122,72 @@ class Residual:
     def fine(self) -> tuple[ComplexArray, Array]:
         """R over its mean at Gauss points of the tile, shape (n, m), and their weights."""
         points, weights = np.polynomial.legendre.leggauss(FINE_NODES)
-        ways = [_interpolation(NODES, points)] * len(self.spans_mm)
-        values = _along_axes(ways, self.logarithm - self.mean).reshape(len(self.weights), -1)
-        shares = 0.5 * weights
+        matrices = [_interpolation(NODES, points)] * len(self.spans_mm)
+        values = _along_axes(matrices, self.logarithm - self.mean).reshape(len(self.weights), -1)
+        gauss = 0.5 * weights
         if len(self.spans_mm) == 2:
-            shares = np.multiply.outer(shares, shares).ravel()
-        return np.exp(values), shares
+            gauss = np.multiply.outer(gauss, gauss).ravel()
+        return np.exp(values), gauss
 
     def mean_error(self) -> float:
-        """Relative error of the exit field if the mean stands for R."""
-        values, shares = self.fine
-        return float(np.sqrt(self.weights @ np.abs(values - 1.0) ** 2 @ shares))
+        """Return the relative error of the exit field if R is replaced by its mean."""
+        values, gauss = self.fine
+        return float(np.sqrt(self.weights @ np.abs(values - 1.0) ** 2 @ gauss))
 
     def mean_term(self) -> Separable:
-        """The mean of ln R over the footprint alone."""
+        """Return the expansion by the mean of ln R over the footprint only."""
         one = np.ones((1,) + (1,) * len(self.spans_mm), complex)
         return Separable(None, self.mean, one, self.spans_mm, self.mean_error())
 
     @cached_property
     def _singular(self) -> tuple[Array, ComplexArray]:
-        """Singular values and, as rows, right vectors."""
-        values, shares = self.fine
+        """Singular values, and right vectors as rows."""
+        values, gauss = self.fine
         lit = self.weights > 0.0
-        scaled = np.sqrt(self.weights[lit])[:, None] * values[lit] * np.sqrt(shares)
+        scaled = np.sqrt(self.weights[lit])[:, None] * values[lit] * np.sqrt(gauss)
         return np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=False)[1:]
 
     @cached_property
-    def _left(self) -> Array:
-        """Relative error that 0, 1, ... terms leave."""
+    def _errors(self) -> Array:
+        """Relative errors of 0, 1, ... terms."""
         rest = np.cumsum(self._singular[0][::-1] ** 2)[::-1]
         return np.asarray(np.sqrt(np.append(rest, 0.0) / rest[0]))
 
-    def left_by(self, rank: int) -> float:
-        """Relative error that so many terms leave."""
-        return float(self._left[rank])
+    def error_of(self, rank: int) -> float:
+        """Return the relative error of a number of terms."""
+        return float(self._errors[rank])
 
     def rank_for(self, error: float) -> int:
-        """Number of terms that leave no more than a relative error."""
-        return max(1, int(np.argmax(self._left <= error)))
+        """Return the smallest number of terms with at most a relative error."""
+        return max(1, int(np.argmax(self._errors <= error)))
 
     def low_rank(self, error: float) -> Separable:
-        """The shortest expansion that leaves no more than a relative error, of at most `MAX_RANK` terms.
+        """Return the shortest expansion with at most a relative error, of at most `MAX_RANK` terms.
 
         Raises
         ------
         RayMapError
-            If polynomials cannot follow its factors over the footprint.
+            If polynomials cannot represent its factors over the footprint.
         """
         rank = min(self.rank_for(error), MAX_RANK)
         right = self._singular[1]
-        values, shares = self.fine
-        # Of points without weight too, in the shadow behind the rim.
-        factors = (values * np.sqrt(shares) @ right[:rank].conj().T).T
+        values, gauss = self.fine
+        # The factors also cover points without weight, in the shadow behind the rim.
+        factors = (values * np.sqrt(gauss) @ right[:rank].conj().T).T
         sensor = fit_map(self.sensor_mm, factors, FACTOR_ORDER[len(self.spans_mm) == 1])
-        tile = right[:rank] / np.sqrt(shares)
+        tile = right[:rank] / np.sqrt(gauss)
         missed = values - sensor.at(self.sensor_mm).T @ tile
-        rest = float(np.sqrt(self.weights @ np.abs(missed) ** 2 @ shares))
-        if rest > self.left_by(rank) + error:
+        rest = float(np.sqrt(self.weights @ np.abs(missed) ** 2 @ gauss))
+        if rest > self.error_of(rank) + error:
             raise RayMapError(
-                f"{rank} terms over a tile leave a relative error of {rest:.2g}, {error:.2g} is allowed: "
+                f"{rank} terms over a tile leave a relative error of {rest:.2g} (allowed: {error:.2g}): "
                 "make tiles narrower"
             )
         return Separable(sensor, self.mean, at_tile_nodes(tile, len(self.spans_mm)), self.spans_mm, rest)
 
 
 def at_tile_nodes(factors: ComplexArray, dimensions: int) -> ComplexArray:
-    """Tile factors, shape (rank, m), from the Gauss points of :attr:`Residual.fine` to Chebyshev points."""
+    """Convert tile factors, shape (rank, m), from the Gauss points of `Residual.fine` to Chebyshev points."""
     points = np.polynomial.legendre.leggauss(FINE_NODES)[0]
     to_nodes = np.asarray(np.linalg.inv(_interpolation(FINE_NODES, points)), float)
     factors = factors.reshape(len(factors), *(FINE_NODES,) * dimensions)
@@ -195,7 +195,7 @@ def at_tile_nodes(factors: ComplexArray, dimensions: int) -> ComplexArray:
 
 
 def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, carrier: RayMap) -> Residual:
-    """Aim rays from a tile's points at the sensor points of the rays from c, and compare.
+    """Compare rays from a tile's points with rays from c that meet the same sensor points.
 
     Parameters
     ----------
@@ -204,9 +204,9 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
     point_mm
         The point c, (x, y).
     spans_mm
-        From where to where the tile extends about c, shape (d, 2), in the order (y, x).
+        Extent of the tile about c, shape (d, 2), in the order (y, x).
     carrier
-        Maps of c.
+        Ray map of c.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
     if reached < 0.7 * all_lit:
         raise RayMapError(
             f"only {reached} of {all_lit} sensor points in the footprint of "
-            f"({point_mm[0]:g}, {point_mm[1]:g}) mm are reached from all of its tile: make tiles narrower"
+            f"({point_mm[0]:g}, {point_mm[1]:g}) mm are reached from its whole tile: make tiles narrower"
         )
     path = (aimed.path_mm + np.sum(aimed.slopes * miss, axis=1)).reshape(m, n) - base.path_mm
     phase = scene.wavenumber_per_mm * (path + offsets @ base.cosines.T)
@@ -255,19 +255,19 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
 
 
 def _stop_cells(pupil: Array, carrier: RayMap) -> Array:
-    """Share of the stop that a Chebyshev ring or point stands for, but for a common factor."""
+    """Return the relative area of the stop for each point of the Chebyshev sampling."""
     radius = np.linalg.norm(pupil - carrier.traced.centre, axis=1) / carrier.traced.reach.max()
     measure = np.sqrt(np.maximum(1.0 - radius**2, 1e-4))
     return measure if carrier.pupil.is_line else measure * radius
 
 
 def _as_xy(values: Array) -> Array:
-    """(y) or (y, x) as (x, y)."""
+    """Return points (y) or (y, x) as (x, y)."""
     return np.column_stack([values[:, 1] if values.shape[1] == 2 else np.zeros(len(values)), values[:, 0]])
 
 
 def _nodes(count: int) -> Array:
-    """Chebyshev points of [-1, 1], borders included, ascending."""
+    """Return the Chebyshev points of [-1, 1], borders included, ascending."""
     return np.asarray(-np.cos(np.pi * np.arange(count) / (count - 1)))
 
 
@@ -281,15 +281,15 @@ def _scale_back(nodes: Array, span: Array) -> Array:
 
 
 def _interpolation(nodes: int, at: Array) -> Array:
-    """Matrix from values at Chebyshev points to values elsewhere."""
+    """Return the matrix from values at Chebyshev points to values elsewhere."""
     if nodes == 1:
         return np.ones((len(at), 1))
     basis = chebyshev.chebvander(_nodes(nodes), nodes - 1)
     return np.asarray(np.linalg.solve(basis.T, chebyshev.chebvander(at, nodes - 1).T).T)
 
 
-def _along_axes(ways: list[Array], values: NDArray) -> NDArray:
+def _along_axes(matrices: list[Array], values: NDArray) -> NDArray:
     """Apply one matrix to each axis of values but the first."""
-    for axis, way in enumerate(ways, start=1):
-        values = np.moveaxis(np.tensordot(values, way, axes=(axis, 1)), -1, axis)
+    for axis, matrix in enumerate(matrices, start=1):
+        values = np.moveaxis(np.tensordot(values, matrix, axes=(axis, 1)), -1, axis)
     return values

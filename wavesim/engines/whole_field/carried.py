@@ -1,4 +1,4 @@
-"""One step of a field from a coarse grid to a window of a fine one, with its carrier, and back."""
+"""Interpolation of a field from a coarse grid to a window of a fine one with a carrier, and its adjoint."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import collect, expand
-from wavesim.fields.resampling import Kernel, Weights, in_columns, interpolation, onto_coarse
+from wavesim.fields.resampling import Kernel, Weights, for_column_blocks, interpolation, onto_coarse
 
 
 @dataclass(frozen=True, eq=False)
 class InterpolationWeights:
-    """Interpolation from a coarse grid to a part of a fine one: of the field, and of what is smooth.
+    """Weights of the interpolation from coarse grids to a part of a fine one: of the field, and of smooth
+    functions.
 
     Attributes
     ----------
     field : (Weights, Weights)
-        Along y and x, in float32.
+        Weights of the field along y and x, in float32.
     first, share : two ndarrays each
-        First of four samples and their shares, along y and x, on the grid of what is smooth.
+        First of four samples and their weights, along y and x, on the grid of the smooth functions.
     """
 
     field: tuple[Weights, Weights]
@@ -34,7 +35,7 @@ class InterpolationWeights:
 def interpolation_weights(
     coarse: tuple[Array, Array], smooth: tuple[Array, Array], fine: tuple[Array, Array], kernel: Kernel
 ) -> InterpolationWeights:
-    """Weights from axes (y, x) of two coarse grids to those of a fine one."""
+    """Return the weights from axes (y, x) of two coarse grids to those of a fine one."""
     field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
     cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
     first, share = (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1])
@@ -42,7 +43,7 @@ def interpolation_weights(
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
-    """First of four samples for each fine one, and Lagrange's weights of them."""
+    """Return the first of four samples for each fine one, and their Lagrange weights."""
     place = (fine - coarse[0]) / (coarse[1] - coarse[0])
     first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(coarse) - 4)
     t = place - first - 1.0
@@ -52,17 +53,17 @@ def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
 
 @dataclass(frozen=True, eq=False)
 class CarriedStep:
-    """One step from a coarse grid to a window of a fine one, with its carrier.
+    """Interpolation from a coarse grid to a window of a fine one, times its carrier.
 
     Attributes
     ----------
-    ways : Ways
+    ways : InterpolationWeights
     turns : array
-        Phase of the carrier over 2 pi, on the smooth grid; of whichever library does the step.
+        Phase of the carrier over 2 pi on the smooth grid, in the library that computes.
     edge : array of float32
-        0 where the aperture is dark, from 1 on where it is open, on the smooth grid.
+        Smooth edge of the aperture: 0 where it is dark, 1 or more where it is open, on the smooth grid.
     window : (slice, slice)
-        Of the fine grid.
+        Window of the fine grid.
     """
 
     ways: InterpolationWeights
@@ -71,17 +72,17 @@ class CarriedStep:
     window: tuple[slice, slice]
 
     def add(self, coarse: NDArray, fine: NDArray, first_row: int = 0, threads: int = 1) -> None:
-        """Add a coarse field to a fine one, or to its rows from `first_row` on; fine is C-contiguous."""
+        """Add a coarse field to a fine one, or to its rows from `first_row` on; `fine` is C-contiguous."""
         part, needed = self.onto_rows(first_row, first_row + fine.shape[0])
         (y, x), place = part.ways.field, (part.window[0].start - first_row, part.window[1].start)
         along = (y.first, y.weight), (x.first, x.weight)
         fixed = (coarse[needed].view(np.float32), *along, part._carrier(), fine.view(np.float32), place)
-        in_columns(partial(expand, *fixed), len(x.first), threads)
+        for_column_blocks(partial(expand, *fixed), len(x.first), threads)
 
     def onto_rows(self, start: int, stop: int) -> tuple[CarriedStep, slice]:
-        """The step to the fine grid's rows from `start` to `stop`, and the coarse rows that it takes.
+        """Return the step to the fine grid's rows from `start` to `stop`, and the coarse rows that it uses.
 
-        There are none where it leads to no such row.
+        Both are empty if the window has no such row.
         """
         inside, across = self.window
         start = min(max(start, inside.start), inside.stop)
@@ -95,13 +96,13 @@ class CarriedStep:
         return replace(self, ways=ways, window=(slice(start, stop), across)), slice(low, high)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
-        """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
+        """Apply the conjugate transpose to a C-contiguous fine field."""
         ways, place = self.ways, (self.window[0].start, self.window[1].start)
         (y, x), carrier = ways.field, self._carrier()
-        fixed = (fine.view(np.float32), place, y.back, x.back, carrier)
+        fixed = (fine.view(np.float32), place, y.adjoint, x.adjoint, carrier)
         return onto_coarse(partial(collect, *fixed), ways.field, np.complex64, threads)
 
     def _carrier(self) -> tuple[NDArray, ...]:
-        """What the loops take of it."""
+        """Return the arrays that the compiled loops use."""
         (first_y, first_x), (share_y, share_x) = self.ways.first, self.ways.share
         return self.turns, self.edge, first_y, share_y, first_x, share_x, share_x.astype(np.float32)

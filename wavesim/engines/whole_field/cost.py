@@ -1,4 +1,4 @@
-"""What eikonal tiles in two levels take, told from the sizes of their grids."""
+"""Predicted time and memory of eikonal tiles in two levels, from the sizes of their grids."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
 MAP_PASSES, TRANSFORM_PASSES, CARRY_PASSES = 130.0, 5.0, 5.0
-"""Complex products (of complex128) as which count: a tile's maps, for each sample of its grid; its Fourier
-transform, for each sample and term; a carried sample of a finer grid. Measured."""
+"""Time in complex products (complex128), as measured: of a tile's maps for each sample of its grid, of its
+Fourier transform for each sample and term, and of a propagated sample of a finer grid."""
 
 SETUP_SECONDS, LEAST_SECONDS = 1.8, 0.2
 FITTING_BYTES, FITTED_BYTES = 50_000_000, 18_000_000
-"""Of polynomials and rays, while they are fitted, and from then on."""
+"""Memory of polynomials and rays during the fit, and after it."""
 
 
 def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequence[SuperTile]) -> Cost:
-    """Seconds of one use and of the set-up, and most bytes at one time beside argument and result.
+    """Return time of one use and of the set-up, and peak memory without argument and result.
 
     Parameters
     ----------
     scene, settings
-        The field.
+        Scene and common settings of the tiles.
     groups
-        Its super-tiles.
+        Super-tiles of the field.
     """
     rank = len(settings.factors.tile_nodes)
     filled = 0.25 * math.pi
@@ -53,8 +53,8 @@ def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequenc
 
 
 def carried_bytes(carried: CarriedStep) -> int:
-    """What a super-tile keeps of its way to the plane."""
+    """Return the memory that a super-tile keeps for its propagation to the plane."""
     ways = carried.ways
     arrays = [*ways.first, *ways.share, carried.turns, carried.edge]
-    arrays += [a for weights in ways.field for a in (weights.first, weights.weight, *weights.back)]
+    arrays += [a for weights in ways.field for a in (weights.first, weights.weight, *weights.adjoint)]
     return sum(int(array.nbytes) for array in arrays)

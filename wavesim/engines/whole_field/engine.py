@@ -1,9 +1,9 @@
 """Eikonal tiles of a whole field, summed in two levels.
 
 As :mod:`wavesim.engines.tiles.engine`, for fields of millimetres: tiles are summed about the carrier of their
-super-tile on a coarse grid, super-tiles on the plane. Neighbouring tiles share rays
-(:mod:`wavesim.engines.whole_field.ray_maps`), and nothing of a tile is kept from one use to the next but a
-few polynomials. All values are complex64; phases are made in float64.
+super-tile on a coarse grid, and super-tiles are summed on the plane. Neighbouring tiles share rays
+(:mod:`wavesim.engines.whole_field.ray_maps`), and only a few polynomials of a tile are stored between uses.
+All values are complex64; phases are computed in float64.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
-from wavesim.engines.tiles.edge import edge_error, rim_share
+from wavesim.engines.tiles.edge import edge_error, rim_fraction_per_mm
 from wavesim.engines.tiles.edge_illumination import edge_illumination
-from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
+from wavesim.engines.tiles.engine import MOST_ERROR, TILE_FRACTION
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import whole_field_cost
-from wavesim.engines.whole_field.executors import Band, Executor, Part, Sums, Tell, ThisComputer
+from wavesim.engines.whole_field.executors import Band, Executor, Part, Progress, Sums, ThisComputer
 from wavesim.engines.whole_field.factors import factors_over_object
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
@@ -49,34 +49,35 @@ from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
 ZONES = 0.74
-"""Widths of tiles over sqrt(wavelength x working distance) / NA: few terms follow what such tiles omit."""
+"""Width of tiles over sqrt(wavelength x working distance) / NA, for which a few terms describe the
+residual."""
 
-EXPANSION_SHARE, MAPS_SHARE, INTERPOLATION_SHARE, TRANSFORM_SHARE = 0.5, 0.01, 0.1, 0.05
-"""Of the error allowed, what each step may take; the maps' in waves."""
+EXPANSION_FRACTION, MAPS_FRACTION, INTERPOLATION_FRACTION, TRANSFORM_FRACTION = 0.5, 0.01, 0.1, 0.05
+"""Fraction of the allowed error that each step may cause; that of the maps is in waves."""
 
 
 NARROWINGS = 3
-"""How often tiles whose width was not asked for are halved where rays cannot be followed all over them."""
+"""Number of times that tiles of default width are halved where rays cannot be traced all over them."""
 
 MANY_TILES = 16
-"""Along a side of the object, from which on tiles in two levels are worth their set-up."""
+"""Number of tiles along a side of the object above which two levels are worth their set-up."""
 
 LEAST_ERROR = 1e-4
-"""That may be asked for: values are complex64."""
+"""Smallest error that can be requested, since values are complex64."""
 
 
 Cut = tuple[tuple[Tile, tuple[int, ...]], ...]
-"""Tiles, each with the place of its super-tile."""
+"""Tiles, each with the position of its super-tile."""
 
 
 def tile_width_for(scene: Scene) -> float:
-    """Width in mm of tiles that few terms follow."""
+    """Return the width in mm of tiles whose residual a few terms describe."""
     zone_mm = math.sqrt(1e-3 * scene.wavelength_um * -scene.object_grid.z_mm)
     return ZONES * zone_mm / scene.lens.object.numerical_aperture
 
 
 def tiles_along(scene: Scene) -> float:
-    """How many such tiles the object's longer side takes; 0 on a line, which this engine does not carry."""
+    """Return the number of such tiles along the object's longer side; 0 on a line, which is not supported."""
     grid = scene.object_grid
     return 0.0 if grid.is_line else max(grid.shape) * grid.pitch_mm / tile_width_for(scene)
 
@@ -87,41 +88,41 @@ class WholeFieldEngine(Tiled):
     Attributes
     ----------
     device : Device or None
-        Does the work in place of the compiled loops.
+        Device that computes instead of the compiled loops.
     elsewhere : Executor or None
-        Has super-tiles done by other computers; None is here.
+        Executor of super-tiles on other computers; None for this computer.
 
     Parameters
     ----------
     scene : Scene
-        What is carried where. Object samples beyond the lens's field count as dark.
+        Lens, grids and wavelength. Object samples outside the lens's field count as dark.
     tile_width_mm : float, optional
-        Largest side of a tile; left out, chosen so that four or five terms follow what it leaves out.
+        Largest side of a tile. Default: a width for which four or five terms describe the residual.
     tiles_across : int
         Tiles along each side of a super-tile.
     error : float
-        Relative L2 error of the exit field that tiles and interpolation may leave.
+        Relative L2 error of the exit field that tiles and interpolation may cause.
     device : {"cpu", "gpu"}
-        What does the work; a GPU needs the extra ``gpu``. Times that :meth:`cost` tells are the processor's.
+        Device that computes; a GPU needs the extra ``gpu``. :meth:`cost` predicts times of the processor.
 
     Raises
     ------
     InputError
-        If a setting is not usable, the scene is that of a line, or no GPU is there.
+        If a setting is not usable, the scene is a line, or there is no GPU.
     FoldError
         On first use, if rays fold on the exit grid's plane.
     RayMapError
-        On first use, if polynomials do not follow the rays, or tiles are too wide.
+        On first use, if polynomials do not fit the rays, or tiles are too wide.
     """
 
-    name = "two-level"
+    name = "hierarchical"
 
     elsewhere: Executor | None = None
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         if tiles_along(scene) > MANY_TILES:
-            yield {"error": float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))}
+            yield {"error": float(np.clip(TILE_FRACTION * error, LEAST_ERROR, MOST_ERROR))}
 
     @classmethod
     def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
@@ -140,7 +141,7 @@ class WholeFieldEngine(Tiled):
     ) -> None:
         super().__init__(scene)
         if scene.object_grid.is_line:
-            raise InputError("engine two-level carries planes; on a line take eikonal")
+            raise InputError("engine hierarchical carries planes; use engine eikonal on a line")
         if tile_width_mm is not None:
             validate_positive("tile_width_mm", tile_width_mm)
         if not 1 <= tiles_across <= 100:
@@ -152,17 +153,17 @@ class WholeFieldEngine(Tiled):
 
     @cached_property
     def region(self) -> Region:
-        """The part of the object plane that is carried."""
+        """The part of the object plane that is propagated."""
         return region_of_object(self.scene)
 
     @cached_property
     def _prepared(self) -> tuple[float, Cut, WholeFieldSettings]:
-        """Width of tiles, the tiles, and what they share; narrower ones where the first are too wide."""
+        """Width of tiles, the tiles, and their common settings; narrower where the first are too wide."""
         width, maps = self._asked_width_mm or tile_width_for(self.scene), None
         for narrower in range(NARROWINGS, -1, -1):
             tiles = self._tiles(width)
             spans_mm = _shared_spans(tiles)
-            if maps is None:  # narrower tiles ask no more of them
+            if maps is None:  # narrower tiles need no more accurate maps
                 maps = self._maps(spans_mm)
             try:
                 return width, tiles, self._followed(maps, spans_mm)
@@ -173,7 +174,7 @@ class WholeFieldEngine(Tiled):
         raise AssertionError
 
     def _tiles(self, width_mm: float) -> Cut:
-        """Tiles that reach into the field, each with the place of its super-tile."""
+        """Return the tiles that extend into the field, each with the position of its super-tile."""
         counts = counts_for(self.scene.object_grid, width_mm)
         radius = self.region.half_mm[0]
         found = []
@@ -188,7 +189,7 @@ class WholeFieldEngine(Tiled):
         return tuple(found)
 
     def _maps(self, spans_mm: Array) -> MapsOverObject:
-        scene, tolerance = self.scene, MAPS_SHARE * self._error
+        scene, tolerance = self.scene, MAPS_FRACTION * self._error
         with one_blas_thread():
             return maps_over_object(scene, self.region, scene.exit_grid.z_mm, _reach_mm(spans_mm), tolerance)
 
@@ -200,10 +201,10 @@ class WholeFieldEngine(Tiled):
                 self.region,
                 spans_mm,
                 lambda point: ray_map(scene, point, z_mm, _reach_mm(spans_mm)),
-                EXPANSION_SHARE * error,
+                EXPANSION_FRACTION * error,
             )
-        transform_error = float(np.clip(TRANSFORM_SHARE * error, 1e-5, 1e-3))
-        interpolation_error = INTERPOLATION_SHARE * error
+        transform_error = float(np.clip(TRANSFORM_FRACTION * error, 1e-5, 1e-3))
+        interpolation_error = INTERPOLATION_FRACTION * error
         return WholeFieldSettings(
             scene,
             (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
@@ -216,7 +217,7 @@ class WholeFieldEngine(Tiled):
 
     @cached_property
     def _middle(self) -> RayMap:
-        """Rays of the middle of what is carried, with the edge of their light where it is told."""
+        """Ray map of the centre of the region, with the diffraction at its edge where rays determine it."""
         y, x = self.region.centre_mm
         reach_mm = tile_width_for(self.scene)
         with one_blas_thread():
@@ -246,7 +247,7 @@ class WholeFieldEngine(Tiled):
 
     @property
     def worker(self) -> OnCpu | OnDevice:
-        """What does super-tiles' work on this computer."""
+        """Worker that computes super-tiles on this computer."""
         return OnCpu() if self.device is None else OnDevice(self.device)
 
     @property
@@ -254,7 +255,7 @@ class WholeFieldEngine(Tiled):
         return self.elsewhere or ThisComputer(self.groups, self.scene.exit_grid.shape, self.worker)
 
     def _forward(self, values: Any) -> Any:
-        plane = self._executor.plane(self._parts_of(values, range(self.parts)), self._tell())
+        plane = self._executor.plane(self._parts_of(values, range(self.parts)), self._progress_callback())
         return self._per_cell(plane)
 
     def _per_cell(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
@@ -262,49 +263,50 @@ class WholeFieldEngine(Tiled):
         return rows
 
     def forward_in_bands(self, field: Field, rows: int, sums: Sums) -> Iterator[Band]:
-        self._refuse_stranger(field, self.scene.object_grid, "object")
-        lacking = [number for number in range(self.parts) if number not in sums]
-        tell, parts = self._tell(self.parts - len(lacking)), self._parts_of(field.values, lacking)
-        for place, band in self._executor.bands(parts, sums, rows, tell):
-            yield place, self._per_cell(band)
+        self._validate_field(field, self.scene.object_grid, "object")
+        missing = [index for index in range(self.parts) if index not in sums]
+        progress = self._progress_callback(self.parts - len(missing))
+        parts = self._parts_of(field.values, missing)
+        for band_rows, band in self._executor.bands(parts, sums, rows, progress):
+            yield band_rows, self._per_cell(band)
 
-    def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
-        self._refuse_stranger(field, self.scene.exit_grid, "exit")
-        before = float(self.scene.system.index[0, 0])
-        values = self._adjoint(field.values, numbers)
-        return Field(self.scene.object_grid, values, field.wavelength_um, before)
+    def adjoint_on(self, field: Field, indices: Sequence[int]) -> Field:
+        self._validate_field(field, self.scene.exit_grid, "exit")
+        index = float(self.scene.system.index[0, 0])
+        values = self._adjoint(field.values, indices)
+        return Field(self.scene.object_grid, values, field.wavelength_um, index)
 
-    def _adjoint(self, values: Any, numbers: Sequence[int] | None = None) -> Any:
+    def _adjoint(self, values: Any, indices: Sequence[int] | None = None) -> Any:
         result = np.zeros(self.scene.object_grid.shape, np.complex64)
         plane = np.ascontiguousarray(values, np.complex64)
-        wanted = range(self.parts) if numbers is None else numbers
-        for number, part in self._executor.parts(plane, wanted, self._tell()):
-            place = self.groups[number].part
-            result[place] += part * self._in_field(place)
+        chosen = range(self.parts) if indices is None else indices
+        for index, part in self._executor.parts(plane, chosen, self._progress_callback()):
+            samples = self.groups[index].part
+            result[samples] += part * self._in_field(samples)
         result *= np.float32(self.scene.exit_grid.cell)
         return result
 
-    def _parts_of(self, values: Any, numbers: Iterable[int]) -> Iterator[Part]:
-        """What super-tiles hold of an object field."""
-        for number in numbers:
-            place = self.groups[number].part
-            yield number, np.where(self._in_field(place), values[place], 0.0).astype(np.complex64)
+    def _parts_of(self, values: Any, indices: Iterable[int]) -> Iterator[Part]:
+        """Yield the super-tiles' parts of an object field."""
+        for index in indices:
+            samples = self.groups[index].part
+            yield index, np.where(self._in_field(samples), values[samples], 0.0).astype(np.complex64)
 
-    def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
-        """Which samples of a part of the object lie within the field."""
+    def _in_field(self, samples: tuple[slice, slice]) -> NDArray[np.bool_]:
+        """Return the mask of the samples of a part of the object that lie within the field."""
         grid, region = self.scene.object_grid, self.region
-        radius2 = grid.y_mm[place[0]][:, None] ** 2 + grid.x_mm[place[1]] ** 2
+        radius2 = grid.y_mm[samples[0]][:, None] ** 2 + grid.x_mm[samples[1]] ** 2
         return np.asarray(radius2 <= (region.half_mm[0] ** 2 if region.is_disc else math.inf))
 
-    def _tell(self, done: int = 0) -> Tell:
-        """What reports one super-tile more than are done."""
-        counted = count(done + 1)
+    def _progress_callback(self, completed: int = 0) -> Progress:
+        """Return a callback that counts a completed super-tile and reports the progress."""
+        counted = count(completed + 1)
 
-        def tell() -> None:
-            if self.report is not None:
-                self.report(next(counted), self.parts)
+        def progress() -> None:
+            if self.progress is not None:
+                self.progress(next(counted), self.parts)
 
-        return tell
+        return progress
 
     def settings(self) -> dict[str, Any]:
         return {
@@ -313,7 +315,7 @@ class WholeFieldEngine(Tiled):
             "error": self._error,
         } | ({} if self.device is None else {"device": self.device.name})
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         _, tiles, settings = self._prepared
         path, amplitude, direction = settings.maps.errors
         maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
@@ -324,7 +326,7 @@ class WholeFieldEngine(Tiled):
                 settings.factors.relative_error,
             ),
             ErrorTerm("rays between those that were traced", maps),
-            ErrorTerm("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
+            ErrorTerm("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_FRACTION * self._error),
             *self._neglected_at_rim(),
         )
         return tuple(sorted(parts, key=lambda part: -part.relative_error))
@@ -334,7 +336,7 @@ class WholeFieldEngine(Tiled):
         carrier, placed_mm = self._middle, settings.maps.edge_error_mm
         widest = np.max([group.steps_mm for group in self.groups], axis=0)
         rise = settings.rise_over(widest)
-        if carrier.tells_edge:
+        if carrier.resolves_edge:
             what = f"diffraction at the aperture's edge, soft over {100.0 * rise:.2g} % of the footprint"
             error = soft_edge_error(carrier, settings.factors.spans_mm, rise)
             yield ErrorTerm(f"{what} and the same all over a tile", error, at_rim=True)
@@ -345,7 +347,7 @@ class WholeFieldEngine(Tiled):
                 "diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True
             )
             placed_mm += TAPER * TAPER_LOSS * float(np.max(widest))
-        place = math.sqrt(rim_share(carrier.rim_mm) * placed_mm)
+        place = math.sqrt(rim_fraction_per_mm(carrier.rim_mm) * placed_mm)
         yield ErrorTerm("place of the aperture's edge", min(1.0, place), at_rim=True)
 
     def edge_illumination(self, light: Light) -> float:
@@ -357,11 +359,11 @@ class WholeFieldEngine(Tiled):
 
 
 def _shared_spans(tiles: Cut) -> Array:
-    """From where to where tiles extend about their centres at the most, shape (2, 2)."""
+    """Return the largest extent of the tiles about their centres, shape (2, 2)."""
     spans = np.array([tile.spans_mm for tile, _ in tiles])
     return np.column_stack([spans[:, :, 0].min(axis=0), spans[:, :, 1].max(axis=0)])
 
 
 def _reach_mm(spans_mm: Array) -> float:
-    """How far a tile extends from its centre."""
+    """Return the largest distance of a tile's points from its centre."""
     return float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))

@@ -1,7 +1,7 @@
-"""What tiles leave out beside the Fourier kernel, all over a field: one set of tile factors.
+"""Expansion of the residual beyond the Fourier kernel, for all tiles of a field.
 
-As :mod:`wavesim.engines.tiles.residual` has it for one tile, but with tile factors v_r(d) that serve every
-tile, and sensor factors u_r(s) whose coefficients are polynomials in the tile's centre.
+It has the form of :mod:`wavesim.engines.tiles.residual`, but all tiles share the tile factors v_r(d), and the
+coefficients of the sensor factors u_r(s) are polynomials in the tile's centre.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from wavesim.scene.scene import Scene
 
 SENSOR_ORDER = 12
 OBJECT_ORDERS = (2, 4)
-"""In the object point; the first that follows is taken. The lower one asks for less than half of the rays."""
+"""Orders in the object point; the first accurate one is used. The lower one needs less than half of the
+rays."""
 
-SPECTRUM_SHARE = 0.5
-"""Of the error allowed, what terms left out may take; the rest is for polynomials."""
+SPECTRUM_FRACTION = 0.5
+"""Fraction of the allowed error for omitted terms; the rest is for polynomials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +36,13 @@ class FactorsOverObject:
     sensor : OverObject
         u_r(s), complex.
     logarithm : ndarray, shape (terms, nodes, nodes)
-        Of the factor that all tile factors share, as polynomials in the tile's centre.
+        Logarithm of the common factor of all tile factors, as polynomials in the tile's centre.
     tile_nodes : ndarray, shape (rank, nodes, nodes)
-        The rest of the tile factors.
+        The other factors of the tile factors.
     spans_mm : ndarray, shape (2, 2)
-        Of every tile about its centre.
+        Extent of every tile about its centre.
     relative_error : float
-        Of the expansion, in the worst of the tiles looked at.
+        Largest relative error of the expansion in the probed tiles.
     """
 
     sensor: OverObject
@@ -51,7 +52,7 @@ class FactorsOverObject:
     relative_error: float
 
     def at(self, point_mm: tuple[float, float]) -> Separable:
-        """The expansion of the tile about an object point (y, x)."""
+        """Return the expansion of the tile about an object point (y, x)."""
         unit = self.sensor.region.scaled(np.array([point_mm]))
         shared = np.tensordot(object_terms(unit, self.sensor.order)[0], self.logarithm, axes=1)
         return Separable(
@@ -66,33 +67,34 @@ def factors_over_object(
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
 ) -> FactorsOverObject:
-    """The shortest expansion that holds all over a region.
+    """Return the shortest expansion that meets the error limit over a whole region.
 
     Parameters
     ----------
     scene, region
-        The field.
+        Scene, and region of the object plane.
     spans_mm
-        From where to where tiles extend about their centres, shape (2, 2).
+        Extent of the tiles about their centres, shape (2, 2).
     mapper
         Ray maps of object points (x, y).
     error
-        Relative error allowed.
+        Allowed relative error.
 
     Raises
     ------
     RayMapError
-        If more than 32 terms are needed, or polynomials cannot follow the factors: tiles are too wide.
+        If more than 32 terms are needed, or polynomials cannot represent the factors; tiles are then too
+        wide.
     """
     for order in OBJECT_ORDERS:
         found = _factors_of_order(order, scene, region, spans_mm, mapper, error)
         if found.relative_error <= error:
             return found
-        if len(found.tile_nodes) == MAX_RANK:  # not for want of a higher order
+        if len(found.tile_nodes) == MAX_RANK:  # a higher order would not help
             break
     raise RayMapError(
         f"{len(found.tile_nodes)} terms over tiles of {1e3 * float(np.max(np.ptp(spans_mm, axis=1))):.3g} um "
-        f"leave a relative error of {found.relative_error:.2g}, {error:.2g} is allowed: make tiles narrower"
+        f"leave a relative error of {found.relative_error:.2g} (allowed: {error:.2g}): make tiles narrower"
     )
 
 
@@ -104,12 +106,12 @@ def _factors_of_order(
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
 ) -> FactorsOverObject:
-    """As :func:`factors_over_object`, by polynomials of one order, whose error may be more than allowed."""
+    """Return the expansion with polynomials of one order; its error may exceed the limit."""
     points = region.nodes(order)
     places = [(float(x), float(y)) for y, x in points]
     residuals = [tile_residual(scene, place, spans_mm, mapper(place)) for place in places]
     values, shares = [r.fine[0] for r in residuals], residuals[0].fine[1]
-    basis = _shared_basis([r.weights for r in residuals], values, shares, SPECTRUM_SHARE * error)
+    basis = _shared_basis([r.weights for r in residuals], values, shares, SPECTRUM_FRACTION * error)
     tile = basis / np.sqrt(shares)
     factors = [(v * np.sqrt(shares) @ basis.conj().T).T for v in values]
     sensor = fit_over_object(region, (order, SENSOR_ORDER), points, [r.sensor_mm for r in residuals], factors)
@@ -127,7 +129,7 @@ def _factors_of_order(
 def _shared_basis(
     weights: Sequence[Array], values: Sequence[NDArray], shares: Array, error: float
 ) -> NDArray[np.complex128]:
-    """Orthonormal rows, over Gauss points of the tile, that leave no tile a larger error."""
+    """Return orthonormal rows over the Gauss points of a tile that meet the error limit for all tiles."""
     scaled = [np.sqrt(w)[:, None] * v * np.sqrt(shares) for w, v in zip(weights, values, strict=True)]
     strength, vectors = np.linalg.eigh(sum(s.conj().T @ s for s in scaled))
     rows = vectors[:, np.argsort(strength)[::-1]].conj().T[:MAX_RANK]

@@ -1,9 +1,11 @@
-"""Compiled loops that carry a field from a coarse plane to a fine one and back, making carriers on the way.
+"""Compiled loops that interpolate a field from a coarse plane to a fine one, times a carrier, and the
+adjoint.
 
-Carriers exp(2 pi i phase) of a whole field are too large to be kept. Their phase, in turns, and the edge of
-the aperture are smooth: they come on coarse grids of their own, where four samples along each axis tell what
-is in between. Between four rows a phase is that of one of them, reduced in float64, and shares of how the
-others differ from it, a few turns, in float32. Fields go as :mod:`wavesim.fields.resampling_kernel` has it.
+Carriers exp(2 pi i phase) of a whole field are too large to be stored. Their phase, in turns, and the edge of
+the aperture are smooth. Both are source on coarse grids of their own, from which four samples along each axis
+interpolate the values in between. Between four rows, the phase is that of one row, reduced in float64, plus
+weighted differences to the other rows, a few turns, in float32. Fields are interpolated as in
+:mod:`wavesim.fields.resampling_kernel`.
 """
 
 # mypy: disable-error-code="misc, operator"
@@ -22,14 +24,14 @@ from wavesim.fields import resampling_kernel
 from wavesim.fields.resampling_kernel import (
     BAND,
     FOUR,
-    add_turned,
+    add_modulated,
     all_fours,
     most_of_four,
     moved_up,
     put_band,
     rows_from,
     sums_of_lines,
-    take_turned,
+    take_modulated,
     weights_for_four,
 )
 from wavesim.runtime.fourier import lanes
@@ -40,25 +42,25 @@ _jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 _inlined = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
 
 _SMOOTH = 4
-"""Rows, and columns, between which phase and edge are cubic."""
+"""Rows, and columns, of the cubic interpolation of phase and edge."""
 
 _KEPT = 2 * BAND
-"""Rows of phase and edge for which there is room."""
+"""Rows of phase and edge that the buffer holds."""
 
 _DARK, _PARTLY, _OPEN = 0, 1, 2
-"""Light of a row: none, some of it stopped, all."""
+"""Light of a row: none, partly stopped, or all."""
 
 _ROUNDER = float32(1.5 * 2**23)
-"""Added and subtracted again it leaves whole numbers."""
+"""Constant that rounds to whole numbers when it is added and subtracted."""
 
 _FULL = 1.0 - 1e-4
-"""From this edge on nothing is stopped: 3 e^2 - 2 e^3 is 1 in single precision."""
+"""Value of the edge from which on 3 e^2 - 2 e^3 is 1 in single precision."""
 
 _ZERO, _ONE, _TWO, _THREE = float32(0.0), float32(1.0), float32(2.0), float32(3.0)
 
 
 def _polynomial(function: Callable[[Any], Any]) -> tuple[float32, ...]:
-    """Of a function of t^2, where t reaches half a turn of pi: to 5e-8."""
+    """Return the coefficients of a function of t^2 for t up to half a turn, accurate to 5e-8."""
     return tuple(map(float32, Chebyshev.interpolate(function, 4, [0.0, 0.25]).convert(kind=Polynomial).coef))
 
 
@@ -77,15 +79,15 @@ def _smooth_rows(
     rows: NDArray,
     at: int,
 ) -> None:
-    """Rows of phase, or of the edge, from `low` to `high` in a block's columns, on lines from `at` on."""
-    first, share = along_x
+    """Interpolate rows of phase, or of the edge, from `low` to `high` along x, to lines from `at` on."""
+    first, weights = along_x
     left, right, count = first[begin], first[end - 1] + _SMOOTH, high - low
     columns, column = empty((right - left, count), rows.dtype), empty(count, rows.dtype)
     for k in range(count):
         for c in range(right - left):
             columns[c, k] = smooth[low + k, left + c]
     for j in range(end - begin):
-        c, weight = first[begin + j] - left, share[begin + j]
+        c, weight = first[begin + j] - left, weights[begin + j]
         p, q, r, s = weight[0], weight[1], weight[2], weight[3]
         for k in range(count):
             column[k] = (
@@ -97,7 +99,7 @@ def _smooth_rows(
 
 @_jit
 def _differences(turns: NDArray, at: int, width: int, parts: NDArray) -> None:
-    """Phase of the second of four rows, within half a turn, and how the others differ from it."""
+    """Split four rows of phase into the second one, within half a turn, and the differences to it."""
     one, two, three, four = turns[at], turns[at + 1], turns[at + 2], turns[at + 3]
     for j in range(width):
         middle = two[j]
@@ -108,12 +110,12 @@ def _differences(turns: NDArray, at: int, width: int, parts: NDArray) -> None:
 
 
 @_jit
-def _room(width: int) -> tuple[Any, ...]:
-    """Work space for the carrier of a block.
+def _carrier_buffers(width: int) -> tuple[Any, ...]:
+    """Return the buffers for the carrier of a block.
 
-    Rows of phase and edge; the edge's least and most in each; what phases of a fine row are made of. The last
-    counts rows: of the first for which there is room, of the next that is not made, and of the first of the
-    four of which phases were taken apart.
+    They hold rows of phase and edge, the least and largest edge of each row, the split phases of four rows,
+    and three row indices: of the first row in the buffer, of the next row to compute, and of the first of the
+    split rows.
     """
     like = zeros(1, float32)
     rim, parts = lines_for(_KEPT, width, like), lines_for(_SMOOTH, width, like)
@@ -124,10 +126,12 @@ def _room(width: int) -> tuple[Any, ...]:
 
 
 @_jit
-def _more_rows(carrier: tuple[NDArray, ...], begin: int, end: int, first: int, room: tuple[Any, ...]) -> None:
-    """Make a band of rows of phase and edge in a block's columns; those before the first are not needed."""
-    phase, edge, _, __, first_x, share_x, single_x = carrier
-    turns, rim, ends, ___, rows = room
+def _more_rows(
+    carrier: tuple[NDArray, ...], begin: int, end: int, first: int, buffers: tuple[Any, ...]
+) -> None:
+    """Compute a band of rows of phase and edge in a block's columns; rows before `first` are dropped."""
+    phase, edge, _, __, first_x, weight_of_x, single_x = carrier
+    turns, rim, ends, ___, rows = buffers
     if rows[1] < first:
         rows[:2] = first
     if rows[1] + BAND - rows[0] > _KEPT:
@@ -137,7 +141,7 @@ def _more_rows(carrier: tuple[NDArray, ...], begin: int, end: int, first: int, r
             ends[:, k - first] = ends[:, k - rows[0]]
         rows[0] = first
     low, high, at = rows[1], min(rows[1] + BAND, phase.shape[0]), rows[1] - rows[0]
-    _smooth_rows(phase, low, high, (first_x, share_x), begin, end, turns, at)
+    _smooth_rows(phase, low, high, (first_x, weight_of_x), begin, end, turns, at)
     _smooth_rows(edge, low, high, (first_x, single_x), begin, end, rim, at)
     for k in range(at, at + high - low):
         ends[0, k], ends[1, k] = rim[k, : end - begin].min(), rim[k, : end - begin].max()
@@ -145,15 +149,15 @@ def _more_rows(carrier: tuple[NDArray, ...], begin: int, end: int, first: int, r
 
 
 @_jit
-def _light_between(ends: NDArray, at: int, share: NDArray) -> int:
-    """What light a row has between four of which the edge's least and most are given."""
-    least, most, negative = ends[0, at], ends[1, at], -min(share[0], 0.0)
+def _light_between(ends: NDArray, at: int, weights: NDArray) -> int:
+    """Return the light of a row between four rows with source least and largest edges."""
+    least, most, negative = ends[0, at], ends[1, at], -min(weights[0], 0.0)
     for k in range(1, _SMOOTH):
         least, most = min(least, ends[0, at + k]), max(most, ends[1, at + k])
-        negative -= min(share[k], 0.0)
+        negative -= min(weights[k], 0.0)
     if most <= _ZERO:
         return _DARK
-    # What is between four rows is no less than this.
+    # This is a lower bound of the values between four rows.
     return _OPEN if least - negative * (most - least) >= _FULL else _PARTLY
 
 
@@ -164,36 +168,36 @@ def _make_waves(
     stop: int,
     begin: int,
     end: int,
-    room: tuple[Any, ...],
+    buffers: tuple[Any, ...],
     waves: NDArray,
     light: NDArray,
 ) -> bool:
-    """Factors of four rows of a block or fewer, up to `stop`, and their light; rows come in turn.
+    """Compute the carrier of up to four rows of a block and their light; rows must be ascending.
 
-    On each line cosines come before sines. Returns whether any row has light.
+    On each line cosines come before sines. The result states whether any row has light.
     """
-    first_y, share_y = carrier[2], carrier[3]
-    turns, _, ends, parts, rows = room
+    first_y, weight_of_y = carrier[2], carrier[3]
+    turns, _, ends, parts, rows = buffers
     some = False
     for i in range(row, stop):
         first = first_y[i]
         while rows[1] < first + _SMOOTH:
-            _more_rows(carrier, begin, end, first, room)
+            _more_rows(carrier, begin, end, first, buffers)
         at, number = first - rows[0], i - row
-        light[number] = _light_between(ends, at, share_y[i])
+        light[number] = _light_between(ends, at, weight_of_y[i])
         if light[number] == _DARK:
             continue
         if rows[2] != first:
             _differences(turns, at, end - begin, parts)
             rows[2] = first
-        _fill(light[number], share_y[i], room, at, end - begin, waves, number)
+        _fill(light[number], weight_of_y[i], buffers, at, end - begin, waves, number)
         some = True
     return some
 
 
 @_inlined
 def _wave(part: NDArray, step: int, j: int, a: Any, c: Any, d: Any) -> tuple[Any, Any]:
-    """exp(2 pi i turns), a vector of a fine row from sample j on, of shares of what phases are made of."""
+    """Return exp(2 pi i turns) for a vector of a fine row from sample j on, from weighted split phases."""
     turn = load(part, j) + a * load(part, step + j)
     turn = turn + c * load(part, 2 * step + j) + d * load(part, 3 * step + j)
     rounder = alike(_ROUNDER)
@@ -209,7 +213,7 @@ def _wave(part: NDArray, step: int, j: int, a: Any, c: Any, d: Any) -> tuple[Any
 
 @_inlined
 def _passed(rim: NDArray, step: int, at: int, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """3 e^2 - 2 e^3 of an edge e held between 0 (dark) and 1; the first of its four rows is at `at`."""
+    """Return 3 e^2 - 2 e^3 of an edge e, limited to 0 (dark) to 1; the first of its four rows is at `at`."""
     e = a * load(rim, at) + b * load(rim, at + step)
     e = e + c * load(rim, at + 2 * step) + d * load(rim, at + 3 * step)
     e = smaller(larger(e, alike(_ZERO)), alike(_ONE))
@@ -218,16 +222,21 @@ def _passed(rim: NDArray, step: int, at: int, a: Any, b: Any, c: Any, d: Any) ->
 
 @_jit
 def _fill(
-    light: int, share: NDArray, room: tuple[Any, ...], at: int, width: int, waves: NDArray, number: int
+    light: int, weights: NDArray, buffers: tuple[Any, ...], at: int, width: int, waves: NDArray, number: int
 ) -> None:
-    """Factors of a fine row, on a line; `at` is the first of the four rows that have shares in it."""
-    part, step, edge, apart = room[3].reshape(-1), room[3].shape[1], room[1].reshape(-1), room[1].shape[1]
+    """Compute the carrier of a fine row, on a line; `at` is the first of its four coarse rows."""
+    part, step, edge, apart = (
+        buffers[3].reshape(-1),
+        buffers[3].shape[1],
+        buffers[1].reshape(-1),
+        buffers[1].shape[1],
+    )
     line, here, half = waves.reshape(-1), number * waves.shape[1], whole(width)
     a, b, c, d = (
-        alike(float32(share[0])),
-        alike(float32(share[1])),
-        alike(float32(share[2])),
-        alike(float32(share[3])),
+        alike(float32(weights[0])),
+        alike(float32(weights[1])),
+        alike(float32(weights[2])),
+        alike(float32(weights[3])),
     )
     if light == _OPEN:
         for j in range(0, width, LANES):
@@ -249,24 +258,24 @@ def expand(
     along_x: tuple[NDArray, NDArray],
     carrier: tuple[NDArray, ...],
     plane: NDArray,
-    place: tuple[int, int],
+    origin: tuple[int, int],
     begin: int,
     end: int,
 ) -> None:
-    """Add columns of a coarse field, interpolated and times its carrier, to those of a fine one.
+    """Add columns of a coarse field, interpolated and times its carrier, to those of a fine plane.
 
     Parameters
     ----------
     coarse
-        Its float view.
+        Float view of the coarse field.
     along_y, along_x
         First coarse sample and its weights for each fine one.
     carrier
-        Phase and edge on their grid; first row and shares, first column and shares, these in float32 too.
+        Phase and edge on their grid; first row and weights, first column and weights, and these in float32.
     plane
-        Its float view.
-    place
-        Its row and column where the fine field begins.
+        Float view of the fine plane.
+    origin
+        Row and column of the plane at which the fine field begins.
     begin, end
         Columns of the fine field.
     """
@@ -274,8 +283,8 @@ def expand(
     width, half, last_y = end - begin, whole(end - begin), first_y + weight_y.shape[1]
     most = most_of_four(first_y, last_y)
     rows, lines = lines_for(2 * (most + BAND), 2 * half, plane), lines_for(FOUR, 2 * half, plane)
-    room, waves, light = empty((FOUR, most), float32), lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64)
-    kept, onto, step = _room(width), plane.reshape(-1), plane.shape[1]
+    buffers, waves, light = empty((FOUR, most), float32), lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64)
+    kept, onto, step = _carrier_buffers(width), plane.reshape(-1), plane.shape[1]
     first_x, weight_x = along_x[0][begin:end], along_x[1][begin:end]
     fours_x = all_fours(first_x, first_x + weight_x.shape[1], weight_x, 0, coarse.shape[1] // 2)
     top = made = 0
@@ -283,42 +292,45 @@ def expand(
         stop = min(four + FOUR, len(first_y))
         if not _make_waves(carrier, four, stop, begin, end, kept, waves, light):
             continue
-        first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], room)
+        first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], buffers)
         top, made = rows_from(coarse, fours_x, width, first, first + count, rows, (top, made))
-        sums_of_lines(rows, first - top, count, room, 2 * half, lines)
-        at = (place[0] + four) * step + 2 * (place[1] + begin)
-        for begun in range(stop - four):
-            if light[begun] != _DARK:
-                add_turned(lines, waves, onto, at, step, width, begun, begun + 1)
+        sums_of_lines(rows, first - top, count, buffers, 2 * half, lines)
+        at = (origin[0] + four) * step + 2 * (origin[1] + begin)
+        for line in range(stop - four):
+            if light[line] != _DARK:
+                add_modulated(lines, waves, onto, at, step, width, line, line + 1)
 
 
 @_jit
 def collect(
     plane: NDArray,
-    place: tuple[int, int],
-    back_y: tuple[NDArray, NDArray, NDArray],
-    back_x: tuple[NDArray, NDArray, NDArray],
+    origin: tuple[int, int],
+    adjoint_y: tuple[NDArray, NDArray, NDArray],
+    adjoint_x: tuple[NDArray, NDArray, NDArray],
     carrier: tuple[NDArray, ...],
     left: int,
     right: int,
     begin: int,
     end: int,
 ) -> NDArray:
-    """The transpose of `expand`: what columns add to the coarse ones from `left` to `right`.
+    """Apply the transpose of `expand`: return the contribution of columns to the coarse ones from `left` to
+    `right`.
 
-    `back_y` and `back_x` are the transposes of the weights: for each coarse sample the first fine one that
-    counts, one past the last, and weights. The result is a float view.
+    `adjoint_y` and `adjoint_x` are the transposed weights: for each coarse sample the first fine one that
+    contributes, one past the last, and weights. The result is a float view.
     """
-    first_y, last_y, weight_y = back_y
+    first_y, last_y, weight_y = adjoint_y
     count, most = len(first_y), most_of_four(first_y, last_y)
     width, half = end - begin, whole(end - begin)
     fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
-    room, result = empty((FOUR, most), float32), empty((count, 2 * (right - left)), float32)
-    waves, light, kept = lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64), _room(width)
-    given, step = plane.reshape(-1), plane.shape[1]
+    buffers, result = empty((FOUR, most), float32), empty((count, 2 * (right - left)), float32)
+    waves, light, kept = lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64), _carrier_buffers(width)
+    source, step = plane.reshape(-1), plane.shape[1]
     lines[:] = 0.0
-    fours_x = all_fours(back_x[0][left:right], back_x[1][left:right], back_x[2][left:right], begin, end)
-    top = made = bright = dark = 0  # from where to where there is light
+    fours_x = all_fours(
+        adjoint_x[0][left:right], adjoint_x[1][left:right], adjoint_x[2][left:right], begin, end
+    )
+    top = made = bright = dark = 0  # range of rows with light
     for four in range(0, count, FOUR):
         first, last = first_y[four], last_y[min(four + FOUR, count) - 1]
         if last - top > fine.shape[0]:
@@ -332,12 +344,12 @@ def collect(
                     fine[i - top] = 0.0
                     continue
                 bright, dark = bright if dark else i, i + 1
-                at = (place[0] + i) * step + 2 * (place[1] + begin)
-                take_turned(given, at, step, waves, width, fine, i - made, i - top, 1)
+                at = (origin[0] + i) * step + 2 * (origin[1] + begin)
+                take_modulated(source, at, step, waves, width, fine, i - made, i - top, 1)
             made = stop
-        start, several = weights_for_four(four, first_y, last_y, weight_y, bright, dark, room)
+        start, several = weights_for_four(four, first_y, last_y, weight_y, bright, dark, buffers)
         at = four % BAND
-        sums_of_lines(fine, start - top, several, room, 2 * half, lines[at : at + FOUR])
+        sums_of_lines(fine, start - top, several, buffers, 2 * half, lines[at : at + FOUR])
         if at + FOUR == BAND or four + FOUR >= count:
             put_band(lines, four - at, min(BAND, count - four + at), fours_x, begin, width, result)
     return result

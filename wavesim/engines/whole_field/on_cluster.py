@@ -1,9 +1,9 @@
-"""Super-tiles carried, and added up, by the workers of a Dask cluster.
+"""Execution of super-tiles by the workers of a Dask cluster.
 
-A worker gets the scene once and fits its own maps of the field. Forward, super-tiles' fields stay with the
-workers that carried them; bands of the plane are added up by workers, which get those fields' rows that they
-need, and come back. Back, each worker gets the plane, and parts of the object come back. Whoever is quick,
-sums are made in the same order.
+A worker receives the scene once and fits its own maps of the field. In the forward direction the fields of
+super-tiles stay with their workers. Other workers sum bands of the plane from the rows of these fields that
+they need and return them. For the adjoint each worker receives the plane and returns parts of the object. The
+order of summation does not depend on the speed of the workers.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from lensdesign.common.clusters import (
     Cluster,
-    Held,
+    ClusterResult,
     check_same_version,
     open_cluster,
     toolkit_version,
 )
 from lensdesign.errors import InputError
 from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.executors import Band, Part, Sums, Tell, part_of
+from wavesim.engines.whole_field.executors import Band, Part, Progress, Sums, part_of
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
 from wavesim.runtime.memory import COMPLEX64
@@ -43,28 +43,28 @@ if TYPE_CHECKING:
 Values = NDArray[np.complex64]
 
 TASKS_IN_FLIGHT = 2
-"""Handed out at a time for each thread of the cluster."""
+"""Tasks that are submitted at a time for each thread of the cluster."""
 
 ROUND = 16
-"""Super-tiles added in one task, at least; the fields of two rounds lie in the cluster at a time."""
+"""Least number of super-tiles that one task adds. The cluster holds the fields of two rounds at a time."""
 
 BAND_BYTES, MOST_BANDS = 64_000_000, 64
-"""Size of a band at most, and into how many a plane is cut so that many threads may share it."""
+"""Largest size of a band, and largest number of bands of a plane for many threads."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScenePacket:
-    """A scene as it travels to a cluster.
+    """Data of an engine that is sent to a cluster.
 
     Attributes
     ----------
     toolkit_version : str
-        Of the toolkit that sent it.
+        Version of the sending toolkit.
     scene : Scene
     settings : dict
-        Of the engine.
+        Settings of the engine.
     key : str
-        Of the engine (:meth:`wavesim.scene.engine.Engine.key`).
+        Key of the engine (:meth:`wavesim.scene.engine.Engine.key`).
     """
 
     toolkit_version: str
@@ -75,38 +75,39 @@ class ScenePacket:
 
 @dataclass(frozen=True, eq=False)
 class ClusterExecutor:
-    """Has super-tiles carried and added up by a cluster.
+    """Propagates and sums super-tiles on a cluster.
 
-    What a worker had that dies is made again by others, for which the scheduler keeps the object's parts.
+    If a worker dies, others recompute its results; the scheduler keeps the parts of the object for this
+    purpose.
 
     Attributes
     ----------
     cluster : Cluster
-    sent : Held of ScenePacket
-        The engine's scene.
+    sent : ClusterResult of ScenePacket
+        Data of the engine.
     shape : (int, int)
-        Of the plane.
+        Shape of the plane.
     """
 
     cluster: Cluster
-    sent: Held[ScenePacket]
+    sent: ClusterResult[ScenePacket]
     shape: tuple[int, ...]
 
-    def plane(self, parts: Iterable[Part], tell: Tell) -> Values:
+    def plane(self, parts: Iterable[Part], progress: Progress) -> Values:
         plane = np.empty(self.shape, np.complex64)
-        for place, total in self._totals(map(self._carried, parts), 1, lambda number, field: tell()):
+        for place, total in self._totals(map(self._carried, parts), 1, lambda number, field: progress()):
             plane[place] = self.cluster.result(total)
         return plane
 
-    def bands(self, parts: Iterable[Part], sums: Sums, rows: int, tell: Tell) -> Iterator[Band]:
+    def bands(self, parts: Iterable[Part], sums: Sums, rows: int, progress: Progress) -> Iterator[Band]:
         kept = sorted(sums)
-        there = ((number, self.cluster.send(np.asarray(sums[number]))) for number in kept)
-        fields = merge(there, map(self._carried, parts), key=lambda field: field[0])
+        stored = ((number, self.cluster.send(np.asarray(sums[number]))) for number in kept)
+        fields = merge(stored, map(self._carried, parts), key=lambda field: field[0])
 
-        def keep(number: int, field: Held[Values]) -> None:
+        def keep(number: int, field: ClusterResult[Values]) -> None:
             if number not in kept:
                 sums[number] = self.cluster.result(field)
-                tell()
+                progress()
 
         for place, total in self._totals(fields, rows, keep):
             values = self.cluster.result(total)
@@ -114,19 +115,19 @@ class ClusterExecutor:
                 stop = min(start + rows, place.stop)
                 yield slice(start, stop), values[start - place.start : stop - place.start]
 
-    def parts(self, plane: Values, numbers: Sequence[int], tell: Tell) -> Iterator[Part]:
-        there = self.cluster.send(plane)
+    def parts(self, plane: Values, numbers: Sequence[int], progress: Progress) -> Iterator[Part]:
+        sent_plane = self.cluster.send(plane)
         waiting, pending = iter(numbers), deque[tuple[int, "Future[Values]"]]()
         try:
             while True:
-                room = TASKS_IN_FLIGHT * self._threads - len(pending)
-                for number in islice(waiting, max(room, 0)):
-                    pending.append((number, self.cluster.submit(collect, self.sent, number, there)))
+                free = TASKS_IN_FLIGHT * self._threads - len(pending)
+                for number in islice(waiting, max(free, 0)):
+                    pending.append((number, self.cluster.submit(collect, self.sent, number, sent_plane)))
                 if not pending:
                     return
                 number, future = pending.popleft()
                 yield number, self.cluster.result(future)
-                tell()
+                progress()
         finally:
             for _, future in pending:
                 future.cancel()
@@ -135,29 +136,29 @@ class ClusterExecutor:
     def _threads(self) -> int:
         return max(self.cluster.threads(), 1)
 
-    def _carried(self, part: Part) -> tuple[int, Held[Values]]:
+    def _carried(self, part: Part) -> tuple[int, ClusterResult[Values]]:
         return part[0], self.cluster.hold(carry, self.sent, *part)
 
     def _totals(
         self,
-        fields: Iterator[tuple[int, Held[Values]]],
+        fields: Iterator[tuple[int, ClusterResult[Values]]],
         rows: int,
-        done: Callable[[int, Held[Values]], None],
-    ) -> Iterator[tuple[slice, Held[Values]]]:
-        """Bands of the plane, in which all fields are added up in their order.
+        done: Callable[[int, ClusterResult[Values]], None],
+    ) -> Iterator[tuple[slice, ClusterResult[Values]]]:
+        """Return bands of the plane in which all fields are summed in their order.
 
         Parameters
         ----------
         fields
-            Of super-tiles, by number.
+            Fields of super-tiles, by index.
         rows
-            Of which bands hold a multiple.
+            The rows of a band are a multiple of this number.
         done
-            Told of each field that is there.
+            Callback for each computed field.
         """
         bands = self._bands(rows)
-        totals: list[Held[Values] | None] = [None] * len(bands)
-        under_way = deque[tuple[list[tuple[int, Held[Values]]], list[Held[Values]]]]()
+        totals: list[ClusterResult[Values] | None] = [None] * len(bands)
+        under_way = deque[tuple[list[tuple[int, ClusterResult[Values]]], list[ClusterResult[Values]]]]()
 
         def finish() -> None:
             together, sums = under_way.popleft()
@@ -177,7 +178,7 @@ class ClusterExecutor:
         yield from zip(bands, filter(None, totals), strict=True)
 
     def _bands(self, rows: int) -> list[slice]:
-        """Rows of the plane that are added up in one place, in multiples of some."""
+        """Return the rows of each band of the plane, in multiples of a number."""
         height, width = self.shape
         least = math.ceil(COMPLEX64 * height * width / BAND_BYTES)
         count = max(least, min(TASKS_IN_FLIGHT * self._threads, MOST_BANDS))
@@ -185,58 +186,64 @@ class ClusterExecutor:
         return [slice(start, min(start + step, height)) for start in range(0, height, step)]
 
     def _added(
-        self, fields: Sequence[tuple[int, Held[Values]]], band: slice, total: Held[Values] | None
-    ) -> Held[Values]:
-        """A band to which some super-tiles are added."""
+        self,
+        fields: Sequence[tuple[int, ClusterResult[Values]]],
+        band: slice,
+        total: ClusterResult[Values] | None,
+    ) -> ClusterResult[Values]:
+        """Return a band to which some super-tiles are added."""
         place, hold = (band.start, band.stop), self.cluster.hold
         needed = [hold(rows_for, self.sent, number, place, field) for number, field in fields]
         return hold(add, self.sent, place, total, [number for number, _ in fields], needed)
 
 
 def validate_tiled(engine: Engine) -> WholeFieldEngine:
-    """The engine, if a cluster can do its work.
+    """Return the engine if a cluster can run it.
 
     Raises
     ------
     InputError
-        If it has no super-tiles.
+        If the engine has no super-tiles.
     """
     if not isinstance(engine, WholeFieldEngine):
-        raise InputError(f"--cluster: engine {engine.name} is done here; a cluster needs engine two-level")
+        raise InputError(
+            f"--cluster: engine {engine.name} runs only on this machine; a cluster needs engine hierarchical"
+        )
     return engine
 
 
 @contextmanager
 def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
-    """What has an engine's super-tiles done by a cluster, whose workers may come and go, and returns it.
+    """Return a function that assigns an engine's super-tiles to a cluster and returns the engine.
 
-    Without an address, the engine stays as it is.
+    Workers may join and leave at any time. Without an address, the function returns the engine unchanged.
 
     Parameters
     ----------
     address
-        Of the scheduler, as in ``tcp://host:8786``.
+        Address of the scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------
     InputError
-        As of :func:`lensdesign.common.clusters.open_cluster`, or if an engine has no super-tiles.
+        If the cluster cannot be used (:func:`lensdesign.common.clusters.open_cluster`), or an engine has no
+        super-tiles.
     ClusterError
-        While it is used, if the scheduler goes away or a task ends several workers.
+        During use, if the scheduler disappears or a task kills several workers.
     """
     if address is None:
         yield lambda engine: engine
         return
-    with open_cluster(address) as cluster, ExitStack() as taken:
+    with open_cluster(address) as cluster, ExitStack() as assigned:
 
-        def take(engine: Engine) -> Engine:
+        def assign(engine: Engine) -> Engine:
             tiles = validate_tiled(engine)
             packet = ScenePacket(toolkit_version(), engine.scene, engine.settings(), engine.key())
             tiles.elsewhere = ClusterExecutor(cluster, cluster.send(packet), engine.scene.exit_grid.shape)
-            taken.callback(setattr, tiles, "elsewhere", None)
+            assigned.callback(setattr, tiles, "elsewhere", None)
             return engine
 
-        yield take
+        yield assign
 
 
 _engines: dict[str, WholeFieldEngine] = {}
@@ -244,7 +251,7 @@ _making = threading.Lock()
 
 
 def engine_of(packet: ScenePacket) -> WholeFieldEngine:
-    """The engine that a worker's threads share.
+    """Return the engine that a worker's threads share.
 
     Raises
     ------
@@ -262,13 +269,13 @@ def engine_of(packet: ScenePacket) -> WholeFieldEngine:
 
 
 def carry(packet: ScenePacket, number: int, values: Values) -> Values:
-    """Runs in a worker: a super-tile's field on its own grid."""
+    """Return a super-tile's field on its own grid; runs in a worker."""
     engine = engine_of(packet)
     return _worker_of(engine).carry("forward", engine.groups[number], values)
 
 
 def rows_for(packet: ScenePacket, number: int, band: tuple[int, int], field: Values) -> Values:
-    """Runs in a worker: those rows of a super-tile's field that a band of the plane takes."""
+    """Return the rows of a super-tile's field that a band of the plane uses; runs in a worker."""
     _, needed = engine_of(packet).groups[number].carried.onto_rows(*band)
     return field[needed].copy()
 
@@ -276,14 +283,16 @@ def rows_for(packet: ScenePacket, number: int, band: tuple[int, int], field: Val
 def add(
     packet: ScenePacket,
     band: tuple[int, int],
-    before: Values | None,
+    total_before: Values | None,
     numbers: Sequence[int],
     fields: Sequence[Values],
 ) -> Values:
-    """Runs in a worker: a band of the plane with some super-tiles more; `before` stays as it is."""
+    """Return a band of the plane with further super-tiles, as a new array; runs in a worker."""
     engine = engine_of(packet)
     worker, shape = _worker_of(engine), (band[1] - band[0], engine.scene.exit_grid.shape[1])
-    total = worker.device.to_device(np.zeros(shape, np.complex64) if before is None else before.copy())
+    total = worker.device.to_device(
+        np.zeros(shape, np.complex64) if total_before is None else total_before.copy()
+    )
     for number, field in zip(numbers, fields, strict=True):
         part, _ = engine.groups[number].carried.onto_rows(*band)
         worker.add(part, field, total, band[0])
@@ -291,11 +300,11 @@ def add(
 
 
 def collect(packet: ScenePacket, number: int, plane: Values) -> Values:
-    """Runs in a worker: a super-tile's part of the object, from the plane."""
+    """Apply a super-tile's conjugate transpose to the plane; runs in a worker."""
     engine = engine_of(packet)
     return part_of(_worker_of(engine), engine.groups[number], plane)
 
 
 def _worker_of(engine: WholeFieldEngine) -> OnCpu | OnDevice:
-    """What does a task: one thread, since the cluster's own are as many as its processors'."""
+    """Return the worker for a task; it uses one thread, since the cluster starts one for each core."""
     return OnCpu(threads=1) if engine.device is None else engine.worker

@@ -1,4 +1,4 @@
-"""The work of super-tiles by compiled loops, in all threads. Most time goes there."""
+"""Computation of super-tiles by compiled loops, in all threads."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from wavesim.engines.whole_field.carried import CarriedStep
 from wavesim.engines.whole_field.tiles import SuperTile, carry_tiles, tile_frame
 from wavesim.runtime.device import device_named
 from wavesim.runtime.threads import THREADS, one_blas_thread
-from wavesim.scene.engine import Way
+from wavesim.scene.engine import Direction
 
 
 class OnCpu:
-    """Does super-tiles' work in this computer's memory.
+    """Computes super-tiles in this computer's memory.
 
     Attributes
     ----------
     device : Device
-        Whose arrays it works on.
+        Device of the arrays.
     memory_bytes : float
-        That a plane may take.
+        Memory that a plane may use.
 
     Parameters
     ----------
     threads
-        That share a super-tile's work; all by default.
+        Threads that share the work of a super-tile. Default: all.
     """
 
     memory_bytes = math.inf
@@ -37,37 +37,37 @@ class OnCpu:
     def __init__(self, threads: int = THREADS) -> None:
         self.device, self.threads = device_named("cpu"), threads
 
-    def carry(self, way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
-        """Do one super-tile's task.
+    def carry(self, direction: Direction, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
+        """Propagate one super-tile.
 
         Parameters
         ----------
-        way
+        direction
             Forward or adjoint.
         group
             The super-tile.
         values
-            On `group.part` of the object, or on its own grid; in this computer's memory, as the result.
+            Field on `group.part` of the object, or on its own grid, in this computer's memory.
 
         Returns
         -------
         ndarray of complex64
-            On its own grid, or on `group.part`; 0 there where it has no tile.
+            Field on its own grid, or on `group.part`, where it is 0 outside the tiles.
         """
-        shape = group.shape_of(way)
-        back = np.zeros(shape, np.complex64)
+        shape = group.shape_of(direction)
+        parts = np.zeros(shape, np.complex64)
 
         def one_thread(thread: int) -> NDArray[np.complex64]:
-            # Forward, the fields of tiles overlap; back, each has a part of its own.
-            result = np.zeros(shape, np.complex64) if way == "forward" else back
+            # The fields of tiles overlap in the forward direction; their parts of the object do not.
+            result = np.zeros(shape, np.complex64) if direction == "forward" else parts
             alike: dict[Any, Any] = {}
             frames = (tile_frame(group, tile, alike) for tile in group.tiles[thread :: self.threads])
-            carry_tiles(self.device, lambda carried: carried, way, frames, values, result)
+            carry_tiles(self.device, lambda carried: carried, direction, frames, values, result)
             return result
 
         with one_blas_thread(), ThreadPoolExecutor(self.threads) as pool:
             first, *others = pool.map(one_thread, range(self.threads))
-        for other in others if way == "forward" else ():
+        for other in others if direction == "forward" else ():
             first += other
         return first
 
@@ -76,5 +76,5 @@ class OnCpu:
         carried.add(total, plane, first_row, self.threads)
 
     def collect(self, carried: CarriedStep, plane: NDArray) -> NDArray[np.complex64]:
-        """Conjugate transpose of :meth:`add`: a super-tile's field from the plane."""
+        """Apply the conjugate transpose of :meth:`add`; return a super-tile's field."""
         return carried.collect(plane, self.threads)

@@ -26,20 +26,21 @@ from wavesim.engines.whole_field.tiles import SuperTile, TileFrame, carry_tiles,
 from wavesim.fields.resampling import Weights
 from wavesim.runtime.device import Device
 from wavesim.runtime.threads import THREADS, one_blas_thread
-from wavesim.scene.engine import Way
+from wavesim.scene.engine import Direction
 
 MOST_ROWS, LEAST_ROWS = 512, 16
-"""Of a block."""
+"""Rows of a block."""
 
 SAMPLE_BYTES = 64
-"""That a sample of a row block takes while its carrier is made."""
+"""Memory for a sample of a row block while its carrier is computed."""
 
 AHEAD = 2
-"""Tiles made ready before the device asks for them, for each thread."""
+"""Tiles that each thread prepares before the device needs them."""
 
 
 class OnDevice:
-    """Does super-tiles' work on a device, as :class:`wavesim.engines.whole_field.on_cpu.OnCpu` does it here.
+    """Computes super-tiles on a device, as :class:`wavesim.engines.whole_field.on_cpu.OnCpu` on the
+    processor.
 
     Super-tiles' fields come from this computer's memory and go there; the plane lies in the device's, or for
     :meth:`collect` in either.
@@ -52,11 +53,11 @@ class OnDevice:
     def memory_bytes(self) -> float:
         return self.device.memory_bytes
 
-    def carry(self, way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
-        """Do one super-tile's task."""
+    def carry(self, direction: Direction, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
+        """Propagate one super-tile."""
         given = self.device.to_device(values, np.complex64)
-        result = self.device.xp.zeros(group.shape_of(way), dtype=np.complex64)
-        carry_tiles(self.device, partial(DeviceStep, self.device), way, _frames(group), given, result)
+        result = self.device.xp.zeros(group.shape_of(direction), dtype=np.complex64)
+        carry_tiles(self.device, partial(DeviceStep, self.device), direction, _frames(group), given, result)
         return self.device.to_host(result)
 
     def add(self, carried: CarriedStep, total: NDArray, plane: Any, first_row: int = 0) -> None:
@@ -64,7 +65,7 @@ class OnDevice:
         self._step(carried).add(self.device.to_device(total, np.complex64), plane, first_row)
 
     def collect(self, carried: CarriedStep, plane: Any) -> NDArray[np.complex64]:
-        """Conjugate transpose of :meth:`add`: a super-tile's field from the plane."""
+        """Apply the conjugate transpose of :meth:`add`; return a super-tile's field."""
         return self.device.to_host(self._step(carried).collect(plane))
 
     def _step(self, carried: CarriedStep) -> DeviceStep:
@@ -73,7 +74,7 @@ class OnDevice:
 
 
 def _frames(group: SuperTile) -> Iterator[TileFrame]:
-    """Tiles in their order, made ready by threads ahead of their use."""
+    """Yield prepared tiles in their order; threads prepare them ahead of their use."""
     waiting, ready = iter(group.tiles), deque[Future[TileFrame]]()
     alike: dict[Any, Any] = {}
     with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
@@ -87,13 +88,13 @@ def _frames(group: SuperTile) -> Iterator[TileFrame]:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """A matrix whose rows hold a few values beside each other, in dense blocks of rows on a device.
+    """A banded matrix as dense blocks of rows on a device.
 
     Attributes
     ----------
     device : Device
     parts : tuple of (slice, slice, array)
-        Rows, the columns that they need, and the block.
+        Rows, the columns that they need, and the dense block.
     shape : (int, int)
     """
 
@@ -102,14 +103,14 @@ class Blocks:
     shape: tuple[int, int]
 
     def times(self, values: Any) -> Any:
-        """Product with an array of shape (columns, n)."""
+        """Return the product with an array of shape (columns, n)."""
         result = self.device.xp.empty((self.shape[0], values.shape[1]), dtype=values.dtype)
         for rows, columns, block in self.parts:
             result[rows] = product(block, values[columns])
         return result
 
     def transposed_times(self, values: Any) -> Any:
-        """Product of the transpose with an array of shape (rows, n)."""
+        """Return the product of the transpose with an array of shape (rows, n)."""
         result = self.device.xp.zeros((self.shape[1], values.shape[1]), dtype=values.dtype)
         for rows, columns, block in self.parts:
             result[columns] += product(block.T, values[rows])
@@ -117,7 +118,7 @@ class Blocks:
 
 
 def blocks_of(device: Device, weights: Weights, rows: int) -> Blocks:
-    """Interpolation along one axis as blocks of so many rows."""
+    """Return the interpolation along one axis as blocks of a number of rows."""
     parts = []
     count, taps = weights.weight.shape
     for start in range(0, count, rows):
@@ -130,33 +131,33 @@ def blocks_of(device: Device, weights: Weights, rows: int) -> Blocks:
 
 
 def product(block: Any, values: Any) -> Any:
-    """Of a real matrix and C-contiguous values, which may be complex: no half of it is spent on zeros."""
+    """Return the product of a real matrix and C-contiguous values, which may be complex."""
     if values.dtype.kind != "c":
         return block @ values
     return (block @ values.view(block.dtype)).view(values.dtype)
 
 
 class DeviceStep:
-    """One step from a coarse grid to a window of a fine one, with its carrier, on a device.
+    """Interpolation from a coarse grid to a window of a fine one, times its carrier, on a device.
 
     Parameters
     ----------
     device
-        Which one.
+        Device that computes.
     carried
-        The step; phase and edge on the device.
+        The step, with phase and edge on the device.
     """
 
     def __init__(self, device: Device, carried: CarriedStep) -> None:
         self.device, self.window, ways = device, carried.window, carried.ways
         width = self.window[1].stop - self.window[1].start
         rows = int(np.clip(device.memory_bytes // (SAMPLE_BYTES * width), LEAST_ROWS, MOST_ROWS))
-        self.along_y, self.along_x = (blocks_of(device, way, rows) for way in ways.field)
+        self.along_y, self.along_x = (blocks_of(device, weights, rows) for weights in ways.field)
         cubic = [
             Weights(first, share, count)
             for first, share, count in zip(ways.first, ways.share, carried.turns.shape, strict=True)
         ]
-        self.smooth_y, across = (blocks_of(device, way, rows) for way in cubic)
+        self.smooth_y, across = (blocks_of(device, weights, rows) for weights in cubic)
         self.turns, self.edge = (
             self._swapped(across.times(self._swapped(v))) for v in (carried.turns, carried.edge)
         )
@@ -165,7 +166,7 @@ class DeviceStep:
         return self.device.xp.ascontiguousarray(values.T)
 
     def _carrier(self, number: int, rows: slice) -> Any:
-        """exp(2 pi i turns) times 3 e^2 - 2 e^3 of the edge, for some rows of a block."""
+        """Return exp(2 pi i turns) times 3 e^2 - 2 e^3 of the edge, for some rows of a block."""
         xp, (_, smooth, shares) = self.device.xp, self.smooth_y.parts[number]
         turns = shares[rows] @ self.turns[smooth]
         turns -= xp.floor(turns + 0.5)
@@ -190,7 +191,7 @@ class DeviceStep:
                 fine[start - first_row : stop - first_row, self.window[1]] += band
 
     def collect(self, fine: Any) -> Any:
-        """Conjugate transpose: the coarse field, on the device, of a fine one in either memory."""
+        """Apply the conjugate transpose to a fine field in either memory; the result is on the device."""
         xp, (inside, across) = self.device.xp, self.window
         shape = self.along_y.shape[1], across.stop - across.start
         middle = xp.zeros(shape, dtype=np.complex64)

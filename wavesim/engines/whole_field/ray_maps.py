@@ -1,8 +1,8 @@
-"""What the light of every point of a field does on one plane: polynomials in object point and sensor point.
+"""Ray maps of all points of a field on one plane, as polynomials in object point and sensor point.
 
-Neighbouring object points share their rays. At nodes all over the field, polynomials in the sensor point tell
-path V, amplitude a, object-side cosines p and the place of the aperture's edge; their coefficients are again
-polynomials in the object point.
+Neighbouring object points share their rays. At nodes all over the field, polynomials in the sensor point
+represent path V, amplitude a, object-side cosines p and the position of the aperture's edge. Their
+coefficients are polynomials in the object point.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
 
 REACH = 1.05
-"""Share of the way to the aperture's edge up to which rays are fitted: interpolation looks beyond it."""
+"""Relative distance to the aperture's edge up to which rays are fitted; interpolation needs rays beyond 1."""
 
 SENSOR_ORDERS, OBJECT_ORDERS = (12, 16, 20, 24), (4, 6, 8, 10)
 SLOPE_ORDER = 2
-"""Of what tells the slopes of directions over the field: they grow evenly towards its border."""
+"""Order of the polynomials for the slopes of directions over the field, which grow evenly towards its
+border."""
 
 ARMS = 72
 HELD_OUT = 7
-"""Object points that the polynomials have not seen, at which they are held against rays."""
+"""Number of object points at which the polynomials are checked against rays that were not fitted."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +65,12 @@ class Region:
         return np.asarray(self.centre_mm + self.half_mm * unit)
 
     def scaled(self, points_mm: Array) -> Array:
-        """Points (y, x) in units of the half sides."""
+        """Return points (y, x) in units of the half sides."""
         return np.asarray((points_mm - np.array(self.centre_mm)) / self.half_mm)
 
 
 def region_of_object(scene: Scene) -> Region:
-    """The object grid's box, or the lens's field where that is smaller."""
+    """Return the object grid's box, or the lens's field where that is smaller."""
     grid, radius = scene.object_grid, scene.lens.half_field_mm
     half = np.array(grid.half_widths_mm)
     corner = math.hypot(*(abs(c) + h for c, h in zip(grid.centre_mm[::-1], half, strict=True)))
@@ -87,7 +88,7 @@ class OverObject:
     region : Region
     order : int
     middles : ndarray, shape (3, 2)
-        Middle of the sensor box: at the centre of the region, and what a unit of y and of x adds.
+        Centre of the sensor box: at the centre of the region, and its change with a unit of y and of x.
     half_width : ndarray, shape (2,)
         Of the sensor box.
     coefficients : ndarray, shape (terms, functions, n, n)
@@ -101,11 +102,11 @@ class OverObject:
     coefficients: NDArray
 
     def middle(self, point_mm: tuple[float, float]) -> Array:
-        """Middle (y, x) of the sensor box of one object point (y, x)."""
+        """Return the centre (y, x) of the sensor box of one object point (y, x)."""
         return np.asarray(box_middles(self.middles, self.region.scaled(np.array([point_mm])))[0])
 
     def at(self, point_mm: tuple[float, float]) -> SmoothMap:
-        """The map of one object point (y, x)."""
+        """Return the map of one object point (y, x)."""
         unit = self.region.scaled(np.array([point_mm]))
         weights = object_terms(unit, self.order)[0]
         values = np.tensordot(weights, self.coefficients, axes=1)
@@ -113,12 +114,12 @@ class OverObject:
 
 
 def box_middles(middles: Array, unit: Array) -> Array:
-    """Middles of sensor boxes of object points in units of the region, shape (n, 2)."""
+    """Return the centres of the sensor boxes of object points in units of the region, shape (n, 2)."""
     return np.asarray(middles[0] + unit @ middles[1:])
 
 
 def object_terms(unit: Array, order: int) -> Array:
-    """Chebyshev products of a total order in two variables, shape (n, terms)."""
+    """Return the Chebyshev products of a total order in two variables, shape (n, terms)."""
     first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
     y, x = (chebyshev.chebvander(column, order) for column in unit.T)
     return np.asarray(y[:, first] * x[:, second])
@@ -139,7 +140,7 @@ class _Node:
 
     @cached_property
     def values(self) -> Array:
-        """Path, amplitude, cosines (y, x) and square of the share of the way to the edge, shape (5, n)."""
+        """Path, amplitude, cosines (y, x) and squared relative distance to the edge, shape (5, n)."""
         b = self.bundle
         return np.concatenate([b.path_mm[None], b.amplitude[None], b.cosines.T, self.edge[None]])
 
@@ -163,14 +164,14 @@ class MapsOverObject:
     Attributes
     ----------
     carriers : OverObject
-        Of path V in mm, amplitude in 1/mm, cosines p along y and x, and the square of the share of the way to
+        Maps of path V in mm, amplitude in 1/mm, cosines p along y and x, and the squared relative distance to
         the aperture's edge.
     slopes : ndarray, shape (terms, 2, 2)
-        Polynomials of order `SLOPE_ORDER` in the object point, of :meth:`slopes_per_mm`.
+        Polynomials of order `SLOPE_ORDER` in the object point for :meth:`slopes_per_mm`.
     caustics : int
-        Touched by the light on its way.
+        Number of caustics that the light has touched.
     errors : (path, amplitude, direction)
-        Largest differences from rays not seen: waves, relative, waves over the reach of a tile.
+        Largest differences from rays that were not fitted: waves, relative, waves over the reach of a tile.
     edge_error_mm : float
         Mean distance of the aperture's edge from where rays not seen put it, in the worst point looked at:
         large where the open part of the stop has corners.
@@ -183,7 +184,7 @@ class MapsOverObject:
     edge_error_mm: float
 
     def slopes_per_mm(self, points_mm: Array) -> Array:
-        """Largest |dp_i / ds_j| over the footprints of object points (y, x), in the order (y, x)."""
+        """Return the largest |dp_i / ds_j| over the footprints of object points, in the order (y, x)."""
         terms = object_terms(self.carriers.region.scaled(points_mm), SLOPE_ORDER)
         return np.asarray(np.max(np.tensordot(terms, self.slopes, axes=1), axis=0))
 
@@ -191,18 +192,18 @@ class MapsOverObject:
 def maps_over_object(
     scene: Scene, region: Region, plane_z_mm: float, reach_mm: float, tolerance: float
 ) -> MapsOverObject:
-    """Follow the rays of all of a region.
+    """Trace the rays of a whole region, and fit its maps.
 
     Parameters
     ----------
     scene
         Lens, wavelength, coating.
     region
-        From where light comes.
+        Region of the object plane that emits light.
     plane_z_mm
         Plane behind the lens.
     reach_mm
-        How far a tile extends from its centre.
+        Largest distance of a tile's points from its centre.
     tolerance
         Waves of path, and relative error of the amplitude, that rays not seen may show.
 
@@ -240,15 +241,16 @@ def maps_over_object(
             return best
     assert best is not None
     raise RayMapError(
-        f"the rays of the field are too rough on the plane z = {plane_z_mm:g} mm: polynomials err by "
-        f"{best.errors[0]:.2g} waves of path, {best.errors[1]:.2g} of the amplitude and {best.errors[2]:.2g} "
-        f"waves by direction (allowed: {limits[0]:.2g}, {limits[1]:.2g}, {limits[2]:.2g}); ask for less "
-        "accuracy, stop the lens down, or go farther from the caustic"
+        f"the rays of the field are too rough on the plane z = {plane_z_mm:g} mm: the errors of polynomials "
+        f"are {best.errors[0]:.2g} waves of path, {best.errors[1]:.2g} of the amplitude and "
+        f"{best.errors[2]:.2g} waves by direction "
+        f"(allowed: {limits[0]:.2g}, {limits[1]:.2g}, {limits[2]:.2g}); allow a larger error, "
+        "stop the lens down, or go farther from the caustic"
     )
 
 
 def _held_out(region: Region) -> Array:
-    """Points between the nodes, towards the border."""
+    """Return points between the nodes, towards the border."""
     turn = 2.0 * np.pi * np.arange(HELD_OUT) * 0.381966
     share = np.sqrt((np.arange(HELD_OUT) + 0.5) / HELD_OUT)
     return np.asarray(region.centre_mm + region.half_mm * (share * np.stack([np.sin(turn), np.cos(turn)])).T)
@@ -261,7 +263,7 @@ def fit_over_object(
     sensor_mm: Sequence[Array],
     values: Sequence[NDArray],
 ) -> OverObject:
-    """Polynomials in the sensor point at every node, then in the object point through their coefficients.
+    """Fit polynomials in the sensor point at every node, then in the object point to their coefficients.
 
     Parameters
     ----------
@@ -272,7 +274,7 @@ def fit_over_object(
     points_mm
         Object points (y, x), shape (nodes, 2).
     sensor_mm, values
-        For every node sensor points, shape (n, 2), and what they carry, shape (functions, n).
+        Sensor points, shape (n, 2), and values, shape (functions, n), for every node.
     """
     object_order, sensor_order = orders
     unit = region.scaled(points_mm)
@@ -296,7 +298,7 @@ def fit_over_object(
 def _errors(
     carriers: OverObject, checks: list[_Node], scene: Scene, reach_mm: float
 ) -> tuple[tuple[float, float, float], float]:
-    """Of path, amplitude and direction, as of :class:`MapsOverObject`; and of the edge in mm."""
+    """Return errors of path, amplitude and direction (:class:`MapsOverObject`), and of the edge in mm."""
     wavelength_mm = 1e-3 * scene.wavelength_um
     worst = np.zeros(4)
     for node in checks:
@@ -316,7 +318,7 @@ def _errors(
 
 
 def _slopes(region: Region, nodes: list[_Node]) -> Array:
-    """As of :class:`MapsOverObject`; no node's own slopes are larger."""
+    """Return the polynomials of :class:`MapsOverObject` for the slopes, as an upper bound at all nodes."""
     largest = []
     for node in nodes:
         b = node.bundle

@@ -1,4 +1,4 @@
-"""Super-tiles' fields in files, so that they need no memory, and that a run which was cut off goes on."""
+"""Files of super-tiles' fields, which save memory and allow an interrupted run to be resumed."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from lensdesign.errors import InputError
 KEY_FILE = "key.txt"
 
 SPARE_BYTES = 100_000_000
-"""Of a disk, left free."""
+"""Disk space that stays free."""
 
 
 class TileStore(MutableMapping[int, NDArray]):
-    """Arrays by number, each in a file of a folder; reading one maps its file into memory.
+    """Arrays by index, each in a file of a folder; reading one maps its file into memory.
 
     Parameters
     ----------
     folder : Path
-        Made if needed.
+        Folder of the files; created if it does not exist.
     key : str
-        Of what the arrays belong to: what lies there under another key is removed.
+        Digest of the operator that the arrays belong to. Arrays under another key are removed.
 
     Raises
     ------
     InputError
-        If the folder or a file cannot be written; what was kept before stays.
+        If the folder or a file cannot be written; earlier arrays stay.
     """
 
     def __init__(self, folder: Path, key: str) -> None:
@@ -80,12 +80,12 @@ class TileStore(MutableMapping[int, NDArray]):
         return sum(1 for _ in self)
 
     def check_free_space(self, needed_bytes: int) -> None:
-        """Refuse, before any work, a disk without room for all that is not kept yet.
+        """Check, before any work, that the disk has space for all arrays that are not stored yet.
 
         Raises
         ------
         InputError
-            With what is needed and what is free.
+            If the disk is too full; the message states the needed and the free space.
         """
         kept = sum(path.stat().st_size for path in self.folder.glob("*.npy"))
         free = shutil.disk_usage(self.folder).free
@@ -96,7 +96,7 @@ class TileStore(MutableMapping[int, NDArray]):
             )
 
     def drop(self) -> None:
-        """Remove all that is kept."""
+        """Remove all stored arrays."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _path(self, number: int) -> Path:

@@ -1,8 +1,8 @@
-"""Tiles and super-tiles of a whole field: where each lies on the plane, and its light carried there and back.
+"""Tiles and super-tiles of a whole field: their positions on the plane, and their propagation to it.
 
-A tile's field without its carrier is band-limited by the tile's own width, that of a super-tile by its own.
-So a tile is computed on a coarse grid of its own, carried to the super-tile's grid with the difference of
-both carriers, and a super-tile from there to the plane with the super-tile's carrier.
+The bandwidth of a tile's field without its carrier is proportional to the tile's width; the same holds for a
+super-tile. A tile is therefore computed on its own coarse grid and interpolated to the super-tile's grid with
+the difference of both carriers; a super-tile is interpolated to the plane with its own carrier.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
-from wavesim.runtime.device import Device, Precision, sum_of_terms, terms_back
-from wavesim.scene.engine import Way
+from wavesim.runtime.device import Device, Precision, adjoint_of_terms, sum_of_terms
+from wavesim.scene.engine import Direction
 from wavesim.scene.scene import Scene
 
 TAPER = 3.0
-"""Samples of a super-tile's grid over which the aperture's edge rises at the least."""
+"""Least width of the aperture's edge, in samples of a super-tile's grid."""
 
 TAPER_LOSS = 0.059
 """Integral of the squared difference between a sharp edge and 3 e^2 - 2 e^3, over the edge's width."""
 
 SMOOTH_SAMPLES = 150
-"""Of phase and edge over half of a footprint."""
+"""Number of samples of phase and edge over half of a footprint."""
 
 
 @dataclass(frozen=True, eq=False)
 class WholeFieldSettings:
-    """What all tiles of a field have in common.
+    """Settings, maps and factors that all tiles of a field share.
 
     Attributes
     ----------
     scene : Scene
     axes : (y, x)
-        Of the plane, in mm.
+        Axes of the plane, in mm.
     maps : MapsOverObject
     softness : float
-        Least width of the aperture's edge, in the square of the share of the way to it.
+        Least width of the aperture's edge, in the squared relative distance from the centre to the edge.
     factors : FactorsOverObject
     kernel : Kernel
     precision : Precision
@@ -63,19 +63,19 @@ class WholeFieldSettings:
     precision: Precision
 
     def steps_mm(self, reach_mm: Array, slopes_per_mm: Array) -> Array:
-        """Sample spacings that hold the light of points within a reach (y, x) without their carrier."""
+        """Return the sample spacings for the light of points within a reach (y, x), without their carrier."""
         band = self.scene.wavenumber_per_mm * (reach_mm @ slopes_per_mm)
         return np.asarray(math.pi / (OVERSAMPLING * BAND_MARGIN * band))
 
     def rise_over(self, steps_mm: Array) -> float:
-        """Width of the aperture's edge on grids of such steps, in squares of the share of the way to it."""
+        """Return the width of the aperture's edge on grids of these steps, in squared relative distance."""
         # That square falls by 2 over half a footprint.
         drawn = 2.0 * TAPER * float(np.max(steps_mm)) / float(np.max(self.half_width_mm))
         return max(drawn, self.softness)
 
     @property
     def half_width_mm(self) -> Array:
-        """Of every footprint, its margin included."""
+        """Half-width of every footprint, including its margin."""
         return self.maps.carriers.half_width
 
 
@@ -85,9 +85,9 @@ class SuperTile:
     Parameters
     ----------
     settings
-        Of the field.
+        Common settings of the field.
     tiles
-        Its tiles.
+        Tiles of the super-tile.
 
     Attributes
     ----------
@@ -124,21 +124,21 @@ class SuperTile:
         ways = interpolation_weights(
             (self.axes[0], self.axes[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), settings.kernel
         )
-        # Whole wherever a tile has light; beyond, rows end.
+        # The edge is open wherever a tile has light; rows end outside.
         self.carried = CarriedStep(ways, turns, (1e3 * opening).astype(np.float32), self.window)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of its grid."""
+        """Shape of the super-tile's grid."""
         return len(self.axes[0]), len(self.axes[1])
 
-    def shape_of(self, way: Way) -> tuple[int, int]:
-        """Of what a way leads to: its grid, or its part of the object."""
+    def shape_of(self, direction: Direction) -> tuple[int, int]:
+        """Return the shape of the result of a direction: of the grid, or of the part of the object."""
         height, width = (part.stop - part.start for part in self.part)
-        return self.shape if way == "forward" else (height, width)
+        return self.shape if direction == "forward" else (height, width)
 
     def within(self, tile: Tile) -> tuple[slice, slice]:
-        """Where a tile's samples lie among those of `part`."""
+        """Return the position of a tile's samples within `part`."""
         rows, columns = (
             slice(p.start - w.start, p.stop - w.start) for p, w in zip(tile.part, self.part, strict=True)
         )
@@ -146,14 +146,14 @@ class SuperTile:
 
     @property
     def tile_shape(self) -> tuple[int, int]:
-        """Of the own grid of one of its tiles, at most."""
+        """Largest shape of the own grid of one of its tiles."""
         ends = zip(self.settings.half_width_mm, self.tile_steps_mm, strict=True)
         rows, columns = (math.ceil(2.0 * h / s) + self.settings.kernel.taps + 1 for h, s in ends)
         return rows, columns
 
 
 def _around(parts: Sequence[tuple[slice, ...]]) -> tuple[slice, slice]:
-    """The smallest rectangle of samples that holds some others."""
+    """Return the smallest rectangle of samples that contains all parts."""
     rows, columns = (
         slice(min(p.start for p in along), max(p.stop for p in along)) for along in zip(*parts, strict=True)
     )
@@ -161,7 +161,7 @@ def _around(parts: Sequence[tuple[slice, ...]]) -> tuple[slice, slice]:
 
 
 def window_between(axes: Sequence[Array], low: Array, high: Array) -> tuple[slice, slice]:
-    """Samples of two axes (y, x) between two points."""
+    """Return the samples of two axes (y, x) between two points."""
     rows, columns = (
         slice(int(np.searchsorted(a, b)), int(np.searchsorted(a, h, side="right")))
         for a, b, h in zip(axes, low, high, strict=True)
@@ -170,7 +170,7 @@ def window_between(axes: Sequence[Array], low: Array, high: Array) -> tuple[slic
 
 
 def _smooth_axis(fine: Array, settings: WholeFieldSettings) -> Array:
-    """Samples between which phase and edge are cubic."""
+    """Return the samples between which phase and edge are interpolated by cubic polynomials."""
     step = float(np.max(settings.half_width_mm)) / SMOOTH_SAMPLES
     count = math.ceil((fine[-1] - fine[0]) / step) + 4
     return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
@@ -178,25 +178,25 @@ def _smooth_axis(fine: Array, settings: WholeFieldSettings) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TileFrame:
-    """A tile as far as this computer makes it ready for any array library; small arrays only.
+    """Prepared data of a tile for any array library; small arrays only.
 
     Attributes
     ----------
     group : SuperTile
     tile : Tile
     window : (slice, slice)
-        Of the super-tile's grid.
-    ways : Ways
-        From the tile's own grid.
+        Window of the super-tile's grid.
+    ways : InterpolationWeights
+        Interpolation from the tile's own grid.
     rays, shared : MapOnAxes
-        On its own grid: path and cosines p along y and x; the path of the super-tile's carrier.
+        Maps on its own grid: path and cosines p along y and x; the path of the super-tile's carrier.
     light, factors : MapOnAxes
-        The same in float32: amplitude and edge; of each sensor factor real and imaginary part.
+        Maps in float32: amplitude and edge; real and imaginary part of each sensor factor.
     tile_factors : ndarray of complex64
     rise : float
-        Over which the edge's square of a share rises.
+        Width of the edge in squared relative distance.
     reach : float
-        By which interpolation looks beyond the edge, in the same measure.
+        Distance outside the edge that interpolation uses, in the same measure.
     """
 
     group: SuperTile
@@ -213,7 +213,7 @@ class TileFrame:
 
 
 def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame:
-    """Make a tile ready.
+    """Prepare a tile.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     tile
         One of its tiles.
     alike
-        What the super-tile's tiles of the same size have in common, for use again; added to.
+        Cache of data that tiles of the same size share; extended by this function.
     """
     settings = group.settings
     centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), settings.half_width_mm
@@ -231,8 +231,8 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     fine = group.axes[0][window[0]], group.axes[1][window[1]]
     steps = group.tile_steps_mm
     y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
-    # Coarse axes are centred on fine ones: how both lie to each other follows from the numbers of samples. Of
-    # as many fine ones these may differ by one, by rounding.
+    # Coarse axes are centred on fine ones, so that their relative position follows from the numbers of
+    # samples. The number of coarse samples can differ by one for equal numbers of fine ones, by rounding.
     lengths = len(fine[0]), len(fine[1]), len(y), len(x)
     if lengths not in alike:
         alike[lengths] = interpolation_weights((y, x), (y, x), fine, settings.kernel)
@@ -245,7 +245,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     factors = expansion.sensor_factors.coefficients
     parts = np.stack([factors.real, factors.imag], axis=1).reshape(-1, *factors.shape[1:])
     own = carrier.along((y, x)).terms
-    # The edge's square of a share falls by 2 over half a footprint.
+    # The squared relative distance changes by 2 over half a footprint.
     per_mm = 2.0 / float(np.max(half_mm))
     return TileFrame(
         group,
@@ -263,34 +263,34 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
 
 
 def _exponential(logarithm: NDArray[np.complex128]) -> NDArray[np.complex64]:
-    """Of a logarithm; its parts one by one, as NumPy's own of complex numbers takes four times as long."""
+    """Return the exponential of a logarithm, from its parts: four times as fast as NumPy's complex one."""
     size = np.exp(logarithm.real.astype(np.float32))
     return np.asarray(phasor_of(logarithm.imag, np.complex64) * size)
 
 
 class Step(Protocol):
-    """Moves values between a tile's grid and its super-tile's, in the memory of what does the work."""
+    """Interpolation between a tile's grid and its super-tile's, in the memory of the device that computes."""
 
     def add(self, coarse: Any, fine: Any, /) -> None:
         """Add a coarse field to a fine one."""
 
     def collect(self, fine: Any, /) -> Any:
-        """Conjugate transpose: the coarse field of a fine one."""
+        """Apply the conjugate transpose to a fine field; return a coarse one."""
 
 
 class ObjectTile:
-    """One tile on its super-tile's grid, for any array library.
+    """Propagation of one tile to its super-tile's grid, for any array library.
 
     Parameters
     ----------
     device
-        Whose arrays it takes.
+        Device of the arrays.
     step
-        Makes of a :class:`wavesim.engines.whole_field.carried.CarriedStep` what moves the device's values.
+        Converts a :class:`wavesim.engines.whole_field.carried.CarriedStep` to an interpolation on the device.
     frame
-        The tile.
+        Prepared data of the tile.
     plans
-        Transforms of tiles of the same shape, for use again; added to.
+        Cache of transforms of tiles of the same shape; extended by the object.
     """
 
     def __init__(
@@ -322,7 +322,7 @@ class ObjectTile:
         self._precision = settings.precision
         per_mm, half = scene.wavenumber_per_mm * frame.tile.pitch_mm, np.float32(math.pi)
         angles = [(per_mm * self._needed(p)).astype(np.float32) for p in (py, px)]
-        self._angles = [xp.clip(angle, -half, half) for angle in angles]  # rounding may lead beyond
+        self._angles = [xp.clip(angle, -half, half) for angle in angles]  # rounding may exceed half a turn
 
     def _needed(self, values: Any) -> Any:
         return values.ravel().take(self._places)
@@ -345,41 +345,41 @@ class ObjectTile:
         self._step.add(field, result)
 
     def collect(self, values: Any) -> Any:
-        """Conjugate transpose: from the super-tile's grid to the tile's part of the object."""
+        """Apply the conjugate transpose: from the super-tile's grid to the tile's part of the object."""
         xp = self._device.xp
         if not len(self._places):
             return xp.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
         strength = self._needed(self._step.collect(values))
-        return terms_back(self._plan(1), xp, strength, self._tile_factors, self._weights)
+        return adjoint_of_terms(self._plan(1), xp, strength, self._tile_factors, self._weights)
 
 
 def carry_tiles(
     device: Device,
     step: Callable[[CarriedStep], Step],
-    way: Way,
+    direction: Direction,
     frames: Iterable[TileFrame],
     values: Any,
     result: Any,
 ) -> None:
-    """Carry tiles of one super-tile, one after the other; all arrays are the device's.
+    """Propagate the tiles of one super-tile, one after the other; all arrays are the device's.
 
     Parameters
     ----------
     device, step
-        As of :class:`ObjectTile`.
-    way
+        As in :class:`ObjectTile`.
+    direction
         Forward or adjoint.
     frames
-        The tiles.
+        Prepared data of the tiles.
     values
-        On the super-tile's part of the object, or on its own grid.
+        Field on the super-tile's part of the object, or on its own grid.
     result
-        On its own grid, where forward tiles add up, or on its part of the object.
+        Result on its own grid, to which forward tiles are added, or on its part of the object.
     """
     plans: dict[tuple[int, ...], Any] = {}
     for frame in frames:
         tile, place = ObjectTile(device, step, frame, plans), frame.group.within(frame.tile)
-        if way == "forward":
+        if direction == "forward":
             tile.add(values[place], result)
         else:
             result[place] = tile.collect(values)

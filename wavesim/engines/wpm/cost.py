@@ -1,4 +1,4 @@
-"""What the wave propagation method takes, told from the sizes alone."""
+"""Predicted time and memory of the wave propagation method, from the sizes of its grid."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 RAY_BYTES = 250_000
-"""While the rays of the object's middle are traced."""
+"""Memory of the rays of the object's centre."""
 
 POLYNOMIAL_PASSES = 150.0
-"""What a polynomial for the transmission takes, in complex products."""
+"""Time to evaluate a polynomial for the transmission, in complex products."""
 
 
 def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str) -> tuple[float, int]:
-    """Seconds of one passage through all surfaces, and most bytes at one time, what is kept included."""
+    """Return seconds of one propagation through all surfaces, and peak bytes, including stored arrays."""
     if interface == "staircase":
         return _staircase_cost(working, steps_mm[0])
     grid, line, samples = working.grid, working.grid.is_line, working.samples_on_surfaces
@@ -37,7 +37,7 @@ def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str
 
 
 def setup_cost(working: WorkingGrid) -> tuple[float, int]:
-    """Seconds and most bytes of making the samples of all surfaces."""
+    """Return seconds and peak bytes of the sampling of all surfaces."""
     size, samples = working.grid.size, max(working.samples_on_surfaces)
     seconds = 0.01 if working.grid.is_line else 0.02
     for count in working.samples_on_surfaces:
@@ -48,7 +48,7 @@ def setup_cost(working: WorkingGrid) -> tuple[float, int]:
 
 
 def kept_bytes(working: WorkingGrid) -> int:
-    """Axial wave numbers of the media, samples of the surfaces, and rays."""
+    """Return the memory of the media's axial wavenumbers, the samples of the surfaces, and the rays."""
     media = (FLOAT64 + 1) * working.grid.size * len(working.media)
     return RAY_BYTES + media + FLOAT64 * (3 + len(working.grid.shape)) * sum(working.samples_on_surfaces)
 

@@ -1,23 +1,22 @@
-"""The wave propagation method, plane by plane through a thick lens, with surfaces in their true places.
+"""The wave propagation method: steps along z through a thick lens, with the surfaces at their true positions.
 
-In every step beside a surface two spectra are formed, one in the medium in front of it and one in the medium
-behind, as in the method of Brenner and Singer.
+In every step next to a surface, two spectra are propagated, one in the medium in front of the surface and one
+in the medium behind it, as in the method of Brenner and Singer.
 
-As they published it (``interface="staircase"``) both belong to one field, and each sample takes the result of
-the medium that it is in. A surface is then a staircase: the phase is wrong by up to half a step times the
-difference of both axial wave numbers, so the error falls only with the first power of the step, and stays at
-a tenth of the field however short the steps are: what is cut at the edges of ever more stairs adds up.
+In the published method (``interface="staircase"``) both spectra belong to one field, and each sample uses the
+result of its own medium. A surface is then a staircase: its phase error is up to half a step times the
+difference of both axial wavenumbers, so that the error falls only with the first power of the step. It
+remains at about a tenth of the field for any step, since diffraction at the edges of the stairs adds up.
 
-With the place of the surface within the step (``interface="substep"``) there are two fields, and this is no
-longer their method but what it approaches. The field in front goes on in its own medium, through the surface,
-and gives the wave on it; the field behind is what the surface radiates, by Kirchhoff's integral with the
-local normal and the local Fresnel coefficient. Both are interpolated between planes
-(:mod:`wavesim.engines.surfaces.waves`): light passes from one to the other at the height of the surface. The
-error falls with the fourth power of the step, until what the tangent plane approximation of curved surfaces
-leaves is reached.
+With the position of the surface within the step (``interface="substep"``) there are two fields, and the
+method becomes what the published one approximates. The field in front is propagated in its own medium through
+the surface, which gives the wave on the surface. The field behind is what the surface radiates, by
+Kirchhoff's integral with the local normal and the local Fresnel coefficient. Both are interpolated between
+planes (:mod:`wavesim.engines.surfaces.waves`). The error falls with the fourth power of the step, down to the
+error of the tangent plane approximation.
 
-Source: K.-H. Brenner and W. Singer, "Light propagation through microlenses: a new simulation method", Appl.
-Opt. 32, 4984 (1993).
+Reference: K.-H. Brenner and W. Singer, "Light propagation through microlenses: a new simulation method",
+Appl. Opt. 32, 4984 (1993).
 """
 
 from __future__ import annotations
@@ -51,28 +50,28 @@ ComplexArray = NDArray[np.complex128]
 Interface = Literal["substep", "staircase"]
 
 WARN_PHASE, REFUSE_PHASE = math.pi, 1.5 * math.pi
-"""Phase that may differ after one step: between the steepest and the flattest wave (substep), or between
-both media (staircase)."""
+"""Phase difference after one step above which a run causes a warning or is refused: between the steepest and
+the axial wave (substep), or between both media (staircase)."""
 
 SUBSTEP_PHASE = 1.2
-"""The same for the step chosen here; leaves 1e-4."""
+"""Phase difference after one step of the default step; its interpolation error is 1e-4."""
 
-ROOMS = (FRESNEL_ZONES, 20.0, 80.0)
-"""Zones worth trying. Of a point that fills the stop of a one-quarter twin of the paper's lens 4 leave out
-1.7 %, 80 leave out 0.23 %."""
+CANDIDATE_ZONES = (FRESNEL_ZONES, 20.0, 80.0)
+"""Fresnel zones that the choice of an engine tries. For a point that fills the stop of a one-quarter twin of
+the paper's lens, 4 zones omit 1.7 % of the field, 80 omit 0.23 %."""
 
 CURVE_ZONES = (4.0, 10.0, 20.0, 40.0)
-"""Zones in comparisons, where those of the truth are twice as many and more."""
+"""Fresnel zones in comparisons, where the reference uses at least twice as many."""
 
 STAIRCASE_WAVES = 0.25
-"""Step chosen here, in wavelengths."""
+"""Default step of the staircase, in wavelengths."""
 
 STAIR_EDGES = 0.5
-"""Relative error that stairs keep for short steps: 0.1 for a beam through cylinders, but 0.6 to 1 where light
+"""Relative error of a staircase with short steps: 0.1 for a beam through cylinders, but 0.6 to 1 where light
 of all directions fills a lens."""
 
 TANGENT_PLANE = 1.0
-"""Relative error by which a curved surface refracts otherwise than its tangent planes, times k r."""
+"""Relative error of the tangent plane approximation of a curved surface, times k r."""
 
 
 class WavePropagation(Engine):
@@ -81,34 +80,34 @@ class WavePropagation(Engine):
     Parameters
     ----------
     scene
-        What is carried where.
+        Lens, grids and wavelength.
     step_um
-        Along z, beside surfaces; chosen if left out (a quarter wave for the staircase). The knob of accuracy
-        against time.
+        Step along z next to surfaces, which trades accuracy for time. Default: by the steepest light, or a
+        quarter wave for the staircase.
     interface : {"substep", "staircase"}
-        Whether surfaces keep their place within a step.
+        Representation of the surfaces: at their true positions within a step, or as stairs.
     pitch_mm, half_width_mm
-        Of the working grid; chosen if left out.
+        Pitch and half-width of the working grid. Default: by the extent of the light.
     zones
-        Fresnel zones of room beside the rays, in direction and on the surfaces, for light that the aperture's
-        rim turns: the error that it leaves there falls with the root of this number.
+        Margin for light that the aperture's rim diffracts, in direction and on the surfaces, in Fresnel
+        zones. The error from the rim falls with the square root of this number.
     force
-        Run even what takes more than some hours or gigabytes.
+        Whether to run even above the limits of memory and time.
 
     Raises
     ------
     InputError
         If a setting is not usable.
     SamplingError
-        On use, if the grid, or stairs, cannot hold the field.
+        On first use, if the grid or the staircase cannot represent the field.
     """
 
     name = "wpm"
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
-        """Little room beside the rays, then more."""
-        for zones in ROOMS:
+        """Yield a small margin for diffraction, then larger ones."""
+        for zones in CANDIDATE_ZONES:
             yield {"zones": zones}
 
     @classmethod
@@ -136,12 +135,12 @@ class WavePropagation(Engine):
             validate_positive("step_um", step_um)
         self.interface = interface
         self._step_um, self._zones, self._force = step_um, zones, force
-        self._grid_asked = (pitch_mm, half_width_mm)
+        self._grid_settings = (pitch_mm, half_width_mm)
 
     @cached_property
     def working(self) -> WorkingGrid:
         """Grid, media and extent of the surfaces."""
-        return working_grid(self.scene, *self._grid_asked, self._zones)
+        return working_grid(self.scene, *self._grid_settings, self._zones)
 
     def settings(self) -> dict[str, Any]:
         grid = self.working.grid
@@ -158,26 +157,26 @@ class WavePropagation(Engine):
         low, high = working.heights_mm[0][0], min(working.heights_mm[-1][1], self.scene.exit_grid.z_mm)
         seconds, peak = passage_cost(working, self._steps_mm, self.interface)
         setup, setup_peak = setup_cost(working)
-        held = kept_bytes(working) + COMPLEX128 * working.grid.size  # beside transfers: their argument
+        held = kept_bytes(working) + COMPLEX128 * working.grid.size  # with the argument of the propagators
         for transfer in working.transfers(self.scene, low, high):
             seconds += transfer.seconds
             peak = max(peak, held + transfer.peak_bytes)
         return Cost(seconds, setup, max(peak, setup_peak))
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         system, k = self.scene.system, self.scene.wavenumber_per_mm
         curvature = float(np.max(np.abs([shape.curvature for shape in system.shapes])))
         found = [
             ErrorTerm("curvature of surfaces within a wave", TANGENT_PLANE * curvature / k),
             ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
         ]
-        turned = math.sqrt(self.working.spared)
-        found.append(ErrorTerm("light that the rim turns beyond the grid's band", turned, at_rim=True))
+        diffracted = math.sqrt(self.working.diffracted)
+        found.append(ErrorTerm("light that the rim turns beyond the grid's band", diffracted, at_rim=True))
         if self.interface == "substep":
             error = interpolation_error(max(self._phases()))
             found.append(ErrorTerm("interpolation between planes", error))
         else:
-            # The height of a stair is off by up to half a step either way.
+            # The height of a stair is wrong by up to half a step.
             rms = math.sqrt(sum(phase**2 for phase in self._phases()) / 12.0)
             stairs = 2.0 * math.sin(min(0.5 * rms, 0.5 * math.pi))
             found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, STAIR_EDGES)))
@@ -212,7 +211,7 @@ class WavePropagation(Engine):
 
     @cached_property
     def _steps_mm(self) -> list[float]:
-        """Step beside a surface in each of the media."""
+        """Step next to a surface in each of the media."""
         media = self.working.media
         if self._step_um is not None:
             return [1e-3 * self._step_um] * len(media)
@@ -221,7 +220,7 @@ class WavePropagation(Engine):
         return [SUBSTEP_PHASE / medium.phase_across(1.0) for medium in media]
 
     def _phases(self) -> list[float]:
-        """Phase that may differ after a step, at each side of each surface."""
+        """Return the phase difference after a step, on each side of each surface."""
         media, steps = self.working.media, self._steps_mm
         if self.interface == "substep":
             return [medium.phase_across(step) for medium, step in zip(media, steps, strict=True)]
@@ -232,7 +231,7 @@ class WavePropagation(Engine):
         step_um = 1e3 * max(self._steps_mm)
         apart = "both media" if stairs else "the steepest and the flattest light"
         message = (
-            f"step_um = {step_um:.4g}: {apart} differ by {phase:.3g} rad after one step; at most "
+            f"step_um = {step_um:.4g}: {apart} differ by {phase:.3g} rad after one step; a step of at most "
             f"{step_um * WARN_PHASE / phase:.4g} um keeps that below pi"
         )
         if phase > REFUSE_PHASE:
@@ -240,7 +239,7 @@ class WavePropagation(Engine):
         if stairs:
             message = (
                 "interface = staircase: stairs leave an error of 10 % of a narrow beam, and of more than "
-                "half of light that fills a lens, however short the steps are; take interface = substep"
+                "half of light that fills a lens, for any step; use interface = substep"
             )
         if stairs or phase > WARN_PHASE:
             warnings.warn(message, SamplingWarning, stacklevel=5)
@@ -248,10 +247,10 @@ class WavePropagation(Engine):
 
 @dataclass(frozen=True, eq=False)
 class Substep:
-    """Both fields apart, each in one medium, joined on the surfaces.
+    """Propagation of separate fields in the media, which are joined at the surfaces.
 
-    The operator from the lowest point of the first surface to the highest of the last, or to the exit plane
-    if that comes first.
+    The operator runs from the lowest point of the first surface to the highest point of the last one, or to
+    the exit plane if that comes first.
     """
 
     media: Sequence[Medium]
@@ -270,40 +269,40 @@ class Substep:
 
     @property
     def start_mm(self) -> float:
-        """First plane."""
+        """Position of the first plane."""
         return float(self.surfaces[0].z_mm[0])
 
     @property
     def end_mm(self) -> float:
-        """Last plane."""
+        """Position of the last plane."""
         return min(float(self.surfaces[-1].z_mm[-1]), self.exit_z_mm)
 
     def forward(self, field: ComplexArray) -> ComplexArray:
-        """Carry a field, which is written over, from the first to the last plane."""
+        """Propagate a field from the first to the last plane; its array is overwritten."""
         spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1, overwrite_x=True)
         del field
-        here = self.start_mm
+        z_mm = self.start_mm
         for before, behind in self.sides:
-            spectrum *= before.medium.over(before.first_z_mm - here)
+            spectrum *= before.medium.over(before.first_z_mm - z_mm)
             values = before.evaluate(spectrum)
             values *= before.samples.transmission
-            del spectrum  # before the next is made
+            del spectrum  # frees its memory before the next one is computed
             spectrum = behind.radiate(values)
-            here = behind.first_z_mm
-        spectrum *= self.media[-1].over(self.end_mm - here)
+            z_mm = behind.first_z_mm
+        spectrum *= self.media[-1].over(self.end_mm - z_mm)
         return np.asarray(scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True))
 
     def adjoint(self, field: ComplexArray) -> ComplexArray:
-        """Exact adjoint of :meth:`forward`; the field is written over."""
+        """Apply the exact adjoint of :meth:`forward`; the field's array is overwritten."""
         spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1, overwrite_x=True)
         del field
-        here = self.end_mm
+        z_mm = self.end_mm
         for before, behind in reversed(self.sides):
-            spectrum *= behind.medium.over(behind.first_z_mm - here)
+            spectrum *= behind.medium.over(behind.first_z_mm - z_mm)
             values = behind.radiate_adjoint(spectrum)
             values *= before.samples.transmission
             del spectrum
             spectrum = before.collect(values)
-            here = before.first_z_mm
-        spectrum *= self.media[0].over(self.start_mm - here)
+            z_mm = before.first_z_mm
+        spectrum *= self.media[0].over(self.start_mm - z_mm)
         return np.asarray(scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True))

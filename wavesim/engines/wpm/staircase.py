@@ -1,10 +1,10 @@
-"""Surfaces as stairs: the wave propagation method as it was published.
+"""Surfaces as stairs: the wave propagation method in its published form.
 
-One field holds both media. In every step its spectrum is carried on as if all were the one medium and as if
-all were the other, and each sample takes the result of the medium that it is in.
+One field covers both media. In every step its spectrum is propagated once as if all space were the first
+medium and once as if it were the second, and each sample uses the result of its own medium.
 
-Source: K.-H. Brenner and W. Singer, "Light propagation through microlenses: a new simulation method", Appl.
-Opt. 32, 4984 (1993).
+Reference: K.-H. Brenner and W. Singer, "Light propagation through microlenses: a new simulation method",
+Appl. Opt. 32, 4984 (1993).
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from wavesim.engines.surfaces.waves import SurfaceSamples
 ComplexArray = NDArray[np.complex128]
 
 MOST_GROWTH = 1.5
-"""Energy behind stairs, as a share of that in front, beyond what the indices on both sides may make of it."""
+"""Largest ratio of energies behind and in front of the stairs, beyond the ratio that the indices explain."""
 
 
 class Staircase:
-    """The operator from the lowest to the highest plane on which there is a surface.
+    """The operator from the lowest to the highest plane that intersects a surface.
 
     Parameters
     ----------
     working
         Grid and media.
     surfaces
-        Where light meets each surface.
+        Samples of each surface.
     step_mm
-        Between planes.
+        Distance between planes.
     """
 
     def __init__(self, working: WorkingGrid, surfaces: Sequence[SurfaceSamples], step_mm: float) -> None:
         self.media, grid = working.media, working.grid
         self.heights, self.factors = [], []
         for samples in surfaces:
-            # Beside the light a surface goes on flat, and lets nothing through.
+            # Outside the light a surface continues as an opaque plane.
             height = np.full(grid.size, samples.rim_z_mm)
             factor = np.zeros(grid.size)
             height[samples.pixels], factor[samples.pixels] = samples.z_mm, samples.transmission
@@ -55,14 +55,14 @@ class Staircase:
         self.start_mm, self.end_mm = self.planes[0], self.planes[-1]
 
     def forward(self, field: ComplexArray) -> ComplexArray:
-        """Carry a field from the first to the last plane.
+        """Propagate a field from the first to the last plane.
 
         Raises
         ------
         SamplingError
-            If stairs feed on themselves: samples of two media need not conserve energy together.
+            If the energy grows: samples in two media do not conserve energy together.
         """
-        before = _energy(field)
+        energy_in = _energy(field)
         for length, medium, factor in self._steps():
             spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1)
             field = np.zeros_like(spectrum)
@@ -71,13 +71,19 @@ class Staircase:
                 wave = scipy.fft.ifftn(wave, norm="ortho", workers=-1, overwrite_x=True)
                 np.copyto(field, wave, where=medium == m)
             field *= factor
-        self._refuse_growth(before, _energy(field))
+        self._validate_energy(energy_in, _energy(field))
         return field
 
     def adjoint(self, field: ComplexArray) -> ComplexArray:
-        """Exact adjoint of :meth:`forward`, which raises as that does."""
-        before = _energy(field)
-        for length, medium, factor in self._steps(back=True):
+        """Apply the exact adjoint of :meth:`forward`.
+
+        Raises
+        ------
+        SamplingError
+            If the energy grows, as in :meth:`forward`.
+        """
+        energy_in = _energy(field)
+        for length, medium, factor in self._steps(adjoint=True):
             field = field * factor
             spectrum = np.zeros(field.shape, complex)
             for m in np.unique(medium):
@@ -86,25 +92,25 @@ class Staircase:
                 wave *= self.media[m].over(-length)
                 spectrum += wave
             field = scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
-        self._refuse_growth(before, _energy(field))
+        self._validate_energy(energy_in, _energy(field))
         return field
 
-    def _refuse_growth(self, before: float, after: float) -> None:
+    def _validate_energy(self, energy_in: float, energy_out: float) -> None:
         first, last = self.media[0].index, self.media[-1].index
-        before *= max(1.0, first / last, last / first)
-        if after > MOST_GROWTH * before:
+        energy_in *= max(1.0, first / last, last / first)
+        if energy_out > MOST_GROWTH * energy_in:
             raise SamplingError(
-                f"the staircase makes {after / before:.3g} times the energy that it was given: it scatters "
-                "too much of this light; take interface = substep"
+                f"interface = staircase: the energy grows by a factor of {energy_out / energy_in:.3g}, since "
+                "the stairs scatter too much of this light; use interface = substep"
             )
 
-    def _steps(self, back: bool = False) -> Iterator[tuple[float, NDArray[np.int8], Array]]:
-        """Length of each step, medium of each sample in it, and factor of what it crosses on its way in."""
-        # The last step, of no length, crosses what the one before has left.
+    def _steps(self, adjoint: bool = False) -> Iterator[tuple[float, NDArray[np.int8], Array]]:
+        """Yield each step's length, the medium of each sample, and the factor of the crossed surfaces."""
+        # The last step has no length; it crosses what the previous one has left.
         borders = [*self.planes, self.planes[-1]]
         middles = [-math.inf] + [0.5 * (low + high) for low, high in pairwise(borders)]
         steps = list(zip(pairwise(borders), pairwise(middles), strict=True))
-        for (low, high), (before, middle) in reversed(steps) if back else steps:
+        for (low, high), (before, middle) in reversed(steps) if adjoint else steps:
             medium = np.zeros(self.heights[0].shape, np.int8)
             factor = np.ones(self.heights[0].shape)
             for height, own in zip(self.heights, self.factors, strict=True):
@@ -118,7 +124,7 @@ def _energy(field: ComplexArray) -> float:
 
 
 def planes(heights_mm: Sequence[tuple[float, float]], step_mm: float) -> list[float]:
-    """Evenly spaced planes wherever a surface lies, and none between."""
+    """Return evenly spaced planes that cover the surfaces, and none between them."""
     found: list[float] = []
     for low, high in sorted(heights_mm):
         low = max(low, found[-1]) if found else low

@@ -1,15 +1,17 @@
-"""How far noise moves a reconstruction, sample by sample, where the frames tell the object: a bootstrap.
+"""Standard deviation of a reconstruction, sample by sample, by a parametric bootstrap.
 
-The reconstruction is taken for the object and recorded again several times, each with other noise of the
-stated standard deviations; each record is reconstructed by the same settings. How much the results scatter
-about the object that they were made of is what noise does to them, with what the total variation rounds: the
-mean of their differences is taken along, for it estimates how far the result itself is off.
+The reconstruction serves as the object, which is recorded again several times, each time with other noise of
+the stated standard deviations. Each record is reconstructed with the same settings. The deviations of these
+results from their object are the effect of noise and of the total variation. Their mean is included, because
+it estimates the bias of the result itself.
 
-Repeats that begin at one result stay in its hollow of the misfit. So the frames themselves are reconstructed
-from other starts too: what fits them as well and differs adds to the scatter. Where it differs by much, or
-the result does not fit the frames or a plane that was held out, nothing is stated.
+Repeats that start at one result stay near the same minimum of the misfit. The frames are therefore also
+reconstructed from other starts. Differences between results that fit equally well add to the uncertainty. No
+uncertainty is stated if they differ much, or if the result does not explain the frames or a held-out plane.
 
-Source: B. Efron and R. J. Tibshirani, "An Introduction to the Bootstrap" (Chapman and Hall, 1993), 6.5.
+References
+----------
+B. Efron and R. J. Tibshirani, "An Introduction to the Bootstrap" (Chapman and Hall, 1993), section 6.5.
 """
 
 from __future__ import annotations
@@ -27,53 +29,53 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, validate_whole_number
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel, RealArray
-from wavesim.reconstruction.from_object import Reconstructed, reconstruct
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement
 
 ITERATIONS = 12
-"""From the reconstruction on, of which each record differs by noise alone."""
+"""Iterations of a repeat, which starts at the reconstruction and differs only by noise."""
 
-UNEXPLAINED = 1.5
-"""Misfit over that of noise alone, from which on frames say that something else is wrong."""
+LARGEST_NOISE_RATIO = 1.5
+"""Misfit over that of noise alone above which the frames are not explained."""
 
-AS_GOOD = 1.1
-"""Ratio of misfits up to which a start counts, and beyond which another is the better one."""
+EQUIVALENT_RATIO = 1.1
+"""Ratio of misfits up to which two results count as fitting equally well."""
 
-APART = 0.1
-"""Relative difference of two objects that fit as well, from which on the frames do not tell which it is."""
+LARGEST_DIFFERENCE = 0.1
+"""Relative difference of two equivalent objects above which the frames do not determine the object."""
 
 START_SAMPLES = 4.0
-"""Standard deviation of the kernel that smooths a random start."""
+"""Standard deviation, in samples, of the kernel that smooths a random start."""
 
-LEAVES_OUT = (
-    "errors that all starts have in common are not in it: a wrong model of lens, light or camera, and edges "
-    "that the total variation rounds, beyond what it rounds of the result once more"
+NOT_INCLUDED = (
+    "errors that all starts have in common are not included: a wrong model of lens, light or camera, and "
+    "the part of the rounding of edges by the total variation that a second reconstruction does not show"
 )
 
 
 class UndeterminedError(TransferLensError):
-    """Frames do not tell the object well enough for its uncertainty to be stated."""
+    """The frames do not determine the object well enough to state its uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How far a reconstructed transmission may be off.
+    """Uncertainty of a reconstructed transmission.
 
     Attributes
     ----------
     values : ndarray
-        Standard deviation of each sample, of the object grid's shape: root of the summed variances of real
-        and imaginary part, from noise and between starts; 0 where there is no light.
+        Standard deviation of each sample, on the object grid: root of the summed variances of real and
+        imaginary part, from noise and between starts; 0 where there is no light.
     of_noise, of_starts : float
-        Root mean square of either share, where there is light.
+        Root mean square of either part where there is light.
     misfit_over_noise : float
-        Of the result, over what noise alone would leave.
+        Misfit of the result over that of noise alone.
     held_out_over_noise : float or None
-        The same on a plane that was held out.
+        The same ratio on a held-out plane.
     leaves_out : str
-        What is not in it.
+        Description of errors that are not included.
     """
 
     values: Array
@@ -99,32 +101,39 @@ def uncertainty(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Uncertainty:
-    """How far a reconstructed transmission may be off, sample by sample, by noise and by the start.
+    """Return the uncertainty of a reconstructed transmission, sample by sample, due to noise and the start.
 
     Parameters
     ----------
     engine, illumination, recorded, kind, tv_weight, fill_factor
-        As of :func:`wavesim.reconstruct`, and as they were for `found`; all planes state their `sigma`.
+        Arguments of :func:`wavesim.reconstruct` that gave `found`; all planes state their `sigma`.
     found
-        What was reconstructed from them.
+        Result of the reconstruction.
     iterations
-        Of each repeat, from `found` on; other starts take as many as `found` did.
+        Iterations of each repeat, which starts at `found`; other starts use as many as `found` did.
     held_out
-        A plane that `found` was not made of.
+        Measured plane that was not used for `found`.
     repeats
-        Two at least. With n of them the standard deviation itself is known to one part in sqrt(2 (n - 1)).
+        Number of repeats, at least two. With n of them the standard deviation itself is known to one part in
+        sqrt(2 (n - 1)).
     seed
-        Of the noise and of a random start.
+        Seed of the noise and of a random start.
     progress
-        Called with the number of reconstructions done, and that of all.
+        Callback `progress(completed, total)` with the number of reconstructions.
+
+    Returns
+    -------
+    Uncertainty
+        Standard deviations, and the ratios of misfit to noise.
 
     Raises
     ------
     InputError
         If there are fewer than two repeats, or a plane has no sigma.
     UndeterminedError
-        If the result leaves more of the frames than noise can (`UNEXPLAINED`), on the plane held out too; if
-        another start fits them better (`AS_GOOD`), or as well by another object (`APART`).
+        If the result does not explain the frames or the held-out plane within `LARGEST_NOISE_RATIO`, if
+        another start fits better by more than `EQUIVALENT_RATIO`, or if one fits equally well with an object
+        that differs by more than `LARGEST_DIFFERENCE`.
     """
     validate_whole_number("repeats", repeats, 2)
     if any(plane.sigma is None for plane in (*recorded, *([] if held_out is None else [held_out]))):
@@ -135,10 +144,10 @@ def uncertainty(
         return model.amplitudes(found.transmission.values)
 
     clean = modelled(recorded)
-    over_noise = _explained(recorded, clean, "the frames")
+    misfit_over_noise = _noise_ratio(recorded, clean, "the frames")
     held_out_over_noise = None
     if held_out is not None:
-        held_out_over_noise = _explained([held_out], modelled([held_out]), "the plane held out")
+        held_out_over_noise = _noise_ratio([held_out], modelled([held_out]), "the plane held out")
     settings: dict[str, Any] = {
         "kind": kind,
         "tv_weight": tv_weight,
@@ -148,71 +157,73 @@ def uncertainty(
     lit = np.abs(illumination.values) > 0.0
     starts = _starts(illumination, kind, seed)
     others = []
-    for number, start in enumerate(starts):
+    for index, start in enumerate(starts):
         other = reconstruct(
             engine, illumination, recorded, iterations=len(found.misfit), start=start, **settings
         )
-        others += _as_good(found, other, lit)
+        others += _equivalent_objects(found, other, lit)
         if progress is not None:
-            progress(number + 1, len(starts) + repeats)
+            progress(index + 1, len(starts) + repeats)
     results = []
-    for number, one in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
-        random = np.random.default_rng(one)
-        again = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
+    for index, sequence in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
+        random = np.random.default_rng(sequence)
+        noisy_planes = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
         repeat = reconstruct(
-            engine, illumination, again, iterations=iterations, start=found.transmission, **settings
+            engine, illumination, noisy_planes, iterations=iterations, start=found.transmission, **settings
         )
         results.append(repeat.transmission.values)
         if progress is not None:
-            progress(len(starts) + number + 1, len(starts) + repeats)
+            progress(len(starts) + index + 1, len(starts) + repeats)
     by_noise = _mean_square(results, found.transmission.values, lit)
     by_start = _variance([found.transmission.values, *others])
     return Uncertainty(
         np.sqrt(by_noise + by_start),
         math.sqrt(float(by_noise[lit].mean())),
         math.sqrt(float(by_start[lit].mean())),
-        over_noise,
+        misfit_over_noise,
         held_out_over_noise,
-        LEAVES_OUT if held_out is not None else f"{LEAVES_OUT}; no plane was held out",
+        NOT_INCLUDED if held_out is not None else f"{NOT_INCLUDED}; no plane was held out",
     )
 
 
 def _mean_square(results: Sequence[NDArray[Any]], true: NDArray[Any], lit: NDArray[np.bool_]) -> Array:
-    """Of the differences of results from the object of which they were made, in its phase."""
+    """Return the mean squared difference of results from their common object, after alignment of the
+    phase.
+    """
     total = np.zeros(true.shape)
     for values in results:
         overlap = np.vdot(values[lit], true[lit])
-        turned = values * (overlap / max(abs(overlap), np.finfo(float).tiny))
-        total += np.abs(turned - true) ** 2
+        aligned = values * (overlap / max(abs(overlap), np.finfo(float).tiny))
+        total += np.abs(aligned - true) ** 2
     return np.asarray(total / len(results), float)
 
 
 def _variance(results: Sequence[NDArray[Any]]) -> Array:
-    """Of real and imaginary part together; 0 of one result."""
+    """Return the variance of real and imaginary part together; 0 for a single result."""
     values = np.asarray(results)
     squares = np.sum(np.abs(values - values.mean(axis=0)) ** 2, axis=0)
     return np.asarray(squares / max(len(values) - 1, 1), float)
 
 
-def _explained(planes: Sequence[Measurement], modelled: Sequence[RealArray], what: str) -> float:
-    """Misfit of a result over that of noise alone, on planes that must be explained by it."""
-    missed = noise = 0.0
+def _noise_ratio(planes: Sequence[Measurement], modelled: Sequence[RealArray], source: str) -> float:
+    """Return the misfit of a result over that of noise alone, on planes that it must explain."""
+    squared_misfit = noise = 0.0
     for plane, amplitude in zip(planes, modelled, strict=True):
         assert plane.sigma is not None
         known = np.isfinite(plane.sigma)
-        missed += float(np.sum((amplitude - plane.amplitude)[known] ** 2, dtype=float))
+        squared_misfit += float(np.sum((amplitude - plane.amplitude)[known] ** 2, dtype=float))
         noise += float(np.sum(plane.sigma[known] ** 2, dtype=float))
-    ratio = math.sqrt(missed / noise)
-    if ratio > UNEXPLAINED:
+    ratio = math.sqrt(squared_misfit / noise)
+    if ratio > LARGEST_NOISE_RATIO:
         raise UndeterminedError(
-            f"uncertainty: the result leaves {ratio:.3g} times the noise of {what}: object, lens, light or "
-            "camera are not as they are taken to be; take more planes or iterations, another start, calibrate"
+            f"uncertainty: the result leaves {ratio:.3g} times the noise of {source}: object, lens, light or "
+            "camera differ from the model; use more planes or iterations or another start, or calibrate"
         )
     return ratio
 
 
 def _starts(illumination: Field, kind: Kind, seed: int) -> list[Field | Literal["amplitude"] | None]:
-    """Even, of an amplitude object, and smooth and random."""
+    """Return a constant start, an amplitude object, and a smooth random start."""
     random = np.random.default_rng(seed).standard_normal(illumination.grid.shape)
     smooth = gaussian_filter(random, START_SAMPLES)
     smooth /= smooth.std()
@@ -221,26 +232,29 @@ def _starts(illumination: Field, kind: Kind, seed: int) -> list[Field | Literal[
     return [None, start] if kind == "amplitude" else [None, "amplitude", start]
 
 
-def _as_good(found: Reconstructed, other: Reconstructed, lit: NDArray[np.bool_]) -> list[NDArray[Any]]:
-    """The object of another start, turned to the phase of the first, if it fits as well; not if worse."""
-    mine, yours = found.misfit[-1], other.misfit[-1]
-    if yours > AS_GOOD * mine:
+def _equivalent_objects(
+    found: Reconstructed, other: Reconstructed, lit: NDArray[np.bool_]
+) -> list[NDArray[Any]]:
+    """Return the object of another start in the phase of the first if it fits equally well, else nothing."""
+    own_misfit, other_misfit = found.misfit[-1], other.misfit[-1]
+    if other_misfit > EQUIVALENT_RATIO * own_misfit:
         return []
-    if mine > AS_GOOD * yours:
+    if own_misfit > EQUIVALENT_RATIO * other_misfit:
         raise UndeterminedError(
-            f"uncertainty: another start leaves a misfit of {yours:.4g}, the result {mine:.4g}: it is not "
-            "the object that fits best; take another start, more iterations or more planes"
+            f"uncertainty: another start leaves a misfit of {other_misfit:.4g}, the result {own_misfit:.4g}: "
+            "it is not the object that fits best; use another start, more iterations or more planes"
         )
-    one, turned = found.transmission.values, other.transmission.values
-    overlap = np.vdot(turned[lit], one[lit])
-    turned = turned * (overlap / max(abs(overlap), np.finfo(float).tiny))
-    apart = float(np.linalg.norm((one - turned)[lit]) / np.linalg.norm(one[lit]))
-    if apart > APART:
+    values, aligned = found.transmission.values, other.transmission.values
+    overlap = np.vdot(aligned[lit], values[lit])
+    aligned = aligned * (overlap / max(abs(overlap), np.finfo(float).tiny))
+    difference = float(np.linalg.norm((values - aligned)[lit]) / np.linalg.norm(values[lit]))
+    if difference > LARGEST_DIFFERENCE:
         raise UndeterminedError(
-            f"uncertainty: another start fits as well by an object that differs by {100.0 * apart:.3g} %: "
-            "the frames do not tell which; take more planes, more iterations or more total variation"
+            "uncertainty: another start fits as well by an object that differs by "
+            f"{100.0 * difference:.3g} %: the frames do not determine it; use more planes, more "
+            "iterations or more total variation"
         )
-    return [turned]
+    return [aligned]
 
 
 def _noisy(plane: Measurement, amplitude: RealArray, random: np.random.Generator) -> Measurement:

@@ -1,11 +1,11 @@
-"""What may differ where frames are not explained: each is changed, and a few iterations tell what helps.
+"""Trials of causes where frames are not explained: a few iterations with each change show what helps.
 
-Shifts are those of the recorded intensities against the modelled ones, by their cross-correlation, and a
-decenter is the one that would shift the planes so. The light's tilt and bend are what a complex object would
-have of them. Of distances, pitch and radii, longer and longer steps are tried: the object adapts to what is
-wrong with them, and pictures no longer show it.
+Shifts follow from the cross-correlation of measured and modelled intensities. A decenter is the one that
+would cause these shifts. Tilt and bend of the light follow from the phase of a complex object. For
+distances, pitch and radii, longer and longer steps are tried, because the object adapts to such errors and
+pictures do not show them.
 
-What is simple or cheap to try comes first; where that explains enough, the rest is left out.
+Trials that are simple or fast come first. Where one of them explains enough, the others are skipped.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from lensdesign.errors import TransferLensError
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import LEAST_GAIN, Trial
-from wavesim.reconstruction.diagnostics.guesses import (
+from wavesim.reconstruction.diagnostics.bench_estimates import (
     BENDS,
     SHAPES,
     background,
-    centre,
+    centroid,
     shift_pixels,
     smooth_phase_waves,
 )
 from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
+from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.source_width import coherent_deg
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine, Tiled
@@ -44,36 +44,48 @@ from wavesim.sensor.measurement import Array, Measurement, noise_misfit
 Shifts = Sequence[tuple[float, float]]
 
 ITERATIONS, FREE_ITERATIONS = 6, 8
-"""Of each trial, and of a complex object whose phase tells the light's."""
+"""Iterations of each trial, and of a complex object whose phase gives that of the light."""
 
-AT_NOISE, ENOUGH = 1.5, 0.7
-"""Misfit over that of the noise, to which so few iterations come where nothing differs any more; and share of
-the squared misfit, with which nothing else is tried."""
+NOISE_RATIO, ENOUGH_GAIN = 1.5, 0.7
+"""Misfit over that of noise that so few iterations reach with the right model, and fraction of the squared
+misfit that a trial must explain so that no other is made.
+"""
 
 LEAST_SHIFT_PIXELS, LEAST_BACKGROUND, LEAST_BEND_WAVES = 0.15, 2e-3, 0.04
-"""From which a shift of a plane, a background over the mean intensity, and a bend of the light are tried: so
-few iterations give any object some of the latter."""
+"""Smallest shift of a plane, background over mean intensity, and bend of the light for which a trial is
+made. A few iterations give any object a small bend.
+"""
 
 RIM_PIXELS, WAVES = 1.5, 0.1
-"""First steps: of pitch and radii, how far they move the rim of the pictures; of the distance between planes,
-over their diversity."""
+"""First steps: for pitch and radii, the shift at the rim of the pictures in pixels; for the distance between
+planes, over their diversity.
+"""
 
 LONGEST, REFINED = 0.4, 2
-"""Longest step, and how often steps beside the best one are tried."""
+"""Longest relative step, and number of refinements about the best step."""
 
 SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0), (0.15, 0.3)
-"""Widths of the source that are tried, over that at which light is coherent over half of the object; and root
-mean square blurs."""
+"""Widths of the source, over the width at which light is coherent over half of the object; and blurs
+(rms).
+"""
 
-FALLS = 0.995
-"""Ratio of misfits, below which a first step helps, and longer ones are tried."""
+IMPROVES = 0.995
+"""Ratio of misfits below which a first step helps, so that longer ones are tried."""
 
 
 class Change(NamedTuple):
-    """What is changed: a cause and what to say of it, engine, light, planes, pixels and modes."""
+    """A change of the model.
+
+    Attributes
+    ----------
+    cause, description : str
+        Cause, and its description for the user.
+    engine, light, recorded, fill_factor, modes
+        Arguments of :func:`wavesim.reconstruct` with the change.
+    """
 
     cause: str
-    told: str
+    description: str
     engine: Engine
     light: Field
     recorded: Sequence[Measurement]
@@ -83,18 +95,18 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CauseTrials:
-    """What is doubted, and how a trial is made.
+    """Trials of possible causes.
 
     Parameters
     ----------
     engine, light, recorded, kind, tv_weight, scale, fill_factor, modes
-        As of :func:`wavesim.reconstruct`.
+        See :func:`wavesim.reconstruct`.
     maps
-        What the result leaves of the planes.
+        For each plane, modelled less measured amplitude of the result.
     diversity
-        What the planes tell of the phase (:func:`wavesim.sensor.windows.diversity`).
+        Diversity of the planes (:func:`wavesim.sensor.windows.diversity`).
     stops, stop
-        The search for another field stop, and the one of the light; without them none is tried.
+        Search for another field stop, and the field stop of the light; default: no such trial.
     """
 
     engine: Engine
@@ -111,16 +123,16 @@ class CauseTrials:
     stop: FieldStop | None = None
 
     def trials(self) -> list[Trial]:
-        """All that are worth it, the best first."""
+        """Return all trials that were made, the best first."""
         found = list[Trial]()
         for group in (
             self._swaps,
-            self._turned,
+            self._orientations,
             self._backgrounds,
-            self._blurred,
-            self._moved,
-            self._stopped,
-            self._stretched,
+            self._blurs,
+            self._displacements,
+            self._field_stops,
+            self._scalings,
         ):
             found += group()
             if any(self._explains(trial) for trial in found):
@@ -128,18 +140,18 @@ class CauseTrials:
         return sorted(found, key=lambda trial: trial.misfit_ratio)
 
     @cached_property
-    def _before(self) -> float:
-        return self._found(self._change("", "")).misfit[-1]
+    def _reference_misfit(self) -> float:
+        return self._reconstructed(self._change("", "")).misfit[-1]
 
     def _explains(self, trial: Trial) -> bool:
         noise = noise_misfit(self.recorded) or 0.0
-        at_noise = trial.misfit_ratio * self._before <= AT_NOISE * noise
-        return trial.gain > (LEAST_GAIN if at_noise else ENOUGH)
+        at_noise = trial.misfit_ratio * self._reference_misfit <= NOISE_RATIO * noise
+        return trial.gain > (LEAST_GAIN if at_noise else ENOUGH_GAIN)
 
     def _change(
         self,
         cause: str,
-        told: str,
+        description: str,
         *,
         engine: Engine | None = None,
         light: Field | None = None,
@@ -149,7 +161,7 @@ class CauseTrials:
     ) -> Change:
         return Change(
             cause,
-            told,
+            description,
             engine or self.engine,
             light or self.light,
             recorded or self.recorded,
@@ -157,7 +169,9 @@ class CauseTrials:
             self.modes if modes is None else modes,
         )
 
-    def _found(self, change: Change, kind: Kind | None = None, iterations: int = ITERATIONS) -> Reconstructed:
+    def _reconstructed(
+        self, change: Change, kind: Kind | None = None, iterations: int = ITERATIONS
+    ) -> Reconstructed:
         return reconstruct(
             change.engine,
             change.light,
@@ -171,45 +185,49 @@ class CauseTrials:
         )
 
     def _trial(self, change: Change) -> Trial:
-        return Trial(change.cause, change.told, self._found(change).misfit[-1] / self._before)
+        return Trial(
+            change.cause, change.description, self._reconstructed(change).misfit[-1] / self._reference_misfit
+        )
 
     def _swaps(self) -> Iterator[Trial]:
-        """Every two planes, in each other's place."""
+        """Yield trials in which two planes are exchanged."""
         for i, j in combinations(range(len(self.recorded)), 2):
             planes = list(self.recorded)
             planes[i] = replace(planes[j], distance_mm=self.recorded[i].distance_mm)
             planes[j] = replace(self.recorded[i], distance_mm=self.recorded[j].distance_mm)
-            said = f"planes {i + 1} and {j + 1} exchanged"
-            yield self._trial(self._change("planes swapped", said, recorded=planes))
+            description = f"planes {i + 1} and {j + 1} exchanged"
+            yield self._trial(self._change("planes swapped", description, recorded=planes))
 
-    def _turned(self) -> Iterator[Trial]:
-        """Each picture but the first, mirrored and turned against it."""
+    def _orientations(self) -> Iterator[Trial]:
+        """Yield trials in which a picture other than the first is mirrored or rotated."""
         for n in range(1, len(self.recorded)):
             plane = self.recorded[n]
-            for name, turn in ORIENTATIONS.items():
-                amplitude = turn(plane.amplitude)
+            for name, orientation in ORIENTATIONS.items():
+                amplitude = orientation(plane.amplitude)
                 if amplitude.shape != plane.amplitude.shape:
                     continue
-                sigma = None if plane.sigma is None else np.ascontiguousarray(turn(plane.sigma))
+                sigma = None if plane.sigma is None else np.ascontiguousarray(orientation(plane.sigma))
                 planes = list(self.recorded)
                 planes[n] = replace(plane, amplitude=np.ascontiguousarray(amplitude), sigma=sigma)
-                said = f"picture of plane {n + 1} {name}"
-                yield self._trial(self._change("orientation", said, recorded=planes))
+                description = f"picture of plane {n + 1} {name}"
+                yield self._trial(self._change("orientation", description, recorded=planes))
 
     def _backgrounds(self) -> Iterator[Trial]:
-        """Light where the result is dark, taken out of each plane."""
+        """Yield a trial in which light in dark parts of the result is subtracted from each plane."""
         found = [background(*pair) for pair in _intensities(self.recorded, self.maps)]
-        if max(share for share, _ in found) <= LEAST_BACKGROUND:
+        if max(fraction for fraction, _ in found) <= LEAST_BACKGROUND:
             return
-        said = ", ".join(f"{100.0 * max(share, 0.0):.2g} %" for share, _ in found)
+        description = ", ".join(f"{100.0 * max(fraction, 0.0):.2g} %" for fraction, _ in found)
         planes = [
             replace(plane, background=np.full_like(plane.amplitude, max(level, 0.0)))
             for plane, (_, level) in zip(self.recorded, found, strict=True)
         ]
-        yield self._trial(self._change("background", f"backgrounds of {said} taken out", recorded=planes))
+        yield self._trial(
+            self._change("background", f"backgrounds of {description} taken out", recorded=planes)
+        )
 
-    def _blurred(self) -> Iterator[Trial]:
-        """What washes pictures out: a wide source, or a camera that vibrates."""
+    def _blurs(self) -> Iterator[Trial]:
+        """Yield trials of blur: an extended source, or a camera that vibrates."""
         if len(self.modes) < 2 and not isinstance(self.engine, Tiled):
             for factor in SOURCES:
                 width = factor * coherent_deg(self.light)
@@ -220,43 +238,47 @@ class CauseTrials:
         pitch_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
         for blur in BLURS_PIXELS:
             width = math.sqrt(self.fill_factor**2 + 12.0 * blur**2)
-            said = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
-            yield self._trial(self._change("vibration", said, fill_factor=width))
+            description = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
+            yield self._trial(self._change("vibration", description, fill_factor=width))
 
-    def _moved(self) -> Iterator[Trial]:
-        """What moves the light on the planes: sensor, light, lens."""
+    def _displacements(self) -> Iterator[Trial]:
+        """Yield trials of a displaced sensor, tilted light, or a decentered lens."""
         shifts = [shift_pixels(*pair) for pair in _intensities(self.recorded, self.maps)]
         if max(math.dist(shift, shifts[0]) for shift in shifts) > LEAST_SHIFT_PIXELS:
-            yield self._trial(self._shifted(shifts))
-        if self.kind == "amplitude":  # a complex object takes up all of the light's phase
-            yield self._lit()
+            yield self._trial(self._shifted_planes(shifts))
+        if self.kind == "amplitude":  # a complex object absorbs the phase of the light
+            yield self._light_trial()
         if max(math.hypot(*shift) for shift in shifts) > LEAST_SHIFT_PIXELS:
-            yield from _tolerant(lambda: self._trial(self._decentered(shifts)))
+            yield from _if_possible(lambda: self._trial(self._decentered_lens(shifts)))
 
-    def _shifted(self, shifts: Shifts) -> Change:
-        """Planes whose sensor is where the picture's shift says: the other way."""
+    def _shifted_planes(self, shifts: Shifts) -> Change:
+        """Return planes that are shifted against the shift of their pictures."""
         pitch_mm = self.engine.scene.exit_grid.pitch_mm
 
-        def moved(shifts: Shifts) -> Change:
+        def shifted(shifts: Shifts) -> Change:
             planes = [
                 replace(plane, shift_mm=(plane.shift_mm[0] - pitch_mm * x, plane.shift_mm[1] - pitch_mm * y))
                 for plane, (x, y) in zip(self.recorded, shifts, strict=True)
             ]
-            said = ", ".join(f"{1e3 * pitch_mm * x:.2g}, {1e3 * pitch_mm * y:.2g} um" for x, y in shifts)
-            return self._change("shift", f"frames shifted by {said}", recorded=planes)
+            description = ", ".join(
+                f"{1e3 * pitch_mm * x:.2g}, {1e3 * pitch_mm * y:.2g} um" for x, y in shifts
+            )
+            return self._change("shift", f"frames shifted by {description}", recorded=planes)
 
-        left = self._left(moved(shifts))
-        return moved([(x + a, y + b) for (x, y), (a, b) in zip(shifts, left, strict=True)])
+        remaining = self._remaining_shifts(shifted(shifts))
+        return shifted([(x + a, y + b) for (x, y), (a, b) in zip(shifts, remaining, strict=True)])
 
-    def _lit(self) -> Trial:
-        """Light tilted and bent as a complex object says, once more if that helps."""
+    def _light_trial(self) -> Trial:
+        """Return a trial of light with the tilt and bend of a complex object, repeated if it helps."""
         best = Trial("light", "", math.inf)
         phase = dict.fromkeys(SHAPES, 0.0)
         for _ in range(2):
             light = LightErrors(phase_waves=phase).on(self.light)
-            free = self._found(self._change("", "", light=light), "complex", FREE_ITERATIONS).transmission
-            more = smooth_phase_waves(free.with_values(free.values * (light.values != 0.0)))
-            phase = {orders: phase[orders] + more[orders] for orders in SHAPES}
+            free = self._reconstructed(
+                self._change("", "", light=light), "complex", FREE_ITERATIONS
+            ).transmission
+            correction = smooth_phase_waves(free.with_values(free.values * (light.values != 0.0)))
+            phase = {orders: phase[orders] + correction[orders] for orders in SHAPES}
             best = min(best, self._trial(self._with_light(phase)), key=lambda one: one.misfit_ratio)
             if best.gain <= LEAST_GAIN:
                 break
@@ -267,69 +289,75 @@ class CauseTrials:
         per_mm = 1e-3 * self.light.wavelength_um / self.light.index
         x, y = (math.degrees(per_mm * phase[one] / half) for one, half in (((1, 0), width), ((0, 1), height)))
         bent = max(abs(phase[orders]) for orders in BENDS)
-        said = f"light tilted by {x:.2g}, {y:.2g} deg"
+        description = f"light tilted by {x:.2g}, {y:.2g} deg"
         if bent < LEAST_BEND_WAVES:
             phase = phase | dict.fromkeys(BENDS, 0.0)
         else:
-            said = f"{said}, bent by {bent:.1g} waves"
-        return self._change("light", said, light=LightErrors(phase_waves=phase).on(self.light))
+            description = f"{description}, bent by {bent:.1g} waves"
+        return self._change("light", description, light=LightErrors(phase_waves=phase).on(self.light))
 
-    def _decentered(self, shifts: Shifts) -> Change:
-        """The lens where it shifts the planes most like what is seen."""
+    def _decentered_lens(self, shifts: Shifts) -> Change:
+        """Return a change with the decenter of the lens that best explains the shifts."""
         pose, step_mm = self.engine.scene.pose, self.engine.scene.exit_grid.pitch_mm
 
         def at(x: float, y: float) -> Engine:
-            there = replace(pose, decenter_x_mm=pose.decenter_x_mm + x, decenter_y_mm=pose.decenter_y_mm + y)
-            return engine_on(self.engine, replace(self.engine.scene, pose=there))
+            decentered_pose = replace(
+                pose, decenter_x_mm=pose.decenter_x_mm + x, decenter_y_mm=pose.decenter_y_mm + y
+            )
+            return engine_on(self.engine, replace(self.engine.scene, pose=decentered_pose))
 
-        here, aside = ([centre(one)[0] for one in self._of_light(e)] for e in (self.engine, at(step_mm, 0.0)))
-        moves = np.subtract(aside, here) / step_mm
+        nominal, displaced = (
+            [centroid(one)[0] for one in self._light_intensities(e)] for e in (self.engine, at(step_mm, 0.0))
+        )
+        moves = np.subtract(displaced, nominal) / step_mm
 
         def change(x: float, y: float) -> Change:
-            said = f"lens decentered by {1e3 * x:.2g}, {1e3 * y:.2g} um"
-            return self._change("mounting", said, engine=at(x, y))
+            description = f"lens decentered by {1e3 * x:.2g}, {1e3 * y:.2g} um"
+            return self._change("mounting", description, engine=at(x, y))
 
-        size = float(moves @ moves) or 1.0  # no lens moves nothing
+        size = float(moves @ moves) or 1.0  # without a lens nothing moves
         x, y = moves @ np.array(shifts) / size
-        more_x, more_y = moves @ np.array(self._left(change(x, y))) / size
+        more_x, more_y = moves @ np.array(self._remaining_shifts(change(x, y))) / size
         return change(float(x + more_x), float(y + more_y))
 
-    def _stopped(self) -> Iterator[Trial]:
-        """Light behind the field stop that explains the frames best."""
+    def _field_stops(self) -> Iterator[Trial]:
+        """Yield a trial of the field stop that explains the frames best."""
         if self.stops is None or self.stop is None:
             return
-        found = self.stops.run_beside(self.stop)
+        found = self.stops.find_better_stop(self.stop)
         if found is None:
             return
         (x, y), width = found.at_mm, found.width_mm
-        said = f"field stop of {width:.4g} mm at {x:.4g},{y:.4g} mm"
-        yield self._trial(self._change("field stop", said, light=self.stops.light_of(found)))
+        description = f"field stop of {width:.4g} mm at {x:.4g},{y:.4g} mm"
+        yield self._trial(self._change("field stop", description, light=self.stops.light_of(found)))
 
-    def _stretched(self) -> Iterator[Trial]:
-        """Other distances of planes and object, pitch of the pixels, and radii of the lens."""
+    def _scalings(self) -> Iterator[Trial]:
+        """Yield trials of other plane distances, working distance, pixel pitch, and radii of the lens."""
         scene = self.engine.scene
         rim = 2.0 * RIM_PIXELS / max(scene.exit_grid.shape)
 
         def planes(step: float) -> Change:
-            moved = [replace(p, distance_mm=(1.0 + step) * p.distance_mm) for p in self.recorded]
-            said = f"planes {100.0 * step:+.2g} % farther from each other"
-            return self._change("distance", said, recorded=moved)
+            shifted = [replace(p, distance_mm=(1.0 + step) * p.distance_mm) for p in self.recorded]
+            description = f"planes {100.0 * step:+.2g} % farther from each other"
+            return self._change("distance", description, recorded=shifted)
 
-        def farther(step: float) -> Change:
+        def working_distance(step: float) -> Change:
             grid, distance_mm = scene.object_grid, scene.lens.object.working_distance_mm
             grid = replace(grid, z_mm=grid.z_mm - step * distance_mm)
-            said = f"object {1e3 * step * distance_mm:+.2g} um farther from the lens"
+            description = f"object {1e3 * step * distance_mm:+.2g} um farther from the lens"
             light, engine = (
                 replace(self.light, grid=grid),
                 engine_on(self.engine, replace(scene, object_grid=grid)),
             )
-            return self._change("working distance", said, engine=engine, light=light)
+            return self._change("working distance", description, engine=engine, light=light)
 
         def pixels(step: float) -> Change:
             grid = replace(scene.exit_grid, pitch_mm=(1.0 + step) * scene.exit_grid.pitch_mm)
-            said = f"pixels of {1e3 * grid.pitch_mm:.4g} um in place of {1e3 * scene.exit_grid.pitch_mm:.4g}"
+            description = (
+                f"pixels of {1e3 * grid.pitch_mm:.4g} um in place of {1e3 * scene.exit_grid.pitch_mm:.4g}"
+            )
             return self._change(
-                "pixel pitch", said, engine=engine_on(self.engine, replace(scene, exit_grid=grid))
+                "pixel pitch", description, engine=engine_on(self.engine, replace(scene, exit_grid=grid))
             )
 
         def lens(step: float) -> Change:
@@ -338,52 +366,55 @@ class CauseTrials:
                 for s in scene.lens.surfaces
             )
             other = replace(scene, lens=scene.lens.replaced(surfaces=surfaces))
-            said = f"radii of all surfaces {100.0 * step:+.2g} %"
-            return self._change("lens", said, engine=engine_on(self.engine, other))
+            description = f"radii of all surfaces {100.0 * step:+.2g} %"
+            return self._change("lens", description, engine=engine_on(self.engine, other))
 
         if len(self.recorded) > 1:
             yield from self._best(planes, min(WAVES / self.diversity, 0.1))
-        for change in (farther, pixels, lens):
+        for change in (working_distance, pixels, lens):
             yield from self._best(change, rim)
 
     def _best(self, change: Callable[[float], Change], first: float) -> Iterator[Trial]:
-        """The best of steps either way: doubled where that helps, then between."""
+        """Yield the best trial of steps in both directions: doubled while they help, then refined."""
         tried = {0.0: Trial("", "", 1.0)}
 
         def ratio(step: float) -> float:
             if step not in tried:
-                found = list(_tolerant(lambda: self._trial(change(step))))
+                found = list(_if_possible(lambda: self._trial(change(step))))
                 tried[step] = found[0] if found else Trial("", "", math.inf)
             return tried[step].misfit_ratio
 
         best = step = min((first, -first), key=ratio)
-        if ratio(best) < FALLS:
+        if ratio(best) < IMPROVES:
             while abs(step) <= 0.5 * LONGEST:
                 step *= 2.0
                 best = min(best, step, key=ratio)
             for _ in range(REFINED):
                 steps = sorted(tried)
-                place = steps.index(best)
-                middles = [0.5 * (best + beside) for beside in steps[max(place - 1, 0) : place + 2]]
+                position = steps.index(best)
+                middles = [
+                    0.5 * (best + neighbour) for neighbour in steps[max(position - 1, 0) : position + 2]
+                ]
                 best = min((best, *middles), key=ratio)
         if math.isfinite(ratio(best)):
             yield tried[best]
 
-    def _left(self, change: Change) -> Shifts:
-        """Shifts that a few iterations leave."""
-        maps = self._found(change).residual_maps
+    def _remaining_shifts(self, change: Change) -> Shifts:
+        """Return the shifts that remain after a few iterations."""
+        maps = self._reconstructed(change).residual_maps
         return [shift_pixels(*pair) for pair in _intensities(change.recorded, maps)]
 
-    def _of_light(self, engine: Engine) -> list[Array]:
-        """Intensities of the light without an object."""
+    def _light_intensities(self, engine: Engine) -> list[Array]:
+        """Return the intensities of the light without an object."""
         model = ForwardModel(engine, self.light, self.recorded, None, self.fill_factor, modes=self.modes)
         return [
-            made.astype(float) ** 2 for made in model.amplitudes(model.lit.astype(self.light.values.dtype))
+            modelled.astype(float) ** 2
+            for modelled in model.amplitudes(model.lit.astype(self.light.values.dtype))
         ]
 
 
-def _tolerant(trial: Callable[[], Trial]) -> Iterator[Trial]:
-    """None where rays or samples do not take what is tried."""
+def _if_possible(trial: Callable[[], Trial]) -> Iterator[Trial]:
+    """Yield a trial, or nothing where rays or samples do not allow it."""
     try:
         yield trial()
     except TransferLensError:
@@ -391,9 +422,9 @@ def _tolerant(trial: Callable[[], Trial]) -> Iterator[Trial]:
 
 
 def _intensities(recorded: Sequence[Measurement], maps: Sequence[Array]) -> Iterator[tuple[Array, Array]]:
-    """Of each plane: as recorded, and as the result has it; alike where nothing is known."""
+    """Yield measured and modelled intensity of each plane; they are equal in invalid pixels."""
     for plane, error in zip(recorded, maps, strict=True):
-        made = np.maximum(plane.amplitude.astype(float) + error, 0.0) ** 2
+        modelled = np.maximum(plane.amplitude.astype(float) + error, 0.0) ** 2
         known = plane.known
-        seen = plane.amplitude.astype(float) ** 2
-        yield (seen if known is None else np.where(known, seen, made)), made
+        measured = plane.amplitude.astype(float) ** 2
+        yield (measured if known is None else np.where(known, measured, modelled)), modelled

@@ -1,4 +1,4 @@
-"""Pixels that a reconstruction is not given, to compare it with."""
+"""Pixels that are held out of a reconstruction, to test it against them."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import Reconstructed
+from wavesim.reconstruction.object_solver import Reconstructed
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import SettingError
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement
 
-SHARE = 0.02
-"""Of each plane's pixels."""
+HELD_OUT_FRACTION = 0.02
+"""Fraction of each plane's pixels that is held out."""
 
 SEED = 7
-"""Of their choice, which is the same for all runs."""
+"""Seed of the random choice of pixels, which is the same for all runs."""
 
 
 class HeldOut(NamedTuple):
-    """Of one plane: flat indices of pixels, and their standard deviations."""
+    """Held-out pixels of a plane (flat indices), and their standard deviations."""
 
     pixels: NDArray[np.intp]
     sigma: NDArray[np.floating[Any]]
 
 
 def is_given(plane: Measurement) -> bool:
-    """Whether anything is known of a plane."""
+    """Return whether a plane has pixels that the reconstruction uses."""
     return plane.sigma is None or bool(np.isfinite(plane.sigma).any())
 
 
-def maps_of_all(
+def residual_maps_of(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
@@ -44,38 +44,40 @@ def maps_of_all(
     found: Reconstructed,
     modes: Sequence[SourceMode] = (),
 ) -> tuple[NDArray[np.floating[Any]], ...]:
-    """Amplitude of a result less the recorded one on all planes, those too that it was not given.
+    """Return modelled less measured amplitudes on all planes, including held-out planes.
 
     Parameters
     ----------
     engine, light, recorded, fill_factor
-        As of :func:`wavesim.reconstruct`.
+        See :func:`wavesim.reconstruct`.
     found
-        From the planes of which something is known.
+        Result from the planes that were not held out.
     modes
-        As of :func:`wavesim.reconstruct`.
+        Modes of the light; see :func:`wavesim.reconstruct`.
     """
     model = ForwardModel(engine, light, recorded, found.scale, fill_factor, modes=modes)
-    made = model.amplitudes(found.transmission.values)
-    return tuple(own - plane.amplitude for own, plane in zip(made, recorded, strict=True))
+    modelled = model.amplitudes(found.transmission.values)
+    return tuple(amplitude - plane.amplitude for amplitude, plane in zip(modelled, recorded, strict=True))
 
 
 def hold_out(
     recorded: Sequence[Measurement], whole_plane: int | None = None
 ) -> tuple[list[Measurement], tuple[HeldOut, ...]]:
-    """The planes without a share of their pixels, which are those that are known and drawn by chance.
+    """Return the planes without the held-out pixels, and those pixels.
+
+    Valid pixels are drawn at random; in the returned planes their standard deviation is infinite.
 
     Parameters
     ----------
     recorded
-        With standard deviations.
+        Measured planes with standard deviations.
     whole_plane
-        Number, from 1, of a plane that is held out altogether.
+        Number (from 1) of a plane that is held out as a whole.
 
     Raises
     ------
     SettingError
-        If there is no such plane, or no other.
+        If there is no such plane, or no other plane.
     """
     if whole_plane is not None and not (1 <= whole_plane <= len(recorded) and len(recorded) > 1):
         raise SettingError(
@@ -83,17 +85,17 @@ def hold_out(
             "at least"
         )
     random = np.random.default_rng(SEED)
-    planes, held = [], []
-    for number, plane in enumerate(recorded, start=1):
+    planes, held_out = [], []
+    for plane_number, plane in enumerate(recorded, start=1):
         assert plane.sigma is not None
         flat = plane.sigma.ravel()
-        if number == whole_plane:
+        if plane_number == whole_plane:
             chosen = np.arange(flat.size)
         else:
-            chosen = np.unique(random.integers(0, flat.size, int(SHARE * flat.size)))
+            chosen = np.unique(random.integers(0, flat.size, int(HELD_OUT_FRACTION * flat.size)))
         chosen = chosen[np.isfinite(flat[chosen])]
-        held.append(HeldOut(chosen, flat[chosen]))
+        held_out.append(HeldOut(chosen, flat[chosen]))
         sigma = plane.sigma.copy()
         sigma.ravel()[chosen] = np.inf
         planes.append(replace(plane, sigma=sigma))
-    return planes, tuple(held)
+    return planes, tuple(held_out)

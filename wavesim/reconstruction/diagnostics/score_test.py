@@ -1,16 +1,19 @@
-"""Score test of the bench: whether frames prefer another one, and which small errors they cannot exclude.
+"""Score test of the bench: whether frames prefer another bench, and which small errors they cannot exclude.
 
-About the object found, modelled amplitudes change by d_j for a unit of parameter j (decenter, tilt, working
-distance, shift and distance of a plane). The object follows such a change and takes up what it can; column j
-of D is what remains of d_j, found by conjugate gradients. With the residuals r and their variances V,
+About the object found, the modelled amplitudes change by d_j per unit of parameter j (decenter, tilt,
+working distance, shift and distance of a plane). The object follows such a change and compensates part of
+it. Column j of D is the remainder of d_j, found by conjugate gradients. With the residuals r and their
+variances V,
 
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
-are the errors that the frames ask for, and how surely they do. Both come from one linear model about the
-result (:class:`wavesim.reconstruction.linear.linearised.Linearised`).
+are the estimated errors of the bench, and their significance. Both come from one linear model about the
+result (:class:`wavesim.reconstruction.linear_model.LinearModel`).
 
-Source: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Math. Proc.
-Camb. Phil. Soc. 44, 50 (1948).
+References
+----------
+C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Math. Proc. Camb.
+Phil. Soc. 44, 50 (1948).
 """
 
 from __future__ import annotations
@@ -28,9 +31,8 @@ from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import Undetected
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_field import agreement
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
-from wavesim.reconstruction.linear.measurement_operator import FreeSpaceMeasurement
+from wavesim.reconstruction.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind
@@ -39,42 +41,45 @@ from wavesim.sensor.measurement import Measurement, weights_of
 MOUNTING = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg", "working_distance_mm")
 
 STEP_RAD = 0.12
-"""Phase at the rim of the aperture by which a parameter is changed to take a difference quotient."""
+"""Phase in rad at the rim of the aperture that a finite step of a parameter causes."""
 
-ROUNDS = 12
-"""Conjugate gradients by which the object follows a change."""
+FOLLOWING_ITERATIONS = 12
+"""Iterations of conjugate gradients by which the object follows a change."""
 
 DEVIATIONS = 2.0
-"""Standard deviations up to which an error of the bench is within the noise."""
+"""Standard deviations up to which an error of the bench counts as noise."""
 
-SURE_CHI_SQUARE, SURE_EACH = 60.0, 3e-3
-"""Chi-square from which on frames prefer another bench: so much, and so much more for each pixel, since small
-errors of the model and iterations that end early add up over pixels. Perfect benches bring a third of it."""
+CERTAIN_CHI_SQUARE, CERTAIN_PER_PIXEL = 60.0, 3e-3
+"""Chi-square above which frames prefer another bench: a constant, plus an amount for each pixel.
+
+Small model errors and iterations that end early add up over pixels. A bench as designed reaches about a
+third of this value.
+"""
 
 LEAST_LOSS = 0.004
-"""Loss of correlation from which on the error that frames ask for matters."""
+"""Loss of correlation above which an error of the bench matters."""
 
 CAUSES = {"decenter": "mounting", "tilt": "mounting", "working": "working distance"}
 
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """What frames say of small errors of the bench.
+    """Result of the score test.
 
     Attributes
     ----------
     estimate : mapping
-        Errors that the frames ask for, by parameter.
+        Estimated errors of the bench, by parameter.
     chi_square : float
-        How surely they do: about the number of parameters where the bench is as stated.
+        Significance of the errors: about the number of parameters where the bench is as stated.
     correlation : float
-        Of the object found with the one that these errors would give.
+        Correlation between the object found and the one that these errors would give.
     pixels : int
-        Of all planes.
+        Number of pixels of all planes.
     cause : str
         The cause that explains most.
     undetected : tuple of Undetected
-        What the frames cannot exclude of decenter, tilt and working distance.
+        Errors of the mounting that the frames cannot exclude.
     """
 
     estimate: Mapping[str, float]
@@ -86,13 +91,13 @@ class ScoreTest:
 
     @property
     def is_preferred(self) -> bool:
-        """Whether frames surely ask for another bench, and the object would be another one."""
-        sure = SURE_CHI_SQUARE + SURE_EACH * self.pixels
-        return self.chi_square > sure and 1.0 - self.correlation > LEAST_LOSS
+        """Whether frames clearly prefer another bench, and the object would differ."""
+        threshold = CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * self.pixels
+        return self.chi_square > threshold and 1.0 - self.correlation > LEAST_LOSS
 
     @property
     def explanation(self) -> str:
-        """What the frames ask for, in words."""
+        """Sentence that names the errors of the bench."""
         head = {"mounting": ("decenter", "tilt"), "working distance": ("working",)}.get(
             self.cause, ("plane",)
         )
@@ -120,63 +125,68 @@ def score_test(
     model_error: float,
     progress: Callable[[str], None] = lambda what: None,
 ) -> ScoreTest:
-    """Test the bench that was assumed against small errors of it.
+    """Test the assumed bench against small errors.
 
     Parameters
     ----------
     engine, light, recorded, kind, fill_factor
-        As of :func:`wavesim.reconstruct`; light of a point source.
+        See :func:`wavesim.reconstruct`; the light is that of a point source.
     transmission : ndarray
         The object found, on the samples of the light.
     scale, fits_scale
-        Recorded amplitude for a unit of the model's, and whether it was fitted.
+        Measured amplitude per unit of the modelled amplitude, and whether it was fitted.
     model_error
-        Relative error of amplitudes that engine and pixels may have.
+        Relative error of amplitudes due to engine and pixels.
     progress
-        Called with what is computed.
+        Called with a message for each step of the computation.
+
+    Returns
+    -------
+    ScoreTest
+        Estimated errors, their significance, and errors that cannot be excluded.
 
     Raises
     ------
     TransferLensError
-        Where the scene does not take small displacements.
+        If rays or samples do not allow small displacements of the scene.
     """
     model = ForwardModel(engine, light, recorded, scale, fill_factor)
     values = transmission.real if kind == "amplitude" else transmission
-    linear = Linearised(model, values, fits_scale)
+    linear = LinearModel(model, values, fits_scale)
     model.scale = linear.scale
     columns: dict[str, RealArray] = {}
-    for name, scene, step in _displaced(engine.scene):
+    for name, scene, step in _displaced_scenes(engine.scene):
         progress(f"effect of {name}")
-        columns[name] = _of_scene(linear, scene, step)
-    columns |= _of_planes(linear)
-    free = _free(linear, values)
-    followed = []
+        columns[name] = _scene_column(linear, scene, step)
+    columns |= _plane_columns(linear)
+    free_samples = _free_samples(linear, values)
+    following_changes = []
     for name, column in columns.items():
         progress(f"effect of {name} with the best object")
-        followed.append(_follow(linear, column, free, kind == "amplitude"))
-        columns[name] = column + linear.of_object(followed[-1])
-    left = np.stack([column.ravel() for column in columns.values()])
+        following_changes.append(_following_change(linear, column, free_samples, kind == "amplitude"))
+        columns[name] = column + linear.jacobian_times_object(following_changes[-1])
+    remaining = np.stack([column.ravel() for column in columns.values()])
     residual = linear.residual.ravel()
-    weighted = left * _variances(recorded, linear, model_error)
-    noise, curvature = (np.asarray(one @ left.T, float) for one in (weighted, left))
-    slope = np.asarray(left @ residual, float)
-    unit = 1.0 / np.sqrt(np.diag(curvature))  # parameters have units of their own
-    curvature, noise, slope = curvature * np.outer(unit, unit), noise * np.outer(unit, unit), slope * unit
-    estimate = np.linalg.solve(curvature, slope)
-    scores = _scores(tuple(columns), slope, noise)
+    weighted = remaining * _variances(recorded, linear, model_error)
+    noise, hessian = (np.asarray(part @ remaining.T, float) for part in (weighted, remaining))
+    gradient = np.asarray(remaining @ residual, float)
+    unit = 1.0 / np.sqrt(np.diag(hessian))  # parameters have units of their own
+    hessian, noise, gradient = hessian * np.outer(unit, unit), noise * np.outer(unit, unit), gradient * unit
+    estimate = np.linalg.solve(hessian, gradient)
+    scores = _scores(tuple(columns), gradient, noise)
 
     def correlation(shift: Array) -> float:
-        change = np.tensordot((shift * unit).astype(np.float32), np.stack(followed), 1)
+        change = np.tensordot((shift * unit).astype(np.float32), np.stack(following_changes), 1)
         return agreement([light.with_values(light.values * one) for one in (values, values + change)])
 
     undetected = []
     for j, name in enumerate(MOUNTING):
         size = DEVIATIONS * math.sqrt(noise[j, j]) + model_error
-        one = correlation(size * np.eye(len(columns))[j])
-        undetected.append(Undetected(name, float(size * unit[j]), one))
+        detected = correlation(size * np.eye(len(columns))[j])
+        undetected.append(Undetected(name, float(size * unit[j]), detected))
     return ScoreTest(
         dict(zip(columns, (estimate * unit).tolist(), strict=True)),
-        float(slope @ np.linalg.solve(noise, slope)),
+        float(gradient @ np.linalg.solve(noise, gradient)),
         correlation(estimate),
         residual.size,
         max(scores, key=lambda cause: scores[cause]),
@@ -184,18 +194,20 @@ def score_test(
     )
 
 
-def _scores(names: Sequence[str], slope: Array, noise: Array) -> dict[str, float]:
-    """Chi-square of the parameters of each cause alone."""
+def _scores(names: Sequence[str], gradient: Array, noise: Array) -> dict[str, float]:
+    """Return the chi-square of the parameters of each cause alone."""
     causes = [CAUSES.get(name.split("_")[0], "distance" if "distance" in name else "shift") for name in names]
-    found = {}
+    scores = {}
     for cause in dict.fromkeys(causes):
-        mine = [n for n, one in enumerate(causes) if one == cause]
-        found[cause] = float(slope[mine] @ np.linalg.solve(noise[np.ix_(mine, mine)], slope[mine]))
-    return found
+        indices = [n for n, name_of_cause in enumerate(causes) if name_of_cause == cause]
+        scores[cause] = float(
+            gradient[indices] @ np.linalg.solve(noise[np.ix_(indices, indices)], gradient[indices])
+        )
+    return scores
 
 
-def _displaced(scene: Scene) -> Iterator[tuple[str, Scene, float]]:
-    """Scenes with one displacement each, its name and size."""
+def _displaced_scenes(scene: Scene) -> Iterator[tuple[str, Scene, float]]:
+    """Yield the name of each displacement, the displaced scene, and the size of the step."""
     aperture = min(scene.lens.object.numerical_aperture, 0.99)
     across_mm = STEP_RAD / (2.0 * math.pi) * 1e-3 * scene.wavelength_um / aperture
     tilt_deg = math.degrees(3.0 * across_mm / abs(scene.lens.object_z_mm))
@@ -206,67 +218,75 @@ def _displaced(scene: Scene) -> Iterator[tuple[str, Scene, float]]:
     yield MOUNTING[-1], replace(scene, object_grid=grid.at(grid.z_mm - step)), step
 
 
-def _of_scene(linear: Linearised, scene: Scene, step: float) -> RealArray:
-    """Change of the modelled amplitudes for a unit of a displacement."""
+def _scene_column(linear: LinearModel, scene: Scene, step: float) -> RealArray:
+    """Return the change of the modelled amplitudes per unit of a displacement."""
     engine, lit = linear.model.engine, linear.lit
     assert isinstance(engine, Engine)
     displaced = engine_on(engine, scene)
     after = displaced.forward(replace(lit, grid=scene.object_grid)).values
-    return linear.of_exit(((after - engine.forward(lit).values) / step).astype(after.dtype))
+    return linear.jacobian_times_exit_field(((after - engine.forward(lit).values) / step).astype(after.dtype))
 
 
-def _of_planes(linear: Linearised) -> dict[str, RealArray]:
-    """Changes for a um of each plane's shift against the first, and for a mm of its distance."""
-    sight = linear.sight
-    assert isinstance(sight, FreeSpaceMeasurement)
-    found = {}
+def _plane_columns(linear: LinearModel) -> dict[str, RealArray]:
+    """Return changes per um of each plane's shift against the first plane, and per mm of its distance."""
+    measurement = linear.measurement
+    assert isinstance(measurement, FreeSpaceMeasurement)
+    columns = {}
     for n in range(1, len(linear.model.recorded)):
         for axis, letter in enumerate("xy"):
-            found[f"plane_{n + 1}_shift_{letter}_um"] = linear.of_plane(n, sight.by_shift(n, axis))
-        found[f"plane_{n + 1}_distance_mm"] = linear.of_plane(n, sight.by_distance(n))
-    return found
+            columns[f"plane_{n + 1}_shift_{letter}_um"] = linear.amplitude_change_on_plane(
+                n, measurement.by_shift(n, axis)
+            )
+        columns[f"plane_{n + 1}_distance_mm"] = linear.amplitude_change_on_plane(
+            n, measurement.by_distance(n)
+        )
+    return columns
 
 
-def _free(linear: Linearised, values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Samples that may follow: lit, and not held at a limit."""
-    free = linear.model.lit
+def _free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return lit samples of the object that are not at a bound."""
+    free_samples = linear.model.lit
     if np.iscomplexobj(values):
-        return free
-    slope = linear.to_object(linear.residual).real
-    stuck = ((values <= 0.0) & (slope < 0.0)) | ((values >= 1.0) & (slope > 0.0))
-    return np.asarray(free & ~stuck)
+        return free_samples
+    gradient = linear.adjoint_to_object(linear.residual).real
+    is_at_bound = ((values <= 0.0) & (gradient < 0.0)) | ((values >= 1.0) & (gradient > 0.0))
+    return np.asarray(free_samples & ~is_at_bound)
 
 
-def _follow(linear: Linearised, column: RealArray, free: NDArray[np.bool_], is_real: bool) -> NDArray[Any]:
-    """Change x of the transmission with the least |column + J x|, by conjugate gradients (CGLS)."""
+def _following_change(
+    linear: LinearModel, column: RealArray, free_samples: NDArray[np.bool_], is_real: bool
+) -> NDArray[Any]:
+    """Return the change x of the transmission with the least |column + J x|, by conjugate gradients
+    (CGLS).
+    """
 
-    def slope(left: RealArray) -> NDArray[Any]:
-        back = linear.to_object(left)
-        return np.asarray((back.real if is_real else back) * free)
+    def gradient(remaining: RealArray) -> NDArray[Any]:
+        on_object = linear.adjoint_to_object(remaining)
+        return np.asarray((on_object.real if is_real else on_object) * free_samples)
 
-    left = column.copy()
-    direction = -slope(left)
-    found, energy = np.zeros_like(direction), float(np.vdot(direction, direction).real)
-    for _ in range(ROUNDS):
-        seen = linear.of_object(direction)
-        size = float(np.vdot(seen, seen))
+    remaining = column.copy()
+    direction = -gradient(remaining)
+    change_of_object, energy = np.zeros_like(direction), float(np.vdot(direction, direction).real)
+    for _ in range(FOLLOWING_ITERATIONS):
+        change = linear.jacobian_times_object(direction)
+        size = float(np.vdot(change, change))
         if size <= 0.0 or energy <= 0.0:
             break
         length = np.float32(energy / size)
-        found += length * direction
-        left += length * seen
-        descent = -slope(left)
+        change_of_object += length * direction
+        remaining += length * change
+        descent = -gradient(remaining)
         before, energy = energy, float(np.vdot(descent, descent).real)
         direction = descent + np.float32(energy / before) * direction
-    return found
+    return change_of_object
 
 
-def _variances(recorded: Sequence[Measurement], linear: Linearised, model_error: float) -> RealArray:
-    """Of the weighted residuals."""
-    found = []
+def _variances(recorded: Sequence[Measurement], linear: LinearModel, model_error: float) -> RealArray:
+    """Return the variances of the weighted residuals."""
+    variances = []
     for plane, weight in zip(recorded, weights_of(recorded), strict=True):
         assert plane.sigma is not None
         assert weight is not None
         sigma = np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
-        found.append(weight * (sigma**2 + np.float32(model_error**2) * plane.amplitude**2))
-    return np.asarray(np.stack(found).ravel() / np.float32(linear.size**2))
+        variances.append(weight * (sigma**2 + np.float32(model_error**2) * plane.amplitude**2))
+    return np.asarray(np.stack(variances).ravel() / np.float32(linear.size**2))

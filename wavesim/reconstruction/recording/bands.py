@@ -1,8 +1,9 @@
-"""Rows of a plane, seen by pixels and changed in one pass.
+"""Pixel means of a field, and the change that they cause, in one pass over bands of rows.
 
-A pixel's mean, and what its change gives back, reach a few rows to either side. Bands of rows go by
-themselves: the samples of a row are made once, wait until the means of the rows about them are known and
-changed, are multiplied, and go back into spectra, all while they lie in a core's cache.
+The mean over a pixel, and the change that it gives back, involve a few rows on either side. Bands of rows
+are processed separately. The samples of a row are computed once and wait until the means of the neighbouring
+rows are known and changed. They are then multiplied and transformed back into spectra, all within a core's
+cache.
 """
 
 from __future__ import annotations
@@ -28,41 +29,45 @@ from wavesim.runtime.threads import THREADS, for_blocks
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 Rows = tuple[ComplexArray, ComplexArray]
-Told = TypeVar("Told")
-Change = Callable[[RealArray, int], Told]
-"""Replaces means of rows, given with the first one's number, by relative changes, and tells of them."""
+Result = TypeVar("Result")
+Change = Callable[[RealArray, int], Result]
+"""Replaces means of rows, given the index of the first one, by relative changes, and returns a result."""
 
 BAND = 128
-"""Rows that go by themselves; those at their ends are made twice."""
+"""Rows of a band. The rows at its ends are computed twice."""
 
-NEW, LAG, REACH = 16, 4, 3
-"""Rows that are made at a time; rows before them that still wait; rows to either side that one sees."""
+NEW_ROWS, WAITING_ROWS, REACH = 16, 4, 3
+"""Rows computed at a time, rows before them that still wait, and rows on either side that a pixel
+involves.
+"""
 
 
-def change_in_bands(rows: Rows, phase: ComplexArray, taps: list[float], change: Change[Told]) -> list[Told]:
+def change_in_bands(
+    rows: Rows, phase: ComplexArray, taps: list[float], change: Change[Result]
+) -> list[Result]:
     """Multiply a field on a plane by the spread change of its pixels.
 
     Parameters
     ----------
     rows
-        Spectra along each row, through the middles of pixels and through their upper edges; replaced by those
-        of the products, at half their size.
+        Spectra along each row, through the middles of pixels and through their upper edges. They are
+        replaced by half of the spectra of the products.
     phase
-        Of the frequencies along a row, that take a field half a sample on.
+        Factors of the frequencies along a row that shift a field by half a sample.
     taps
-        Of the means: the middle's weight, and those of samples to either side.
+        Weights of the means: the middle sample, and samples on either side.
     change
-        Called with few rows at a time, from several threads, and for rows at the ends of bands twice.
+        Called with a few rows at a time from several threads, and twice for rows at the ends of bands.
 
     Returns
     -------
     list
-        What `change` tells of all rows, each once, in their order, however many threads there are.
+        Results of `change` for all rows, each once and in order, whatever the number of threads.
     """
     height = len(rows[0])
     starts = range(0, height, BAND)
-    # Copied before a neighbour overwrites them.
-    beside = [
+    # The neighbouring rows are copied before another band overwrites them.
+    neighbours = [
         [
             part.take([*range(start - REACH, start), *range(stop, stop + REACH)], axis=0, mode="wrap")
             for part in rows
@@ -70,94 +75,94 @@ def change_in_bands(rows: Rows, phase: ComplexArray, taps: list[float], change: 
         for start, stop in ((start, min(start + BAND, height)) for start in starts)
     ]
 
-    def band(start: int, stop: int) -> list[Told]:
-        return list(_Band(rows, beside[start // BAND], (start, stop), phase, taps).changed(change))
+    def band(start: int, stop: int) -> list[Result]:
+        return list(_Band(rows, neighbours[start // BAND], (start, stop), phase, taps).changes(change))
 
-    return [told for one in for_blocks(band, height, BAND) for told in one]
+    return [result for one in for_blocks(band, height, BAND) for result in one]
 
 
 def bytes_of_bands(shape: tuple[int, ...], dtype: DTypeLike) -> int:
-    """What :func:`change_in_bands` takes for fields of a shape and type."""
+    """Return the memory in bytes that :func:`change_in_bands` needs for fields of a shape and type."""
     rows, width = math.prod(shape[:-1]), shape[-1]
     bands = -(-rows // BAND)
-    # A window has four samples, two means along rows and one over pixels for each of a row's.
-    held = 2 * 2 * REACH * bands + 5.5 * (NEW + LAG) * min(THREADS, bands)
+    # For each sample of a row the window has four samples, two means along rows and one mean over pixels.
+    held = 2 * 2 * REACH * bands + 5.5 * (NEW_ROWS + WAITING_ROWS) * min(THREADS, bands)
     return round(held * width * np.dtype(dtype).itemsize)
 
 
 class _Band:
-    """Some rows, with those beside them."""
+    """A band of rows with its neighbouring rows."""
 
     def __init__(
         self,
         rows: Rows,
-        beside: list[ComplexArray],
+        neighbours: list[ComplexArray],
         ends: tuple[int, int],
         phase: ComplexArray,
         taps: list[float],
     ) -> None:
-        self._rows, self._beside, self._ends, self._phase = rows, beside, ends, phase
+        self._rows, self._neighbours, self._ends, self._phase = rows, neighbours, ends, phase
         width, real = rows[0].shape[1], rows[0].real.dtype
         self._taps = np.array(taps, real)
         self._twice = 2 * self._taps
-        # The first of the window's rows lies so many before the first new one.
-        self._samples = np.empty((4, LAG + NEW, width), rows[0].dtype)
-        self._along = np.empty((2, LAG + NEW, width), real)
-        self._means = np.empty((LAG + NEW, width), real)
+        # The window begins with the rows that still wait.
+        self._samples = np.empty((4, WAITING_ROWS + NEW_ROWS, width), rows[0].dtype)
+        self._along = np.empty((2, WAITING_ROWS + NEW_ROWS, width), real)
+        self._means = np.empty((WAITING_ROWS + NEW_ROWS, width), real)
 
-    def changed(self, change: Change[Told]) -> Iterator[Told]:
-        """Change all rows; gives what is told of them."""
+    def changes(self, change: Change[Result]) -> Iterator[Result]:
+        """Change all rows, and yield the results of the band's own rows."""
         start, stop = self._ends
-        for first in range(start - REACH, stop + REACH, NEW):
-            end = min(first + NEW, stop + REACH)
-            zero = first - LAG
-            self._make(first, end)
+        for first in range(start - REACH, stop + REACH, NEW_ROWS):
+            end = min(first + NEW_ROWS, stop + REACH)
+            zero = first - WAITING_ROWS
+            self._make_samples(first, end)
             low, high = max(first - 1, start - 1), end - 1
             if low < high:
                 none = self._taps.dtype.type(0.0)
                 means_along_columns(*self._along, self._taps, none, self._means, low - zero, high - zero)
             for piece, is_own in self._pieces(low, high):
-                told = change(self._means[piece[0] - zero : piece[1] - zero], piece[0] % len(self._rows[0]))
+                result = change(self._means[piece[0] - zero : piece[1] - zero], piece[0] % len(self._rows[0]))
                 if is_own:
-                    yield told
+                    yield result
             low, high = max(first - REACH, start), end - REACH
             if low < high:
-                self._back(low, high, zero)
+                self._write_products(low, high, zero)
             for window in (self._samples, self._along):
-                window[:, :LAG] = window[:, NEW:]
-            self._means[:LAG] = self._means[NEW:]
+                window[:, :WAITING_ROWS] = window[:, NEW_ROWS:]
+            self._means[:WAITING_ROWS] = self._means[NEW_ROWS:]
 
-    def _make(self, first: int, end: int) -> None:
-        """Samples of new rows, and their means along each."""
+    def _make_samples(self, first: int, end: int) -> None:
+        """Compute samples of new rows, and the means along each."""
         start, stop = self._ends
-        fresh = slice(LAG, LAG + end - first)
-        for number, (part, beside) in enumerate(zip(self._rows, self._beside, strict=True)):
-            middle, edge = self._samples[2 * number : 2 * number + 2]
+        new_rows = slice(WAITING_ROWS, WAITING_ROWS + end - first)
+        for side, (part, neighbours) in enumerate(zip(self._rows, self._neighbours, strict=True)):
+            middle, edge = self._samples[2 * side : 2 * side + 2]
             for (low, high), is_own in self._pieces(first, end):
-                place = low if is_own else low - start + REACH if low < start else low - stop + REACH
-                source = (part if is_own else beside)[place : place + high - low]
-                to = slice(LAG + low - first, LAG + high - first)
+                position = low if is_own else low - start + REACH if low < start else low - stop + REACH
+                source = (part if is_own else neighbours)[position : position + high - low]
+                to = slice(WAITING_ROWS + low - first, WAITING_ROWS + high - first)
                 halves(source, self._phase, middle[to], edge[to])
-        made = self._samples[:, fresh]
-        _transform(scipy.fft.ifft, made)
-        for number in (0, 1):
-            middle, edge = made[2 * number : 2 * number + 2]
-            means_along_rows(middle, edge, middle, edge, self._taps, self._along[number, fresh])
+        samples = self._samples[:, new_rows]
+        _transform(scipy.fft.ifft, samples)
+        for side in (0, 1):
+            middle, edge = samples[2 * side : 2 * side + 2]
+            means_along_rows(middle, edge, middle, edge, self._taps, self._along[side, new_rows])
 
-    def _back(self, low: int, high: int, zero: int) -> None:
-        """Rows whose pixels' changes are known, times these, as spectra."""
+    def _write_products(self, low: int, high: int, zero: int) -> None:
+        """Multiply rows by the changes of their pixels, and write them back as spectra."""
         rows = slice(low - zero, high - zero)
-        for number, between in enumerate((False, True)):
-            middle, edge = self._samples[2 * number : 2 * number + 2, rows]
+        for side, between in enumerate((False, True)):
+            middle, edge = self._samples[2 * side : 2 * side + 2, rows]
             multiply_spread(middle, edge, self._means, rows.start, between, self._twice)
-        changed = self._samples[:, rows]
-        _transform(scipy.fft.fft, changed)
+        changes = self._samples[:, rows]
+        _transform(scipy.fft.fft, changes)
         half = self._taps.dtype.type(0.5)
-        for number, part in enumerate(self._rows):
-            add_halves(*changed[2 * number : 2 * number + 2], self._phase, half, part[low:high])
+        for side, part in enumerate(self._rows):
+            add_halves(*changes[2 * side : 2 * side + 2], self._phase, half, part[low:high])
 
     def _pieces(self, low: int, high: int) -> Iterator[tuple[tuple[int, int], bool]]:
-        """Rows that lie beside each other on the plane, and whether they are the band's own."""
+        """Yield pieces of contiguous rows, and whether they belong to the band itself."""
         (start, stop), height = self._ends, len(self._rows[0])
         cuts = {start, stop, *range(-(-low // height) * height, high, height)}
         ends = sorted({low, high, *(cut for cut in cuts if low < cut < high)})

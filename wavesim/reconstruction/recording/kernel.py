@@ -1,7 +1,8 @@
 """Compiled loops of :mod:`wavesim.reconstruction.forward_model` and
 :mod:`wavesim.reconstruction.recording.pixel_means`.
 
-Each does some rows, or columns, for a thread. All borders are periodic, as those of spectra are.
+Each loop processes some rows or columns on one thread. All borders are periodic, as those of spectra are.
+"Middle" samples lie in the centers of pixels, "edge" samples half a pixel farther along y.
 """
 
 # mypy: disable-error-code="misc"
@@ -19,7 +20,7 @@ _jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, 
 
 
 @_jit
-def carried_columns(
+def propagate_columns(
     spectrum: NDArray,
     first: int,
     factor: NDArray,
@@ -31,26 +32,28 @@ def carried_columns(
     even: NDArray,
     odd: NDArray,
 ) -> None:
-    """Columns of a spectrum on a plane, over their number, and the same half a sample farther."""
+    """Propagate columns of a spectrum to a plane, and to points half a sample farther down, over their
+    count.
+    """
     height, width = even.shape
-    share = down.dtype.type(1.0 / height)
+    fraction = down.dtype.type(1.0 / height)
     line = empty(width, even.dtype)
     for k in range(height // 2 + 1):
-        _line(factor, rows[k], columns, across, first, line)
-        # The way is the same for a frequency and its negative.
+        _transfer_row(factor, rows[k], columns, across, first, line)
+        # The transfer function is the same for a frequency and its negative.
         for side in range(1 if k == 0 or 2 * k == height else 2):
             i = height - k if side else k
-            # Slices have no index below 0, which would keep loops from being vectorised.
+            # Slices avoid negative indices, which would prevent vectorized loops.
             source, middle, edge = spectrum[i, first : first + width], even[i], odd[i]
-            turned, shift = phase[i], down[i] * share
+            half_shift, shift = phase[i], down[i] * fraction
             for j in range(width):
                 value = source[j] * (line[j] * shift)
                 middle[j] = value
-                edge[j] = value * turned
+                edge[j] = value * half_shift
 
 
 @_jit
-def add_columns(
+def add_columns_adjoint(
     even: NDArray,
     odd: NDArray,
     first: int,
@@ -63,30 +66,32 @@ def add_columns(
     half: Any,
     total: NDArray,
 ) -> None:
-    """The adjoint of `carried_columns`, with half its size."""
+    """Add half of the adjoint of `propagate_columns` to a spectrum."""
     height, width = even.shape
     line = empty(width, even.dtype)
     for k in range(height // 2 + 1):
-        _line(factor, rows[k], columns, across, first, line)
+        _transfer_row(factor, rows[k], columns, across, first, line)
         for side in range(1 if k == 0 or 2 * k == height else 2):
             i = height - k if side else k
             result, middle, edge = total[i, first : first + width], even[i], odd[i]
-            back, shift = conj(phase[i]), half * conj(down[i])
+            conjugate_shift, shift = conj(phase[i]), half * conj(down[i])
             for j in range(width):
-                result[j] += (middle[j] + back * edge[j]) * (conj(line[j]) * shift)
+                result[j] += (middle[j] + conjugate_shift * edge[j]) * (conj(line[j]) * shift)
 
 
 @_jit
-def _line(factor: NDArray, row: int, columns: NDArray, across: NDArray, first: int, line: NDArray) -> None:
-    """A way's factors of one row, but for its own shift."""
-    along, own = columns[first : first + line.size], across[first : first + line.size]
+def _transfer_row(
+    factor: NDArray, row: int, columns: NDArray, across: NDArray, first: int, line: NDArray
+) -> None:
+    """Write one row of a transfer function without the shift along y."""
+    along, local_across = columns[first : first + line.size], across[first : first + line.size]
     for j in range(line.size):
-        line[j] = factor[row, along[j]] * own[j]
+        line[j] = factor[row, along[j]] * local_across[j]
 
 
 @_jit
 def halves(spectra: NDArray, phase: NDArray, even: NDArray, odd: NDArray) -> None:
-    """Spectra along rows, and the same half a sample on."""
+    """Copy spectra of rows, and write the same rows shifted by half a sample."""
     for i in range(spectra.shape[0]):
         for j in range(spectra.shape[1]):
             value = spectra[i, j]
@@ -96,7 +101,7 @@ def halves(spectra: NDArray, phase: NDArray, even: NDArray, odd: NDArray) -> Non
 
 @_jit
 def add_halves(even: NDArray, odd: NDArray, phase: NDArray, half: Any, result: NDArray) -> None:
-    """The adjoint of `halves`, with half its size."""
+    """Write the adjoint of `halves`, times the factor `half`."""
     for i in range(even.shape[0]):
         for j in range(even.shape[1]):
             result[i, j] = half * (even[i, j] + conj(phase[j]) * odd[i, j])
@@ -106,7 +111,10 @@ def add_halves(even: NDArray, odd: NDArray, phase: NDArray, half: Any, result: N
 def means_along_rows(
     even: NDArray, odd: NDArray, other_even: NDArray, other_odd: NDArray, taps: NDArray, result: NDArray
 ) -> None:
-    """Of real products of two fields, from samples in the middles of pixels and at their upper edges."""
+    """Write weighted means along rows of the real products of two fields.
+
+    The samples lie in the middles of pixels (even) and between them (odd).
+    """
     count = even.shape[1]
     middle, edge = empty(count + 3, taps.dtype), empty(count + 3, taps.dtype)
     for i in range(even.shape[0]):
@@ -128,7 +136,7 @@ def means_along_rows(
 
 @_jit
 def _wrap(line: NDArray, count: int) -> None:
-    """Fill two samples before and one after a line that begins at index 2."""
+    """Fill two samples before and one after a periodic line that begins at index 2."""
     for k in (0, 1):
         line[k] = line[2 + (k - 2) % count]
     line[count + 2] = line[2]
@@ -138,16 +146,16 @@ def _wrap(line: NDArray, count: int) -> None:
 def means_along_columns(
     even: NDArray, odd: NDArray, taps: NDArray, least: Any, result: NDArray, start: int, stop: int
 ) -> None:
-    """Rows `start` to `stop` of the pixels' means, not below `least`."""
+    """Write rows `start` to `stop` of the means over pixels, which are at least `least`."""
     count = even.shape[0]
     for i in range(start, stop):
-        below, under, above = (i - 1) % count, (i - 2) % count, (i + 1) % count
+        below, second_below, above = (i - 1) % count, (i - 2) % count, (i + 1) % count
         for j in range(even.shape[1]):
             total = (
                 taps[0] * even[i, j]
                 + taps[1] * (odd[i, j] + odd[below, j])
                 + taps[2] * (even[above, j] + even[below, j])
-                + taps[3] * (odd[above, j] + odd[under, j])
+                + taps[3] * (odd[above, j] + odd[second_below, j])
             )
             result[i, j] = max(total, least)
 
@@ -156,20 +164,20 @@ def means_along_columns(
 def multiply_spread(
     even: NDArray, odd: NDArray, factor: NDArray, first: int, between: bool, taps: NDArray
 ) -> None:
-    """Rows of a field times the adjoint of the means of each pixel's factor, such that means remain.
+    """Multiply rows of a field by the adjoint of the pixel means of a factor per pixel.
 
-    `first` is the first row's number among the pixels; `between`: the rows lie at the pixels' upper edges.
-    `taps` are twice those of the means.
+    `first` is the index of the first row among the pixels. `between` states that the rows lie at the upper
+    edges of pixels. `taps` are twice those of the means.
     """
     height, width = factor.shape
     line = empty(width + 4, taps.dtype)
     for i in range(even.shape[0]):
         y = first + i
-        below, above, over = (y - 1) % height, (y + 1) % height, (y + 2) % height
+        below, above, second_above = (y - 1) % height, (y + 1) % height, (y + 2) % height
         for j in range(width):
             if between:
                 value = taps[1] * (factor[y, j] + factor[above, j])
-                value += taps[3] * (factor[below, j] + factor[over, j])
+                value += taps[3] * (factor[below, j] + factor[second_above, j])
             else:
                 value = taps[0] * factor[y, j] + taps[2] * (factor[below, j] + factor[above, j])
             line[j + 1] = value
@@ -191,74 +199,75 @@ def change_pixels(
     dark: Any,
     background: NDArray,
 ) -> float:
-    """Replace intensities by the weighted relative changes of amplitude that are wanted; gives the misfit.
+    """Replace mean intensities by the weighted relative change of amplitude; return the squared misfit.
 
-    That is the weighted sum of squared differences from recorded amplitudes over the scale. Without `sigma`
-    (of size 0) all weights are 1. To the modelled intensity comes the background, where there is one (its
-    size is not 0).
+    The misfit is the weighted sum of squared differences from the measured amplitudes, divided by the scale.
+    Without `sigma` (size 0) all weights are 1. The background, if any (size not 0), is added to the modelled
+    intensity.
     """
-    missed, weighted, behind, one = 0.0, sigma.size > 0, background.size > 0, least / least
-    share = one
+    squared_misfit, has_sigma, has_background, one = 0.0, sigma.size > 0, background.size > 0, least / least
+    fraction = one
     for i in range(intensity.shape[0]):
         row = 0.0
         for j in range(intensity.shape[1]):
-            if weighted:
-                share = min(least / sigma[i, j], one)
-            wanted, seen = amplitude[i, j] / scale, intensity[i, j]
-            if behind:
-                seen += background[i, j] / (scale * scale)
-            off = share * (wanted - sqrt(seen))
-            row += off * off
-            ratio = sqrt((wanted * wanted + dark) / (seen + dark))
-            intensity[i, j] = share * share * (ratio - one)
-        missed += row
-    return missed
+            if has_sigma:
+                fraction = min(least / sigma[i, j], one)
+            target, modelled = amplitude[i, j] / scale, intensity[i, j]
+            if has_background:
+                modelled += background[i, j] / (scale * scale)
+            difference = fraction * (target - sqrt(modelled))
+            row += difference * difference
+            ratio = sqrt((target * target + dark) / (modelled + dark))
+            intensity[i, j] = fraction * fraction * (ratio - one)
+        squared_misfit += row
+    return squared_misfit
 
 
 @_jit
 def change_samples(
     field: NDArray, amplitude: NDArray, sigma: NDArray, least: Any, scale: Any, background: NDArray
 ) -> float:
-    """Replace a field by the weighted change that gives it the amplitudes wanted; gives the misfit.
+    """Replace a field by the weighted change that gives it the measured amplitudes; return the squared
+    misfit.
 
-    Where there is no light it takes the phase 0. The background is that of `change_pixels`.
+    A sample without light gets the phase 0. The background is treated as in `change_pixels`.
     """
-    missed, weighted, behind, one = 0.0, sigma.size > 0, background.size > 0, least / least
-    share = one
+    squared_misfit, has_sigma, has_background, one = 0.0, sigma.size > 0, background.size > 0, least / least
+    fraction = one
     for i in range(field.shape[0]):
         row = 0.0
         for j in range(field.shape[1]):
-            if weighted:
-                share = min(least / sigma[i, j], one)
-            wanted, value = amplitude[i, j] / scale, field[i, j]
+            if has_sigma:
+                fraction = min(least / sigma[i, j], one)
+            target, value = amplitude[i, j] / scale, field[i, j]
             power = value.real * value.real + value.imag * value.imag
-            if behind:
+            if has_background:
                 power += background[i, j] / (scale * scale)
-            seen = sqrt(power)
-            off = share * (wanted - seen)
-            row += off * off
-            if seen > 0:
-                field[i, j] = value * (share * off / seen)
+            modelled = sqrt(power)
+            difference = fraction * (target - modelled)
+            row += difference * difference
+            if modelled > 0:
+                field[i, j] = value * (fraction * difference / modelled)
             else:
-                field[i, j] = share * off
-        missed += row
-    return missed
+                field[i, j] = fraction * difference
+        squared_misfit += row
+    return squared_misfit
 
 
 @_jit
 def weighted_products(
     intensity: NDArray, amplitude: NDArray, sigma: NDArray, least: Any
 ) -> tuple[float, float]:
-    """Weighted sums of modelled times recorded amplitudes, and of modelled intensities."""
-    met, own, weighted, one = 0.0, 0.0, sigma.size > 0, least / least
-    share = one
+    """Return weighted sums of modelled times measured amplitudes, and of modelled intensities."""
+    cross, power, has_sigma, one = 0.0, 0.0, sigma.size > 0, least / least
+    fraction = one
     for i in range(intensity.shape[0]):
-        of_row, own_of_row = 0.0, 0.0
+        cross_of_row, power_of_row = 0.0, 0.0
         for j in range(intensity.shape[1]):
-            if weighted:
-                share = min(least / sigma[i, j], one)
-            pull = share * share
-            of_row += pull * sqrt(intensity[i, j]) * amplitude[i, j]
-            own_of_row += pull * intensity[i, j]
-        met, own = met + of_row, own + own_of_row
-    return met, own
+            if has_sigma:
+                fraction = min(least / sigma[i, j], one)
+            squared_weight = fraction * fraction
+            cross_of_row += squared_weight * sqrt(intensity[i, j]) * amplitude[i, j]
+            power_of_row += squared_weight * intensity[i, j]
+        cross, power = cross + cross_of_row, power + power_of_row
+    return cross, power

@@ -52,7 +52,7 @@ def take_cells(_: Any, grid: Any, first: Any, apart: Any) -> Any:
 
 @intrinsic
 def put_cells(_: Any, grid: Any, first: Any, apart: Any, real: Any, imaginary: Any) -> Any:
-    """The way back."""
+    """Store real and imaginary parts in cells of a grid."""
 
     def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         flat, start, steps, *parts = values
@@ -79,16 +79,16 @@ def _through(
     apart: tuple[int, int, int, int],
     count: int,
     steps: Steps,
-    back: bool,
+    inverse: bool,
     samples: NDArray,
-    rooms: NDArray,
+    buffers: NDArray,
 ) -> None:
     """Transform what begins at four places of flat arrays, from one to the other, which may be the same."""
     for j in range(count):
         real, imaginary = take_cells(source, first + j * along, apart)
         store(samples, j * SAMPLE, real)
         store(samples, j * SAMPLE + LANES, imaginary)
-    passes.transform(samples, samples, count, steps, back, rooms)
+    passes.transform(samples, samples, count, steps, inverse, buffers)
     for j in range(count):
         real, imaginary = load(samples, j * SAMPLE), load(samples, j * SAMPLE + LANES)
         put_cells(target, first_there + j * along_there, apart, real, imaginary)
@@ -101,11 +101,11 @@ def transform_cells(
     stop: int,
     axis: int,
     steps: Steps,
-    back: bool,
+    inverse: bool,
     samples: NDArray,
-    rooms: NDArray,
+    buffers: NDArray,
 ) -> None:
-    """Transform rows or columns of a grid in place, forward or back, without a factor.
+    """Transform rows or columns of a grid in place, forward or inverse, without a factor.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def transform_cells(
         Of the columns where `axis` is 0, else of the rows.
     axis
         Along which is transformed.
-    steps, back, rooms
+    steps, inverse, buffers
         As of :func:`wavesim.runtime.fourier.passes.transform`.
     samples
         Room for those along the axis.
@@ -124,42 +124,44 @@ def transform_cells(
     row = grid.shape[1] * numbers
     along, across = (row, numbers) if axis == 0 else (numbers, row)
     for first in range(start, stop, CELLS):
-        # Where cells are wanting the last one stands for them, and is put back as often.
+        # The last cell replaces missing ones, and is written back as often.
         last = stop - 1 - first
         apart = (0, min(1, last) * across, min(2, last) * across, min(3, last) * across)
         for part in range(0, numbers, PART):
             at = first * across + part
-            _through(flat, at, along, flat, at, along, apart, grid.shape[axis], steps, back, samples, rooms)
+            _through(
+                flat, at, along, flat, at, along, apart, grid.shape[axis], steps, inverse, samples, buffers
+            )
 
 
 @_jit
 def transform_columns(
-    source: NDArray, target: NDArray, steps: Steps, back: bool, samples: NDArray, rooms: NDArray
+    source: NDArray, target: NDArray, steps: Steps, inverse: bool, samples: NDArray, buffers: NDArray
 ) -> None:
-    """Transform columns into those of another array, forward, or back but for a factor.
+    """Transform columns into those of another array, forward, or inverse without a factor.
 
     Parameters
     ----------
     source, target
         Real and imaginary parts in turn along each row, of one shape; rows may lie apart.
-    steps, back, samples, rooms
+    steps, inverse, samples, buffers
         As of :func:`transform_cells`.
     """
     (count, width), whole = source.shape, (0, PART, 2 * PART, 3 * PART)
     if width < SAMPLE:
-        _few_columns(source, target, steps, back, samples, rooms)
+        _few_columns(source, target, steps, inverse, samples, buffers)
         return
     given, along = _flat(source), source.strides[0] // source.itemsize
     taking, along_there = _flat(target), target.strides[0] // target.itemsize
     for start in range(0, width, SAMPLE):
         # The last sixteen begin where as many are left.
         at = min(start, width - SAMPLE)
-        _through(given, at, along, taking, at, along_there, whole, count, steps, back, samples, rooms)
+        _through(given, at, along, taking, at, along_there, whole, count, steps, inverse, samples, buffers)
 
 
 @_jit
 def _few_columns(
-    source: NDArray, target: NDArray, steps: Steps, back: bool, samples: NDArray, rooms: NDArray
+    source: NDArray, target: NDArray, steps: Steps, inverse: bool, samples: NDArray, buffers: NDArray
 ) -> None:
     """Fewer than sixteen."""
     count, width = source.shape
@@ -167,7 +169,7 @@ def _few_columns(
     for j in range(count):
         for i in range(width):
             samples[j * SAMPLE + i // 2 + i % 2 * LANES] = source[j, i]
-    passes.transform(samples, samples, count, steps, back, rooms)
+    passes.transform(samples, samples, count, steps, inverse, buffers)
     for j in range(count):
         for i in range(width):
             target[j, i] = samples[j * SAMPLE + i // 2 + i % 2 * LANES]
@@ -175,7 +177,7 @@ def _few_columns(
 
 @_jit
 def _flat(rows: NDArray) -> NDArray:
-    """All memory from the first number of rows to the last."""
+    """Return a flat view of the memory of rows, from the first value to the last."""
     size = (rows.shape[0] - 1) * (rows.strides[0] // rows.itemsize) + rows.shape[1]
     return as_strided(rows, (size,), (rows.itemsize,))
 

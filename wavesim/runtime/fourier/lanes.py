@@ -43,7 +43,7 @@ class Lanes(types.Type):
 
 @register_model(Lanes)
 class _Model(models.PrimitiveModel):
-    """In memory the numbers lie one after the other."""
+    """Data model of a vector, whose numbers are contiguous in memory."""
 
     def __init__(self, manager: Any, kind: Lanes) -> None:
         super().__init__(manager, kind, ir.VectorType(manager[kind.number].get_value_type(), LANES))
@@ -133,7 +133,7 @@ def fetch(_: Any, array: Any, first: Any) -> Any:
 
 
 def _choice(name: str, relation: str) -> Any:
-    """Of two vectors, number by number, the one that is smaller or larger."""
+    """Return the elementwise minimum or maximum of two vectors."""
 
     def chosen(_: Any, one: Any, other: Any) -> Any:
         def made(__: Any, builder: Any, ___: Any, values: Any) -> Any:
@@ -162,7 +162,7 @@ def _shuffle(name: str, places: list[int]) -> Any:
 
 
 def lane_numbers(numbers: Sequence[int]) -> Any:
-    """Of vectors that are shuffled, as LLVM takes them."""
+    """Return the shuffle mask of vectors in the form of LLVM."""
     return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
 

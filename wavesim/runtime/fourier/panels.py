@@ -26,10 +26,11 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
 RADICES = (8, 4, 2, 3, 5, 7, 11, 13)
-"""What numbers of samples are divided by, in this order; with others left a transform is a convolution."""
+"""Radices of the passes, in this order; with other prime factors a transform is a convolution."""
 
 APART = 16
-"""Rows of room between panels: powers of 2 apart, all would want the same places of a cache."""
+"""Padding rows between panels, since panels at distances of powers of 2 would share the same lines of a
+cache."""
 
 
 class Panels:
@@ -61,49 +62,49 @@ class Panels:
     def put_rows(self, rows: ComplexArray, first: int) -> None:
         """Transform rows along themselves, and put them in from one row on."""
         width = self.shape[1]
-        samples, rooms = self._at_work(width)
+        samples, buffers = self._at_work(width)
         for start in range(0, len(rows), LANES):
             part = rows[start : start + LANES]
             passes.rows_to_samples(part.view(self.values.dtype), samples)
             samples[width * SAMPLE :] = 0.0
-            passes.transform(samples, samples, width, self._across, False, rooms)
+            passes.transform(samples, samples, width, self._across, False, buffers)
             passes.samples_to_panels(samples, len(part), self._flat, first + start)
 
     def take_rows(self, first: int, rows: ComplexArray, values: RealArray | None = None) -> ComplexArray:
-        """Transform rows from one on back along themselves, but for a factor; of other values if given."""
+        """Apply the inverse transform without its factor along rows from one on; to other values if given."""
         width = self.shape[1]
         panels = self._flat if values is None else values.reshape(len(values), -1)
-        samples, rooms = self._at_work(width)
+        samples, buffers = self._at_work(width)
         for start in range(0, len(rows), LANES):
             part = rows[start : start + LANES]
             passes.panels_to_samples(panels, first + start, len(part), samples)
-            passes.transform(samples, samples, width, self._across, True, rooms)
+            passes.transform(samples, samples, width, self._across, True, buffers)
             passes.samples_to_rows(samples, part.view(self.values.dtype))
         return rows
 
-    def along_columns(self, source: RealArray, target: RealArray, back: bool) -> None:
-        """Transform a panel's columns, forward, or back but for a factor, into one that may be the same."""
-        _, rooms = self._at_work(self.shape[0])
+    def along_columns(self, source: RealArray, target: RealArray, inverse: bool) -> None:
+        """Transform a panel's columns, forward or inverse without a factor; both may be the same."""
+        _, buffers = self._at_work(self.shape[0])
         given, taking = source.reshape(-1), target.reshape(-1)
-        passes.transform(given, taking, self.shape[0], self._down, back, rooms)
+        passes.transform(given, taking, self.shape[0], self._down, inverse, buffers)
 
     def _at_work(self, count: int) -> tuple[RealArray, RealArray]:
-        """This thread's samples of sixteen rows, and rooms for transforms of a count."""
+        """This thread's samples of sixteen rows, and buffers for transforms of a count."""
         kind = self.dtype.name
-        samples = thread_room("samples", (len(self.values) * LANES * SAMPLE,), kind)
-        return samples, rooms_for(count, kind)
+        samples = thread_buffer("samples", (len(self.values) * LANES * SAMPLE,), kind)
+        return samples, buffers_for(count, kind)
 
 
 def bytes_of_panels(shape: tuple[int, int], dtype: DTypeLike) -> int:
-    """Of values on a plane."""
+    """Return the memory of values on a plane."""
     return -(-shape[1] // LANES) * LANES * (shape[0] + APART) * np.dtype(dtype).itemsize
 
 
 def transform_bytes(shape: tuple[int, int], dtype: DTypeLike) -> int:
-    """Of each thread, beside the values: samples of sixteen rows, and rooms for the longer transform."""
+    """Return the working memory of each thread: sixteen rows, and buffers of the longer transform."""
     wide = max(map(convolved, shape))
-    rooms = 2 if all(convolved(count) == count for count in shape) else 3
-    return (shape[1] + rooms * wide) * LANES * np.dtype(dtype).itemsize
+    buffers = 2 if all(convolved(count) == count for count in shape) else 3
+    return (shape[1] + buffers * wide) * LANES * np.dtype(dtype).itemsize
 
 
 def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
@@ -120,29 +121,29 @@ def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
 
 @cache
 def steps_for(count: int, dtype: str) -> Steps:
-    """Of a transform of so many samples of a complex type."""
+    """Return the factors of a transform of a number of samples of a complex type."""
     kind: Any = np.dtype(dtype).type(0).real.dtype
     wide = convolved(count)
     radices = _radices(wide)
     if wide == count:
         none = np.zeros(0, kind)
-        return Steps(*_turns(radices, count, kind), none, none)
+        return Steps(*_twiddles(radices, count, kind), none, none)
     squares = np.arange(count) ** 2 % (2 * count)
     chirp = np.exp(-1j * np.pi * squares / count)
     response = np.zeros(wide, complex)
     response[:count] = chirp.conj()
     response[wide - count + 1 :] = chirp[:0:-1].conj()
     spectrum = scipy.fft.fft(response) / wide
-    return Steps(*_turns(radices, wide, kind), _in_turn(chirp, kind), _in_turn(spectrum, kind))
+    return Steps(*_twiddles(radices, wide, kind), _in_turn(chirp, kind), _in_turn(spectrum, kind))
 
 
 def convolved(count: int) -> int:
-    """How many samples are transformed for so many: more where there are prime factors that no pass takes."""
+    """Return the transformed number of samples, which is larger where no pass handles a prime factor."""
     return count if math.prod(_radices(count)) == count else scipy.fft.next_fast_len(2 * count - 1)
 
 
 def _radices(count: int) -> list[int]:
-    """Factors for which there are passes."""
+    """Return the factors for which there are passes."""
     found = []
     for radix in RADICES:
         while count % radix == 0:
@@ -151,31 +152,31 @@ def _radices(count: int) -> list[int]:
     return found
 
 
-def _turns(
+def _twiddles(
     radices: list[int], count: int, kind: Any
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], RealArray]:
-    firsts, turns, left = [0], [], count
+    firsts, twiddles, left = [0], [], count
     for radix in radices:
         angles = np.outer(np.arange(left // radix), np.arange(1, radix)).ravel()
-        turns.append(np.exp(-2j * np.pi * (angles % left) / left))
+        twiddles.append(np.exp(-2j * np.pi * (angles % left) / left))
         firsts.append(firsts[-1] + len(angles))
         left //= radix
-    return np.array(radices, np.int64), np.array(firsts), _in_turn(np.concatenate([*turns, []]), kind)
+    return np.array(radices, np.int64), np.array(firsts), _in_turn(np.concatenate([*twiddles, []]), kind)
 
 
 def _in_turn(values: NDArray[np.complex128], kind: Any) -> RealArray:
-    """Real and imaginary parts one after the other."""
+    """Return real and imaginary parts one after the other."""
     return np.ascontiguousarray(values, complex).view(float).astype(kind)
 
 
-def rooms_for(count: int, dtype: str) -> RealArray:
-    """A thread's own rooms for transforms of so many samples of a complex type."""
-    rooms, wide = rooms_shape(count)
-    return thread_room("rooms", (rooms, wide * SAMPLE), dtype)
+def buffers_for(count: int, dtype: str) -> RealArray:
+    """Return a thread's own buffers for transforms of a number of samples of a complex type."""
+    buffers, wide = buffers_shape(count)
+    return thread_buffer("buffers", (buffers, wide * SAMPLE), dtype)
 
 
-def rooms_shape(count: int) -> tuple[int, int]:
-    """How many rooms a transform of so many samples takes, and samples in each."""
+def buffers_shape(count: int) -> tuple[int, int]:
+    """Return the number of buffers of a transform, and the samples in each."""
     wide = convolved(count)
     return 2 if wide == count else 3, wide
 
@@ -183,8 +184,8 @@ def rooms_shape(count: int) -> tuple[int, int]:
 _THREAD = threading.local()
 
 
-def thread_room(name: str, shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
-    """Real numbers for a thread's own use, the same at every call: to touch new memory takes time."""
+def thread_buffer(name: str, shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
+    """Return a real buffer of a thread, the same at every call, since touching new memory takes time."""
     kept = _THREAD.__dict__
     if name not in kept or (kept[name].shape, kept[name].dtype) != (
         shape,

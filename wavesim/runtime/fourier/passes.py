@@ -4,8 +4,8 @@ A sample is sixteen complex numbers, one of each row or column: their real parts
 in a flat array. The transform of n samples goes in one pass for each factor of n, after which they are in
 order (T. G. Stockham, AFIPS Conf. Proc. 28, 229, 1966; C. Van Loan, Computational Frameworks for the Fast
 Fourier Transform, SIAM 1992, sec. 1.7). Other numbers of samples are taken as convolutions with a chirp
-(L. I. Bluestein, IEEE Trans. Audio Electroacoust. 18, 451, 1970). A transform back is one forward in which
-real and imaginary parts have changed their places.
+(L. I. Bluestein, IEEE Trans. Audio Electroacoust. 18, 451, 1970). An inverse transform is a forward one in
+which real and imaginary parts have changed their places.
 """
 
 # mypy: disable-error-code="misc, operator"
@@ -25,22 +25,22 @@ from wavesim.runtime.fourier.lanes import LANES, alike, fetch, load, store, tran
 _jit = cached_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 
 SAMPLE = 2 * LANES
-"""Numbers of a sample."""
+"""Real numbers of a sample."""
 
 AHEAD = 4
-"""So many panels before one its rows are asked for: of pieces so short a processor foresees little."""
+"""Number of panels by which prefetches precede the use, since hardware prefetchers miss such short pieces."""
 
 
 class Steps(NamedTuple):
-    """What a transform of some number of samples is made of; all but the radices of the samples' kind.
+    """Factors of a transform of a number of samples; all but the radices have the samples' type.
 
     Attributes
     ----------
     radices : ndarray of int
         Factors of the number of samples, or of that of the convolution.
     firsts : ndarray of int
-        Where in `turns` those of a pass begin.
-    turns : ndarray
+        Where in `twiddles` those of a pass begin.
+    twiddles : ndarray
         For each pass exp(-2 pi i p k / left), of p = 0 ... left / radix - 1 and k = 1 ... radix - 1, where
         `left` is what no pass before has divided; real and imaginary parts in turn.
     chirp : ndarray
@@ -51,7 +51,7 @@ class Steps(NamedTuple):
 
     radices: NDArray
     firsts: NDArray
-    turns: NDArray
+    twiddles: NDArray
     chirp: NDArray
     response: NDArray
 
@@ -63,9 +63,9 @@ def _put(y: NDArray, at: int, real: Any, imaginary: Any, parts: tuple[int, int])
 
 
 @_jit
-def _turned(real: Any, imaginary: Any, turns: NDArray, k: int) -> tuple[Any, Any]:
-    """Times the factor number k."""
-    c, s = alike(turns[2 * k]), alike(turns[2 * k + 1])
+def _times_twiddle(real: Any, imaginary: Any, twiddles: NDArray, k: int) -> tuple[Any, Any]:
+    """Multiply a value by the twiddle factor with index k."""
+    c, s = alike(twiddles[2 * k]), alike(twiddles[2 * k + 1])
     return real * c - imaginary * s, real * s + imaginary * c
 
 
@@ -75,8 +75,10 @@ def _get(x: NDArray, at: int, parts: tuple[int, int]) -> tuple[Any, Any]:
 
 
 @_jit
-def _put_turned(y: NDArray, at: int, value: Any, turns: NDArray, k: int, parts: tuple[int, int]) -> None:
-    real, imaginary = _turned(value[0], value[1], turns, k)
+def _put_times_twiddle(
+    y: NDArray, at: int, value: Any, twiddles: NDArray, k: int, parts: tuple[int, int]
+) -> None:
+    real, imaginary = _times_twiddle(value[0], value[1], twiddles, k)
     _put(y, at, real, imaginary, parts)
 
 
@@ -95,17 +97,17 @@ def _four(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 @_jit
-def _pass_of_2(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+def _pass_of_2(x: NDArray, y: NDArray, m: int, s: int, twiddles: NDArray, k: int, parts: Any) -> None:
     for p in range(m):
         for q in range(s):
             i, o, d = q + s * p, q + s * 2 * p, s * m
             one, other = _two(_get(x, i, parts), _get(x, i + d, parts))
             _put(y, o, one[0], one[1], parts)
-            _put_turned(y, o + s, other, turns, k + p, parts)
+            _put_times_twiddle(y, o + s, other, twiddles, k + p, parts)
 
 
 @_jit
-def _pass_of_3(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+def _pass_of_3(x: NDArray, y: NDArray, m: int, s: int, twiddles: NDArray, k: int, parts: Any) -> None:
     half, root = alike(x.dtype.type(0.5)), alike(x.dtype.type(math.sqrt(0.75)))
     for p in range(m):
         for q in range(s):
@@ -115,12 +117,16 @@ def _pass_of_3(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, p
             middle = a[0] - half * both[0], a[1] - half * both[1]
             turn = root * apart[1], root * apart[0]
             _put(y, o, a[0] + both[0], a[1] + both[1], parts)
-            _put_turned(y, o + s, (middle[0] + turn[0], middle[1] - turn[1]), turns, k + 2 * p, parts)
-            _put_turned(y, o + 2 * s, (middle[0] - turn[0], middle[1] + turn[1]), turns, k + 2 * p + 1, parts)
+            _put_times_twiddle(
+                y, o + s, (middle[0] + turn[0], middle[1] - turn[1]), twiddles, k + 2 * p, parts
+            )
+            _put_times_twiddle(
+                y, o + 2 * s, (middle[0] - turn[0], middle[1] + turn[1]), twiddles, k + 2 * p + 1, parts
+            )
 
 
 @_jit
-def _pass_of_4(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+def _pass_of_4(x: NDArray, y: NDArray, m: int, s: int, twiddles: NDArray, k: int, parts: Any) -> None:
     for p in range(m):
         for q in range(s):
             i, o, d, t = q + s * p, q + s * 4 * p, s * m, k + 3 * p
@@ -128,13 +134,13 @@ def _pass_of_4(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, p
                 _get(x, i, parts), _get(x, i + d, parts), _get(x, i + 2 * d, parts), _get(x, i + 3 * d, parts)
             )
             _put(y, o, first[0], first[1], parts)
-            _put_turned(y, o + s, second, turns, t, parts)
-            _put_turned(y, o + 2 * s, third, turns, t + 1, parts)
-            _put_turned(y, o + 3 * s, fourth, turns, t + 2, parts)
+            _put_times_twiddle(y, o + s, second, twiddles, t, parts)
+            _put_times_twiddle(y, o + 2 * s, third, twiddles, t + 1, parts)
+            _put_times_twiddle(y, o + 3 * s, fourth, twiddles, t + 2, parts)
 
 
 @_jit
-def _pass_of_5(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+def _pass_of_5(x: NDArray, y: NDArray, m: int, s: int, twiddles: NDArray, k: int, parts: Any) -> None:
     kind, angle = x.dtype.type, 0.4 * math.pi
     c, e = alike(kind(math.cos(angle))), alike(kind(math.cos(2.0 * angle)))
     f, g = alike(kind(math.sin(angle))), alike(kind(math.sin(2.0 * angle)))
@@ -149,14 +155,16 @@ def _pass_of_5(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, p
             far = a[0] + e * outer[0] + c * inner[0], a[1] + e * outer[1] + c * inner[1]
             by_near = f * outer_apart[0] + g * inner_apart[0], f * outer_apart[1] + g * inner_apart[1]
             by_far = g * outer_apart[0] - f * inner_apart[0], g * outer_apart[1] - f * inner_apart[1]
-            _put_turned(y, o + s, (near[0] + by_near[1], near[1] - by_near[0]), turns, t, parts)
-            _put_turned(y, o + 2 * s, (far[0] + by_far[1], far[1] - by_far[0]), turns, t + 1, parts)
-            _put_turned(y, o + 3 * s, (far[0] - by_far[1], far[1] + by_far[0]), turns, t + 2, parts)
-            _put_turned(y, o + 4 * s, (near[0] - by_near[1], near[1] + by_near[0]), turns, t + 3, parts)
+            _put_times_twiddle(y, o + s, (near[0] + by_near[1], near[1] - by_near[0]), twiddles, t, parts)
+            _put_times_twiddle(y, o + 2 * s, (far[0] + by_far[1], far[1] - by_far[0]), twiddles, t + 1, parts)
+            _put_times_twiddle(y, o + 3 * s, (far[0] - by_far[1], far[1] + by_far[0]), twiddles, t + 2, parts)
+            _put_times_twiddle(
+                y, o + 4 * s, (near[0] - by_near[1], near[1] + by_near[0]), twiddles, t + 3, parts
+            )
 
 
 @_jit
-def _pass_of_8(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+def _pass_of_8(x: NDArray, y: NDArray, m: int, s: int, twiddles: NDArray, k: int, parts: Any) -> None:
     root = alike(x.dtype.type(math.sqrt(0.5)))
     for p in range(m):
         for q in range(s):
@@ -178,21 +186,23 @@ def _pass_of_8(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, p
             one, five = _two(even[0], odd[0])
             two, six = _two(even[1], second)
             _put(y, o, one[0], one[1], parts)
-            _put_turned(y, o + s, two, turns, t, parts)
+            _put_times_twiddle(y, o + s, two, twiddles, t, parts)
             across = odd[2][1], odd[2][0]
             three, seven = _two(even[2], across)
-            _put_turned(y, o + 2 * s, (three[0], seven[1]), turns, t + 1, parts)
+            _put_times_twiddle(y, o + 2 * s, (three[0], seven[1]), twiddles, t + 1, parts)
             four, eight = _two(even[3], fourth)
-            _put_turned(y, o + 3 * s, (four[0], eight[1]), turns, t + 2, parts)
-            _put_turned(y, o + 4 * s, five, turns, t + 3, parts)
-            _put_turned(y, o + 5 * s, six, turns, t + 4, parts)
-            _put_turned(y, o + 6 * s, (seven[0], three[1]), turns, t + 5, parts)
-            _put_turned(y, o + 7 * s, (eight[0], four[1]), turns, t + 6, parts)
+            _put_times_twiddle(y, o + 3 * s, (four[0], eight[1]), twiddles, t + 2, parts)
+            _put_times_twiddle(y, o + 4 * s, five, twiddles, t + 3, parts)
+            _put_times_twiddle(y, o + 5 * s, six, twiddles, t + 4, parts)
+            _put_times_twiddle(y, o + 6 * s, (seven[0], three[1]), twiddles, t + 5, parts)
+            _put_times_twiddle(y, o + 7 * s, (eight[0], four[1]), twiddles, t + 6, parts)
 
 
 @_jit
-def _pass_of_odd(x: NDArray, y: NDArray, r: int, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
-    """An odd radix for which there is no pass of its own: products of sums and differences of pairs."""
+def _pass_of_odd(
+    x: NDArray, y: NDArray, r: int, m: int, s: int, twiddles: NDArray, k: int, parts: Any
+) -> None:
+    """Apply a pass for any odd radix, by products of sums and differences of pairs."""
     roots = empty(2 * r, x.dtype)
     for j in range(r):
         roots[2 * j] = math.cos(2.0 * math.pi * j / r)
@@ -216,42 +226,46 @@ def _pass_of_odd(x: NDArray, y: NDArray, r: int, m: int, s: int, turns: NDArray,
                     both, apart = _get(pairs, 2 * n - 1, (0, LANES)), _get(pairs, 2 * n, (0, LANES))
                     near = near[0] + c * both[0], near[1] + c * both[1]
                     by = by[0] + e * apart[0], by[1] + e * apart[1]
-                _put_turned(y, o + j * s, (near[0] + by[1], near[1] - by[0]), turns, t + j - 1, parts)
+                _put_times_twiddle(
+                    y, o + j * s, (near[0] + by[1], near[1] - by[0]), twiddles, t + j - 1, parts
+                )
                 other = near[0] - by[1], near[1] + by[0]
-                _put_turned(y, o + (r - j) * s, other, turns, t + r - j - 1, parts)
+                _put_times_twiddle(y, o + (r - j) * s, other, twiddles, t + r - j - 1, parts)
 
 
 @_jit
 def _all_passes(
-    source: NDArray, target: NDArray, rooms: NDArray, count: int, steps: Steps, parts: tuple[int, int]
+    source: NDArray, target: NDArray, buffers: NDArray, count: int, steps: Steps, parts: tuple[int, int]
 ) -> None:
-    """Of `count` samples, the product of the radices; source and target may be the same."""
+    """Apply all passes to `count` samples, the product of the radices; source and target may be the same."""
     left, s, x = count, 1, source
     for number in range(len(steps.radices)):
         r, k = steps.radices[number], steps.firsts[number]
         last = number == len(steps.radices) - 1 and number > 0
-        y = target if last else rooms[number % 2]
+        y = target if last else buffers[number % 2]
         m = left // r
         if r == 8:
-            _pass_of_8(x, y, m, s, steps.turns, k, parts)
+            _pass_of_8(x, y, m, s, steps.twiddles, k, parts)
         elif r == 4:
-            _pass_of_4(x, y, m, s, steps.turns, k, parts)
+            _pass_of_4(x, y, m, s, steps.twiddles, k, parts)
         elif r == 2:
-            _pass_of_2(x, y, m, s, steps.turns, k, parts)
+            _pass_of_2(x, y, m, s, steps.twiddles, k, parts)
         elif r == 3:
-            _pass_of_3(x, y, m, s, steps.turns, k, parts)
+            _pass_of_3(x, y, m, s, steps.twiddles, k, parts)
         elif r == 5:
-            _pass_of_5(x, y, m, s, steps.turns, k, parts)
+            _pass_of_5(x, y, m, s, steps.twiddles, k, parts)
         else:
-            _pass_of_odd(x, y, r, m, s, steps.turns, k, parts)
+            _pass_of_odd(x, y, r, m, s, steps.twiddles, k, parts)
         left, s, x = m, s * r, y
     if len(steps.radices) < 2:
         target[: count * SAMPLE] = x[: count * SAMPLE]
 
 
 @_jit
-def transform(source: NDArray, target: NDArray, count: int, steps: Steps, back: bool, rooms: NDArray) -> None:
-    """Transform samples, forward or back, without a factor.
+def transform(
+    source: NDArray, target: NDArray, count: int, steps: Steps, inverse: bool, buffers: NDArray
+) -> None:
+    """Transform samples, forward or inverse, without a factor.
 
     Parameters
     ----------
@@ -261,37 +275,37 @@ def transform(source: NDArray, target: NDArray, count: int, steps: Steps, back: 
         How many samples.
     steps
         For so many.
-    back
+    inverse
         Whether exponents have the positive sign.
-    rooms
+    buffers
         Two rows, each with room for the samples; or three, for those of the convolution.
     """
-    parts = (LANES, 0) if back else (0, LANES)
+    parts = (LANES, 0) if inverse else (0, LANES)
     if len(steps.chirp) == 0:
-        _all_passes(source, target, rooms, count, steps, parts)
+        _all_passes(source, target, buffers, count, steps, parts)
         return
     wide = len(steps.response) // 2
-    padded = rooms[2]
+    padded = buffers[2]
     for j in range(count):
         value = _get(source, j, parts)
-        real, imaginary = _turned(value[0], value[1], steps.chirp, j)
+        real, imaginary = _times_twiddle(value[0], value[1], steps.chirp, j)
         _put(padded, j, real, imaginary, parts)
     padded[count * SAMPLE : wide * SAMPLE] = 0.0
-    _all_passes(padded, padded, rooms, wide, steps, parts)
+    _all_passes(padded, padded, buffers, wide, steps, parts)
     for j in range(wide):
         value = _get(padded, j, parts)
-        real, imaginary = _turned(value[0], value[1], steps.response, j)
+        real, imaginary = _times_twiddle(value[0], value[1], steps.response, j)
         _put(padded, j, real, imaginary, parts)
-    _all_passes(padded, padded, rooms, wide, steps, (parts[1], parts[0]))
+    _all_passes(padded, padded, buffers, wide, steps, (parts[1], parts[0]))
     for j in range(count):
         value = _get(padded, j, parts)
-        real, imaginary = _turned(value[0], value[1], steps.chirp, j)
+        real, imaginary = _times_twiddle(value[0], value[1], steps.chirp, j)
         _put(target, j, real, imaginary, parts)
 
 
 @_jit
 def rows_to_samples(rows: NDArray, samples: NDArray) -> None:
-    """Sixteen rows or fewer of complex values, as float views, as samples; the other rows are left."""
+    """Copy at most sixteen rows of complex values, given as float views, to samples; other rows stay."""
     count, width = rows.shape
     flat = rows.reshape(-1)
     whole = width - width % LANES if count == LANES else 0
@@ -304,7 +318,7 @@ def rows_to_samples(rows: NDArray, samples: NDArray) -> None:
 
 @_jit
 def samples_to_rows(samples: NDArray, rows: NDArray) -> None:
-    """The way back."""
+    """Copy samples to rows: the inverse of :func:`rows_to_samples`."""
     count, width = rows.shape
     flat = rows.reshape(-1)
     whole = width - width % LANES if count == LANES else 0
@@ -317,7 +331,7 @@ def samples_to_rows(samples: NDArray, rows: NDArray) -> None:
 
 @_jit
 def samples_to_panels(samples: NDArray, count: int, panels: NDArray, first: int) -> None:
-    """Samples of rows into panels, from a row on; numbers behind the last column are any.
+    """Copy samples of rows to panels, from a row on; values behind the last column are arbitrary.
 
     Parameters
     ----------
@@ -346,7 +360,7 @@ def samples_to_panels(samples: NDArray, count: int, panels: NDArray, first: int)
 
 @_jit
 def panels_to_samples(panels: NDArray, first: int, count: int, samples: NDArray) -> None:
-    """The way back."""
+    """Copy panels to samples: the inverse of :func:`samples_to_panels`."""
     flat, apart = panels.reshape(-1), panels.shape[1]
     for number in range(panels.shape[0]):
         panel, at = panels[number], number * LANES * SAMPLE

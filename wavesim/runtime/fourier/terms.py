@@ -25,7 +25,7 @@ from scipy.special import i0
 
 from lensdesign.common.arrays import Array
 from wavesim.runtime.fourier.cells import transform_cells
-from wavesim.runtime.fourier.panels import aligned, steps_for, thread_room
+from wavesim.runtime.fourier.panels import aligned, steps_for, thread_buffer
 from wavesim.runtime.fourier.passes import SAMPLE
 from wavesim.runtime.fourier.terms_kernel import (
     LANES,
@@ -48,7 +48,7 @@ _REPEATS = np.array([*range(-8, 0), *range(1, 9)])
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One axis of the modes, and of the grid.
+    """Modes and grid along one axis.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Axis:
 
     @property
     def beta(self) -> float:
-        """Of the kernel."""
+        """Kernel values."""
         finer = self.cells / len(self.modes)
         return math.pi * math.sqrt(max((self.width / finer * (finer - 0.5)) ** 2 - 0.8, 0.0))
 
@@ -79,18 +79,18 @@ class Axis:
 
     @property
     def squared_error(self) -> float:
-        """Of modes that are all alike, relative: what repeats of a mode add to it."""
+        """Return the relative aliasing error for modes of equal size."""
         repeats = self.modes + self.cells * _REPEATS[:, None]
         return float(np.mean(np.sum((self.transformed(repeats) / self.transformed(self.modes)) ** 2, axis=0)))
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """Of the modes among the cells."""
+        """Positions of the modes among the cells."""
         return self.modes % self.cells
 
     @property
     def factors(self) -> NDArray[np.float32]:
-        """Of the modes; cell 0 of the grid is at half a turn back."""
+        """Return the factor of each mode; cell 0 of the grid is at a phase of minus half a turn."""
         return ((-1.0) ** (self.modes % 2) / self.transformed(self.modes)).astype(np.float32)
 
 
@@ -212,5 +212,5 @@ class TermsTransform:
         """Fast Fourier transform of rows of the grid along themselves, or of all columns, in place."""
         start, stop, _ = rows.indices(self._cells[1 - axis])
         # Samples of an axis, and the two rooms of its passes.
-        room = thread_room("cells", (3, max(self._cells[:2]) * SAMPLE), "complex64")
+        room = thread_buffer("cells", (3, max(self._cells[:2]) * SAMPLE), "complex64")
         transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, room[0], room[1:])

@@ -76,9 +76,9 @@ class _Taps:
         return self.builder.shuffle_vector(one, nothing, places)
 
     def cell(self, row: int, column: int) -> Any:
-        """Where one of the cells around the point lies."""
-        there = self._sum_of_products(((self._whole(row), 0), (self._whole(column), 1)))
-        return self.builder.bitcast(self._moved(self.first, there), _VECTOR.as_pointer())
+        """Return the position of one of the cells around the point."""
+        offset = self._sum_of_products(((self._whole(row), 0), (self._whole(column), 1)))
+        return self.builder.bitcast(self._moved(self.first, offset), _VECTOR.as_pointer())
 
     def load(self, pointer: Any) -> Any:
         return self.builder.load(pointer, align=4)

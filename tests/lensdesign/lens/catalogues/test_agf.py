@@ -195,7 +195,7 @@ REFUSED = [
     ("NM X1 14 0\n", r"line 1: glass X1.*14.*1 to 13"),
     ("NM X1 2.5 0\n", r"line 1: glass X1.*2.5"),
     ("NM X1 two 0\n", r"line 1: NM record has 'two'"),
-    (HEAD + "CD 1 0,01\nLD 0.3 2\n", "line 3: CD record has '0,01'"),
+    (HEAD + "CD 1 0,01\nLD 0.3 2\n", r"line 3: CD record has '0,01'; must be a finite number"),
     (HEAD + "CD 1 nan\nLD 0.3 2\n", r"line 3: CD record has 'nan'"),
     (HEAD + "CD\nLD 0.3 2\n", r"line 3: CD record.*X1"),
     (
@@ -208,7 +208,7 @@ REFUSED = [
     (HEAD + "CD 1 0.01\n", r"line 2: glass X1 has no LD record"),
     (HEAD + "LD 0.3 2\nNM X2 2 0\n", r"line 2: glass X1 has no CD record"),
     (HEAD + "CD 1 0.01\nLD 0.3 2\nTD 0 0 0 0 0 0 hot\n", r"line 5: TD record has 'hot'"),
-    (HEAD + "CD 1 0.01\nLD 0.3 2\nNM x1 2 0\n", r"line 5: glass x1 .*line 2"),
+    (HEAD + "CD 1 0.01\nLD 0.3 2\nNM x1 2 0\n", r"line 5: glass x1 is already given on line 2"),
 ]
 
 
@@ -254,12 +254,12 @@ def test_spectral_lines() -> None:
     assert (LINE_F_UM, LINE_D_UM, LINE_C_UM) == (0.4861327, 0.5875618, 0.6562725)
 
 
-def test_a_glass_that_stands_twice_alike_is_one_glass_with_a_note() -> None:
+def test_a_glass_that_is_given_twice_alike_is_one_glass_with_a_note() -> None:
     one, two = read_agf(GOLDEN / "imports" / "doubled_glass.agf")
     assert (one.name, two.name, one.fault, two.fault) == ("A-ONE", "B-TWO", "", "")
-    assert "glass A-ONE stands twice with the same index" in one.notes[-1]
+    assert "glass A-ONE is given twice with the same index" in one.notes[-1]
     assert "line 2 and line 8" in one.notes[-1]
-    assert "stands twice" not in " ".join(two.notes)
+    assert "given twice" not in " ".join(two.notes)
 
 
 TWICE = "NM A 2 0\nCD 1.2 0.01\nLD 0.4 1.0\nNM B 2 0\nCD 1.5 0.01\nLD 0.4 1.0\nNM a 2 0\n{again}"
@@ -274,10 +274,10 @@ TWICE = "NM A 2 0\nCD 1.2 0.01\nLD 0.4 1.0\nNM B 2 0\nCD 1.5 0.01\nLD 0.4 1.0\nN
         "CD 1.2 0.01\nLD 0.4 1.0\nNM A 2 0\nCD 1.3 0.01\nLD 0.4 1.0\n",
     ],
 )
-def test_a_glass_that_stands_twice_differently_is_refused_alone(again: str) -> None:
+def test_a_glass_that_is_given_twice_differently_is_refused_alone(again: str) -> None:
     one, two = parse_agf(TWICE.format(again=again), "own.agf")
     assert (one.name, two.name, two.fault) == ("A", "B", "")
-    assert "stands already on line 1 with another index" in one.fault
+    assert "is already given on line 1 with another index" in one.fault
     assert one.fault.startswith("own.agf, line ")
 
 
@@ -292,7 +292,7 @@ def test_two_entries_that_differ_by_rounding_are_alike() -> None:
     )
     (glass,) = parse_agf(text, "own.agf")
     assert (glass.fault, glass.coefficients[0], len(glass.notes)) == ("", 2.557393, 1)
-    assert glass.notes[0].endswith("their data of heat (TD, ED) differ")
+    assert glass.notes[0].endswith("their thermal data (TD, ED) differ")
 
 
 def nm(nd: str, vd: str = "64.17", span: str = "0.3 2.5") -> AgfGlass:
@@ -311,7 +311,7 @@ def test_an_nd_that_the_coefficients_give_within_rounding_passes(nd: str) -> Non
 def test_an_nd_that_is_somewhat_off_is_noted(nd: str) -> None:
     glass = nm(nd)
     assert glass.fault == ""
-    assert f"gives nd = {nd}, and its coefficients give 1.5168; the coefficients are taken" in glass.notes[0]
+    assert f"gives nd = {nd}, and its coefficients give 1.5168; the coefficients are used" in glass.notes[0]
 
 
 @pytest.mark.parametrize("nd", ["1.5202", "1.6", "1.510", "1.5268", "1.8", "1.4991"])
@@ -321,7 +321,7 @@ def test_an_nd_that_contradicts_the_coefficients_refuses_the_glass(nd: str) -> N
 
 
 def test_an_nd_that_is_no_number_is_noted() -> None:
-    assert "gives nd as '1,5168', which is no number" in nm("1,5168").notes[0]
+    assert "gives nd as '1,5168', which is not a number" in nm("1,5168").notes[0]
     assert nm("_").notes == ()
 
 
@@ -342,5 +342,5 @@ def test_records_go_on_on_the_next_line() -> None:
     assert (len(glass.coefficients), glass.reference_temperature_c) == (9, 23.0)
     assert (glass.notes, glass.fault) == ((), "")
     assert glass(LINE_D_UM) == pytest.approx(1.80518, abs=1e-5)
-    with pytest.raises(MaterialError, match=r"line 4: CD record.*'1,5'"):
+    with pytest.raises(MaterialError, match=r"line 4: CD record has '1,5'; must be a finite number"):
         parse_agf(text.replace(" -1.093820350E-005", " 1,5"), "nikon.agf")

@@ -200,5 +200,5 @@ def test_many_copies_lie_along_a_leading_axis(paper_lens: Lens) -> None:
 
 
 def test_a_shape_without_such_a_term_says_so() -> None:
-    with pytest.raises(InputError, match=r"asphere_4.*\(conic\).*curvature"):
-        Surface(radius_mm=10.0).shape.place("asphere_4")
+    with pytest.raises(InputError, match=r"asphere_4 is no term of this surface \(conic\); it has curvature"):
+        Surface(radius_mm=10.0).shape.term_index("asphere_4")

@@ -183,12 +183,12 @@ def test_measured_figures(tmp_path: Any) -> None:
     lens = singlet(figure=figure)
     change = {0: SurfacePerturbation(figure=figure_from_zernike({7: 1.5}, 5.0))}
     notes: list[str] = []
-    measured = write_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append, measured=True)
+    measured = write_mesh(lens, tmp_path / "lens.ply", 1.0, warn=notes.append, measured=True)
     assert not notes
     assert measured.mesh.vertices == pytest.approx(
         lens_mesh(singlet(), 1.0, surface_perturbations=change).mesh.vertices, abs=1e-12
     )
-    nominal = write_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append)
+    nominal = write_mesh(lens, tmp_path / "lens.ply", 1.0, warn=notes.append)
     assert notes == ["surface 1: nominal shape written, its measured figure left out"]
     assert nominal.mesh.vertices == pytest.approx(lens_mesh(singlet(), 1.0).mesh.vertices, abs=1e-12)
 
@@ -217,7 +217,7 @@ def test_figure_that_needs_too_many_triangles_is_named() -> None:
     ("front", "change", "message"),
     [
         ({}, SurfacePerturbation(tilt_x_deg=np.zeros(3)), "hold 3 trials"),
-        ({"thickness_mm": 1.7}, SurfacePerturbation(tilt_x_deg=-9.0), "as perturbed, does not close"),
+        ({"thickness_mm": 1.7}, SurfacePerturbation(tilt_x_deg=-9.0), "does not close"),
         ({"thickness_mm": 1.7}, SurfacePerturbation(thickness_mm=-0.5), "does not close|cross"),
         (
             {"radius_mm": 5.01, "thickness_mm": 9.0},

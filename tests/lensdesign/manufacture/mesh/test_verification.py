@@ -14,8 +14,7 @@ from lensdesign.cli.commands import main
 from lensdesign.lens.edges import Edge, Flange
 from lensdesign.manufacture.mesh.mesh import lens_mesh, write_mesh
 from lensdesign.manufacture.mesh.reading import TriangleMesh, read_mesh
-from lensdesign.manufacture.mesh.topology import closed_bodies, merged
-from lensdesign.manufacture.mesh.verification import MeshReport, verify_mesh
+from lensdesign.manufacture.mesh.verification import MeshReport, closed_bodies, merged, verify_mesh
 
 CHORD_UM = 2.0
 

@@ -32,8 +32,8 @@ def chain(twin):
 
 
 def scores(chain, pose=None, engine=EIKONAL, **keys):
-    recorded = chain.recorded(Placement(pose or Pose()), None, 12, None)
-    return chain.reconstructed(recorded, engine, iterations=40, **keys)
+    recorded = chain.record(Placement(pose or Pose()), None, 12, None)
+    return chain.reconstruct(recorded, engine, iterations=40, **keys)
 
 
 def random_values(grid, seed):
@@ -55,7 +55,7 @@ def test_the_way_back_is_the_adjoint_of_the_way_there(chain, engine, refocus_um)
 def test_pixels_get_the_energy_of_the_light(chain):
     lit = Field(chain.scene.object_grid, chain.object.transmission, 0.532).energy
     pitch_mm = 1e-3 * chain.lens.sensor.pixel_pitch_um
-    for plane in chain.recorded(NOMINAL, None, 12, None):
+    for plane in chain.record(NOMINAL, None, 12, None):
         assert pitch_mm * np.sum(plane.amplitude**2) == pytest.approx(lit, rel=0.05)
 
 
@@ -100,7 +100,7 @@ def test_refuses_a_focus_beyond_the_margin(chain):
 
 def test_noise_is_that_of_its_seed(chain):
     noise = [np.random.SeedSequence(number) for number in (1, 1, 2)]
-    frames = [chain.recorded(NOMINAL, 1000.0, 12, seed) for seed in noise]
+    frames = [chain.record(NOMINAL, 1000.0, 12, seed) for seed in noise]
     assert np.array_equal(frames[0][0].amplitude, frames[1][0].amplitude)
     assert not np.array_equal(frames[0][0].amplitude, frames[2][0].amplitude)
-    assert chain.reconstructed(frames[0], EIKONAL, iterations=40).correlation > 0.9
+    assert chain.reconstruct(frames[0], EIKONAL, iterations=40).correlation > 0.9

@@ -35,7 +35,7 @@ def context(twin):
 
 def batch(*columns, numbers=()):
     parameters, values = zip(*columns, strict=True)
-    return PerturbationBatch(parameters, np.array(values, float).T, numbers=numbers)
+    return PerturbationBatch(parameters, np.array(values, float).T, trial_numbers=numbers)
 
 
 def test_slices_decenter_and_tilt_vary_together(context):
@@ -51,7 +51,7 @@ def test_slices_decenter_and_tilt_vary_together(context):
 
 
 def test_one_run_of_the_chain_gives_all_figures(context, monkeypatch):
-    counts = {"recorded": 0, "reconstructed": 0}
+    counts = {"record": 0, "reconstruct": 0}
     for name in counts:
         plain = getattr(LineChain, name)
 
@@ -61,15 +61,15 @@ def test_one_run_of_the_chain_gives_all_figures(context, monkeypatch):
 
         monkeypatch.setattr(LineChain, name, counted)
     merit().chain(context, 0.0)
-    counts.update(recorded=0, reconstructed=0)
+    counts.update(record=0, reconstruct=0)
     trial = batch((DECENTER, [0.002]))
     figures = [merit(), merit(figure="contrast", name="other"), merit(figure="lost_correlation", name="lost")]
     correlation, contrast, lost = (one.scores(context, trial)[0] for one in figures)
-    assert counts == {"recorded": 1, "reconstructed": 1}
+    assert counts == {"record": 1, "reconstruct": 1}
     assert lost == pytest.approx(1.0 - correlation)
     assert contrast != correlation
     merit(reconstruction_engine="slices", slices=8).scores(context, trial)
-    assert counts == {"recorded": 1, "reconstructed": 2}
+    assert counts == {"record": 1, "reconstruct": 2}
 
 
 def test_the_worst_field_point_counts(context, twin):
@@ -132,10 +132,10 @@ def test_takes_what_stays_in_the_meridional_plane():
     [
         ({"region_mm": 0.02}, r"line_widths_um.* 0.0"),
         ({"line_width_um": 2.0, "figure": "contrast"}, "line_width_um = 2: allowed: .*0.775, 1.55"),
-        ({"line_width_um": 1.55}, "figure = 'correlation'"),
-        ({"field_mm": (0.1, 0.0)}, "give x = 0"),
-        ({"slices": 20}, r"slices: .*reconstruction_engine = 'eikonal'"),
-        ({"imaging_slices": 20}, "imaging_slices: means nothing"),
+        ({"line_width_um": 1.55}, "figure = 'correlation' is evaluated on the whole object"),
+        ({"field_mm": (0.1, 0.0)}, "x = 0"),
+        ({"slices": 20}, "slices: has no effect with reconstruction_engine = 'eikonal'"),
+        ({"imaging_slices": 20}, "imaging_slices: has no effect"),
         ({"planes_mm": (2.0,)}, "must be two or more, increasing"),
         ({"line": False}, "line"),
         ({"level": "pupil"}, "allowed: auto, wave"),

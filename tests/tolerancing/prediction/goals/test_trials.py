@@ -51,10 +51,10 @@ def test_a_run_with_the_same_seed_has_the_same_yields(specified, best_lens, tmp_
     run_study(load_study(tmp_path / "run.toml"), tmp_path / "run.db", workers=1)
     with closing(open_store(tmp_path / "run.db")) as store:
         summary = summarize(store)
-    assert row.good == summary.good.share
+    assert row.good == summary.good.fraction
     assert (row.low, row.high) == (summary.good.low, summary.good.high)
     for own, known in zip(row.merits, summary.merits, strict=True):
-        assert (own.merit, own.good) == (known.merit.label, known.good.share)
+        assert (own.merit, own.good) == (known.merit.label, known.good.fraction)
         assert 0.2 < own.good < 0.995
     assert row.good < min(own.good for own in row.merits)
     shown = predict_study(best_lens, loaded.study)

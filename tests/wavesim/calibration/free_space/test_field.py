@@ -12,7 +12,7 @@ from places import GOLDEN
 from lensdesign.errors import InputError
 from wavesim.calibration.free_space import descent
 from wavesim.calibration.free_space.field import (
-    PLAIN,
+    DEFAULT_FRAME_SETTINGS,
     FreeSpaceField,
     NotExplainedWarning,
     reconstruct_free_space,
@@ -49,7 +49,7 @@ def frame(z_um: float, gain: float = 1.0) -> Frame:
     electrons = 4000.0 * (gain * recorded_amplitude(z_um)) ** 2
     counts = np.random.default_rng(int(z_um)).poisson(electrons).astype(np.uint16)
     settings = {"pixel_pitch_um": PITCH_UM, "wavelength_um": WAVELENGTH_UM, "plane_distance_mm": 1e-3 * z_um}
-    return Frame(counts, FrameSettings(**settings, **PLAIN))
+    return Frame(counts, FrameSettings(**settings, **DEFAULT_FRAME_SETTINGS))
 
 
 def alike(found: FreeSpaceField, z_um: float) -> float:
@@ -78,7 +78,7 @@ def test_a_stack_tells_its_drift_its_scale_and_its_exposures_and_predicts_other_
 
 def real_frames(*planes_um: int) -> list[Frame]:
     folder = GOLDEN / "through_focus"
-    given = {"pixel_pitch_um": 0.32, "wavelength_um": 0.532, **PLAIN}
+    given = {"pixel_pitch_um": 0.32, "wavelength_um": 0.532, **DEFAULT_FRAME_SETTINGS}
     return [read_frame(folder / f"z_{z:+04d}_um.png", plane_distance_mm=1e-3 * z, **given) for z in planes_um]
 
 
@@ -118,4 +118,4 @@ def test_a_png_says_nothing_of_its_counts(tmp_path: Path) -> None:
     Image.fromarray(frame(10.0).counts).save(tmp_path / "frame.png")
     given = {"pixel_pitch_um": 0.4, "wavelength_um": 0.5, "plane_distance_mm": 0.01}
     with pytest.warns(AssumedWarning, match="exposure = 1"):
-        assert read_frame(tmp_path / "frame.png", PLAIN, **given).settings.bits == 16
+        assert read_frame(tmp_path / "frame.png", DEFAULT_FRAME_SETTINGS, **given).settings.bits == 16

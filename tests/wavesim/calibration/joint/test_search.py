@@ -14,9 +14,9 @@ from small_twins import bars_under_stop
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import read_calibration, traded
-from wavesim.calibration.joint.pixels import AllPixels, RaySlopes
-from wavesim.calibration.joint.search import JointSearch, SearchState, Told
+from wavesim.calibration.calibrated import correlated_parameters, read_calibration
+from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
+from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
 from wavesim.reconstruction.forward_model import ForwardModel
@@ -64,7 +64,7 @@ def search(lens: Lens) -> JointSearch:
         recorded.append(Measurement(plane.distance_mm, noisy, sigma))
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
     return JointSearch(
-        AllPixels(scene, light, recorded, None, 1.0, tiles),
+        DensePixels(scene, light, recorded, None, 1.0, tiles),
         "amplitude",
         chosen_parameters(",".join([*TRUE, "plane_2_background"]), allowed),
         8,
@@ -74,31 +74,33 @@ def search(lens: Lens) -> JointSearch:
 
 
 @pytest.fixture(scope="module")
-def told(search: JointSearch, lens: Lens) -> Told:
+def result(search: JointSearch, lens: Lens) -> FitResult:
     return search.run(SearchState(Unknowns(lens)))
 
 
-def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, told: Told) -> None:
-    assert told.misfit < 0.3 * told.trail[0][1]
+def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, result: FitResult) -> None:
+    assert result.misfit < 0.3 * result.trail[0][1]
     assert search.noise_misfit is not None
-    assert told.misfit < 1.5 * search.noise_misfit
-    for parameter, deviation in zip(search.parameters, told.deviations, strict=True):
-        found, true = told.unknowns.values[parameter.name], TRUE.get(parameter.name, BACKGROUND)
+    assert result.misfit < 1.5 * search.noise_misfit
+    for parameter, deviation in zip(search.parameters, result.deviations, strict=True):
+        found, true = result.unknowns.values[parameter.name], TRUE.get(parameter.name, BACKGROUND)
         assert abs(found - true) < 3.0 * deviation, (parameter.name, found, deviation)
-    assert all(0.0 < d <= p.typical for d, p in zip(told.deviations, search.parameters, strict=True))
+    assert all(0.0 < d <= p.typical for d, p in zip(result.deviations, search.parameters, strict=True))
 
 
-def rays_told(search: JointSearch, begin: Unknowns, monkeypatch: pytest.MonkeyPatch) -> tuple[int, Told]:
+def fit_and_count_rays(
+    search: JointSearch, start: Unknowns, monkeypatch: pytest.MonkeyPatch
+) -> tuple[int, FitResult]:
     """How often it is told what parameters do to the rays of tiles, and what a search finds."""
     asked: list[str] = []
-    told_of = AllPixels.ray_slopes
+    told_of = DensePixels.ray_slopes
 
-    def counted(self: AllPixels, *given: Any) -> RaySlopes | None:
+    def counted(self: DensePixels, *given: Any) -> RaySlopes | None:
         asked.append("rays")
         return told_of(self, *given)
 
-    monkeypatch.setattr(AllPixels, "ray_slopes", counted)
-    found = search.run(SearchState(begin))
+    monkeypatch.setattr(DensePixels, "ray_slopes", counted)
+    found = search.run(SearchState(start))
     return len(asked), found
 
 
@@ -106,13 +108,13 @@ def test_tiles_are_made_anew_only_where_turned_ones_mislead(
     search: JointSearch, lens: Lens, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The search goes on from tiles of its bench's own, which are tried, too."""
-    times, turned = rays_told(search, Unknowns(lens, values=TRUE), monkeypatch)
+    times, perturbed = fit_and_count_rays(search, Unknowns(lens, values=TRUE), monkeypatch)
     assert times == 1
     misled = iter([True, False])
-    monkeypatch.setattr(JointSearch, "_misled", lambda *_: next(misled))
-    times, again = rays_told(search, Unknowns(lens, values=TRUE), monkeypatch)
+    monkeypatch.setattr(JointSearch, "_is_misled", lambda *_: next(misled))
+    times, again = fit_and_count_rays(search, Unknowns(lens, values=TRUE), monkeypatch)
     assert times == 2
-    assert len(again.trail) > len(turned.trail)
+    assert len(again.trail) > len(perturbed.trail)
 
 
 def test_what_is_right_already_is_not_sought_first(search: JointSearch, lens: Lens) -> None:
@@ -133,19 +135,22 @@ def test_what_turns_together_is_not_told_apart(search: JointSearch, lens: Lens) 
     for names in ("light_tilt_x_deg", "light_tilt_x_deg,decenter_x_mm,tilt_y_deg,plane_2_shift_x_um"):
         asked = replace(search, parameters=chosen_parameters(names, allowed), most_benches=0)
         found.append(asked.run(there))
-    alone, together = (told.deviations[0] for told in found)
+    alone, together = (result.deviations[0] for result in found)
     assert alone < 0.1 * together < 0.1 * search.parameters[0].typical
     names = [p.name for p in asked.parameters]
-    assert set(traded(names, found[1].covariance)["light_tilt_x_deg"]) >= {"decenter_x_mm", "tilt_y_deg"}
+    assert set(correlated_parameters(names, found[1].covariance)["light_tilt_x_deg"]) >= {
+        "decenter_x_mm",
+        "tilt_y_deg",
+    }
 
 
-def test_a_file_of_values_is_the_bench_again(lens: Lens, told: Told, tmp_path: Path) -> None:
+def test_a_file_of_values_is_the_bench_again(lens: Lens, result: FitResult, tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps({"mounting": {}, "values": dict(told.unknowns.values)}))
+    path.write_text(json.dumps({"mounting": {}, "values": dict(result.unknowns.values)}))
     bench = read_calibration(path, lens)
-    assert bench.light == told.unknowns.bench.light
-    assert bench.plane_shifts_um == told.unknowns.bench.plane_shifts_um
-    assert bench.placement.surface_perturbations[0].index == told.unknowns.values["surface_1_index"]
+    assert bench.light == result.unknowns.bench.light
+    assert bench.plane_shifts_um == result.unknowns.bench.plane_shifts_um
+    assert bench.placement.surface_perturbations[0].index == result.unknowns.values["surface_1_index"]
 
 
 @pytest.mark.parametrize(
@@ -166,9 +171,9 @@ def test_values_of_another_lens_are_refused(lens: Lens, tmp_path: Path, values: 
 def test_parameters_are_asked_for_by_part_or_name(lens: Lens) -> None:
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
     assert chosen_parameters("all", allowed) == allowed
-    assert {p.part for p in chosen_parameters("light,camera", allowed)} == {"light", "camera"}
+    assert {p.group for p in chosen_parameters("light,camera", allowed)} == {"light", "camera"}
     assert [p.name for p in chosen_parameters("rigid", allowed)][:2] == ["decenter_x_mm", "decenter_y_mm"]
-    assert not any(p.part == "light" for p in bench_parameters(lens, 2, 0.06, 0.532, light_order=0))
+    assert not any(p.group == "light" for p in bench_parameters(lens, 2, 0.06, 0.532, light_order=0))
     with pytest.raises(InputError, match="each once"):
         chosen_parameters("lens,surface_1_index", allowed)
     with pytest.raises(InputError, match="did you mean light_tilt_"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wavesim.calibration.joint.step import DAMPING, LEAST_TOLD, GaussNewtonStep
+from wavesim.calibration.joint.step import DAMPING, LEAST_INFORMATION, GaussNewtonStep
 
 OBJECT, PIXELS, PARAMETERS = 6, 80, 4
 TYPICAL = np.array([1.0, 0.5, 2.0, 1.0])
@@ -29,10 +29,10 @@ class Dense:
     def without_scale(self, changes: NDArray[Any]) -> NDArray[Any]:
         return changes
 
-    def of_object(self, change: NDArray[Any]) -> NDArray[Any]:
+    def jacobian_times_object(self, change: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(self.matrix @ change)
 
-    def to_object(self, left: NDArray[Any]) -> NDArray[Any]:
+    def adjoint_to_object(self, left: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(self.matrix.T @ left)
 
 
@@ -50,15 +50,15 @@ def rng() -> np.random.Generator:
 def test_the_step_solves_the_dense_equations(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wavesim.calibration.joint.step.SOLVED", 0.0)
+    monkeypatch.setattr("wavesim.calibration.joint.step.TOLERANCE", 0.0)
     linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
     joint = step_of(columns, linear)
     both = np.hstack([linear.matrix, columns.T])
     normal = both.T @ both
-    pull, damping = VARIANCE / TYPICAL**2, DAMPING * linear.misfit**2 / TYPICAL**2
-    normal[OBJECT:, OBJECT:] += np.diag(pull + damping)
+    prior_precision, damping = VARIANCE / TYPICAL**2, DAMPING * linear.misfit**2 / TYPICAL**2
+    normal[OBJECT:, OBJECT:] += np.diag(prior_precision + damping)
     right = both.T @ linear.residual
-    right[OBJECT:] -= pull * VALUES
+    right[OBJECT:] -= prior_precision * VALUES
     exact = np.linalg.solve(normal, right)[OBJECT:]
     assert joint.solve(20) == pytest.approx(exact, rel=1e-5)
 
@@ -67,30 +67,50 @@ def test_what_an_object_undoes_is_solved_in_few_rounds(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The step is the same in the end: a parameter that an object undoes but for a little goes far."""
-    monkeypatch.setattr("wavesim.calibration.joint.step.SOLVED", 0.0)
+    monkeypatch.setattr("wavesim.calibration.joint.step.TOLERANCE", 0.0)
     linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
     change = rng.standard_normal(OBJECT)
     columns[0] = 10.0 * linear.matrix @ change + 0.3 * rng.standard_normal(PIXELS)
-    plain, undone = step_of(columns, linear), step_of(columns, linear, undone={0: -10.0 * change})
+    plain, compensated = step_of(columns, linear), step_of(columns, linear, compensations={0: -10.0 * change})
     exact = plain.solve(30)
-    assert undone.solve(30) == pytest.approx(exact, rel=1e-5)
-    off = [float(np.linalg.norm(one.solve(3) - exact)) for one in (plain, undone)]
+    assert compensated.solve(30) == pytest.approx(exact, rel=1e-5)
+    off = [float(np.linalg.norm(one.solve(3) - exact)) for one in (plain, compensated)]
     assert off[1] < 0.2 * off[0]
 
 
-def test_what_the_object_takes_is_not_told(rng: np.random.Generator) -> None:
-    """All that lies along the object's own effects goes; more rounds never leave more."""
+def eliminated(columns: NDArray[Any], linear: Dense) -> NDArray[Any]:
+    """Return the exact curvature of the parameters with the object eliminated."""
+    basis, _ = np.linalg.qr(linear.matrix)
+    left = columns - (columns @ basis) @ basis.T
+    return np.asarray(left @ left.T + np.diag(VARIANCE / TYPICAL**2))
+
+
+def test_the_object_is_eliminated(rng: np.random.Generator) -> None:
+    """What the object can make is no information; more iterations never leave more."""
     linear = Dense(rng)
     columns = np.stack([linear.matrix @ rng.standard_normal(OBJECT) for _ in range(PARAMETERS)])
     columns += 0.5 * rng.standard_normal(columns.shape)
-    joint, pull = step_of(columns, linear), np.diag(VARIANCE / TYPICAL**2)
-    basis, _ = np.linalg.qr(linear.matrix)
-    left = columns - (columns @ basis) @ basis.T
-    found = [joint.reduced_curvature(rounds) for rounds in range(4)]
-    assert found[0] == pytest.approx(columns @ columns.T + pull)
-    assert found[3] == pytest.approx(left @ left.T + pull, rel=1e-3)
+    joint = step_of(columns, linear)
+    found = [joint.reduced_curvature(iterations) for iterations in range(4)]
+    assert found[0] == pytest.approx(columns @ columns.T + np.diag(VARIANCE / TYPICAL**2))
+    assert found[3] == pytest.approx(eliminated(columns, linear), rel=1e-6)
     for more, fewer in zip(found[1:], found[:-1], strict=True):
         assert np.linalg.eigvalsh(fewer - more).min() > -1e-9
+
+
+def test_elimination_converges_where_parts_of_the_object_hardly_matter(rng: np.random.Generator) -> None:
+    """Directions of the object whose effects differ a hundred times are all eliminated."""
+    linear, size = Dense(rng), 30
+    left, _ = np.linalg.qr(rng.standard_normal((PIXELS, size)))
+    linear.matrix = left @ np.diag(np.geomspace(1.0, 0.01, size))
+    linear.model.lit = np.ones(size, bool)
+    columns = rng.standard_normal((PARAMETERS, size)) @ left.T
+    columns += 0.05 * rng.standard_normal((PARAMETERS, PIXELS))
+    exact = np.sqrt(np.diag(np.linalg.inv(eliminated(columns, linear))))
+    inside = np.full(size, 0.5)
+    joint = GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside)  # type: ignore[arg-type]
+    found = np.sqrt(np.diag(np.linalg.inv(joint.reduced_curvature(12))))
+    assert found == pytest.approx(exact, rel=0.02)
 
 
 def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> None:
@@ -102,10 +122,10 @@ def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> N
 def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Generator) -> None:
     linear = Dense(rng)
     asked: list[int] = []
-    forward = linear.of_object
-    linear.of_object = lambda change: (asked.append(1), forward(change))[1]  # type: ignore[method-assign]
+    forward = linear.jacobian_times_object
+    linear.jacobian_times_object = lambda change: (asked.append(1), forward(change))[1]  # type: ignore[method-assign]
     columns = rng.standard_normal((PARAMETERS, PIXELS))
-    faint = np.sqrt(0.5 * LEAST_TOLD * VARIANCE / PIXELS)
+    faint = np.sqrt(0.5 * LEAST_INFORMATION * VARIANCE / PIXELS)
     columns[1:] *= faint / TYPICAL[1:, None]
     step_of(columns, linear).reduced_curvature(1)
     assert len(asked) == 1

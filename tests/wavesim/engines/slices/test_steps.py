@@ -13,7 +13,7 @@ from engine_checks import dot_product_mismatch
 
 from lensdesign import Lens, scaled
 from wavesim.engines.slices.engine import AnnularSlices
-from wavesim.engines.slices.steps import carried, step_factor
+from wavesim.engines.slices.steps import propagated, step_factor
 from wavesim.engines.slices.windows import Waves
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Field, Grid, relative_error
@@ -72,7 +72,7 @@ def test_a_step_is_that_of_free_space(kind: Any, same: float) -> None:
     assert factor.dtype == kind
     assert factor == pytest.approx(whole[down:, across:], abs=same)
     for like in (np.ones(known.shape, kind), stand_in_device.asarray(np.ones(known.shape, kind))):
-        found = carried(known, like, 123.4)
+        found = propagated(known, like, 123.4)
         assert getattr(found, "get", lambda f=found: f)() == pytest.approx(whole, abs=same)
 
 

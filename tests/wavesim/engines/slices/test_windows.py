@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lensdesign import Lens, scaled
 from lensdesign.errors import SamplingError
-from wavesim.engines.slices.windows import Waves, arriving, handed_over, surface_grids
+from wavesim.engines.slices.windows import Waves, arriving, surface_grids, transferred
 from wavesim.engines.surfaces.grids import light_within
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid, relative_error
@@ -48,11 +48,11 @@ def test_a_field_goes_from_window_to_window(count: int, other: int, pitch: float
     sides = 1 if line else 2
     source, target = waves((count,) * sides), waves((other,) * sides, pitch)
     there = Grid((31,) * sides, 1.3e-3, 0.0, source.grid.centre_mm)
-    spectrum = source.gathered(beam(source.grid), source.grid, source.orders)
-    assert relative_error(source.spread(spectrum, there, source.orders), beam(there)) < 1e-3
-    moved = handed_over(spectrum, source, target)
+    spectrum = source.analyze(beam(source.grid), source.grid, source.orders)
+    assert relative_error(source.synthesize(spectrum, there, source.orders), beam(there)) < 1e-3
+    moved = transferred(spectrum, source, target)
     assert moved.shape == target.shape
-    assert relative_error(target.spread(moved, there, target.orders), beam(there)) < 1e-3
+    assert relative_error(target.synthesize(moved, there, target.orders), beam(there)) < 1e-3
 
 
 @pytest.mark.parametrize("sides", [1, 2])
@@ -61,8 +61,8 @@ def test_handing_over_backwards_is_the_adjoint(sides: int, kind: Any, same: floa
     source, target = waves((70,) * sides), waves((64,) * sides, 1.4e-3)
     rng = np.random.default_rng(sides)
     u, v = ((rng.normal(size=w.shape) + 1j * rng.normal(size=w.shape)).astype(kind) for w in (source, target))
-    there = np.vdot(v, handed_over(u, source, target)) / target.area
-    back = np.vdot(handed_over(v, target, source), u) / source.area
+    there = np.vdot(v, transferred(u, source, target)) / target.area
+    back = np.vdot(transferred(v, target, source), u) / source.area
     assert there == pytest.approx(back, rel=same)
 
 
@@ -76,10 +76,12 @@ def test_sums_are_those_written_out() -> None:
     along_y = np.exp(-2j * np.pi * np.outer(down, grid.y_mm - y0))
     along_x = np.exp(-2j * np.pi * np.outer(grid.x_mm - x0, across))
     known = grid.cell * along_y @ values @ along_x
-    found = window.gathered(values, grid, window.orders)
+    found = window.analyze(values, grid, window.orders)
     assert found == pytest.approx(known, abs=1e-12 * np.abs(known).max())
     back = along_y.conj().T @ known @ along_x.conj().T / window.area
-    assert window.spread(known, grid, window.orders) == pytest.approx(back, abs=1e-12 * np.abs(back).max())
+    assert window.synthesize(known, grid, window.orders) == pytest.approx(
+        back, abs=1e-12 * np.abs(back).max()
+    )
 
 
 @pytest.fixture(scope="module")

@@ -70,7 +70,9 @@ def test_what_is_neglected_follows_the_light(paper_lens: Lens) -> None:
     scene = scene_of(paper_lens, 0.02, meridional=True)
     engine = EikonalTiles(scene, error=0.01)
     light = beam(scene, 0.004)
-    even, own = ({p.what: p for p in parts} for parts in (engine.neglected(), engine.neglected_of(light)))
+    even, own = (
+        {p.description: p for p in parts} for parts in (engine.error_terms(), engine.error_terms_of(light))
+    )
     share = engine.edge_illumination(light)
     for what, part in own.items():
         factor = share if part.at_rim else 1.0

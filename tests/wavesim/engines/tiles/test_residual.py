@@ -74,7 +74,7 @@ def test_error_of_the_mean_falls_with_the_area_of_the_tile() -> None:
     wide, narrow = (residual_of(2, width).mean_error() for width in (0.04, 0.02))
     assert wide / narrow == pytest.approx(4.0, rel=0.1)
     found = residual_of(2, 0.02)
-    assert found.left_by(found.rank_for(1e-3)) <= 1e-3 < found.left_by(found.rank_for(1e-3) - 1)
+    assert found.error_of(found.rank_for(1e-3)) <= 1e-3 < found.error_of(found.rank_for(1e-3) - 1)
 
 
 def test_mean_term_is_one_factor_over_the_tile() -> None:

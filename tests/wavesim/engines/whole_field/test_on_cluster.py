@@ -76,7 +76,7 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
         if len(told) == 7:
             first.kill()
 
-    away.report = report
+    away.progress = report
     field, back = noise(scene.object_grid), noise(scene.exit_grid)
     with tiles_in(cluster.address) as take:
         take(away)
@@ -112,7 +112,7 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
         assert relative_error(away.forward(field).values, there) < 1e-6
         assert relative_error(away.adjoint(back).values, returned) < 1e-6
         told: list[int] = []
-        away.report = lambda done, _: told.append(done)
+        away.progress = lambda done, _: told.append(done)
         bands = list(away.forward_in_bands(field, 100, sums))
         assert isinstance(away.elsewhere, ClusterExecutor)
         with pytest.raises(ValueError, match="no number"):
@@ -128,7 +128,7 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
 def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene, cluster: Cluster) -> None:
     cluster.worker()
     engine, field = engine_on(scene), noise(scene.object_grid)
-    engine.report = lambda done, _: cluster.close() if done == 2 else None
+    engine.progress = lambda done, _: cluster.close() if done == 2 else None
     sums: dict[int, Any] = {}
     with tiles_in(cluster.address) as take:
         take(engine)
@@ -145,7 +145,7 @@ def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
     monkeypatch.setattr("lensdesign.common.clusters.WAIT_SECONDS", 2.0)
     only = cluster.worker()
     engine, field = engine_on(scene), noise(scene.object_grid)
-    engine.report = lambda done, _: only.kill() if done == 2 else None
+    engine.progress = lambda done, _: only.kill() if done == 2 else None
     sums: dict[int, Any] = {}
     with tiles_in(cluster.address) as take:
         take(engine)
@@ -156,7 +156,7 @@ def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
 
 
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
-    with pytest.raises(InputError, match=r"cluster.*engine two-level"):
+    with pytest.raises(InputError, match="a cluster needs engine hierarchical"):
         validate_tiled(engine_for(scene, "no-lens"))
 
 

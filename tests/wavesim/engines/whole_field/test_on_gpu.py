@@ -149,7 +149,7 @@ def test_the_device_is_told_among_the_settings(known: Any, monkeypatch: pytest.M
     assert "device" not in engine.settings()
     assert on(engine, device).settings() == engine.settings() | {"device": "gpu"}
     monkeypatch.setattr("wavesim.engines.whole_field.engine.device_named", lambda name: device)
-    made = engine_for(engine.scene, "two-level", device="gpu")
+    made = engine_for(engine.scene, "hierarchical", device="gpu")
     assert isinstance(made, WholeFieldEngine)
     assert made.device is device
 

@@ -197,7 +197,7 @@ def test_light_from_beside_the_middle_is_held_to_what_neglected_says() -> None:
         surface_perturbations={0: SurfacePerturbation(tilt_x_deg=math.degrees(math.atan(0.2)))},
         coating="bare",
     )
-    said = max(n.relative_error for n in WavePropagation(scene).neglected())
+    said = max(n.relative_error for n in WavePropagation(scene).error_terms())
     assert 0.01 < error < said < 4.0 * error
 
 
@@ -339,7 +339,7 @@ def test_total_reflection_is_named() -> None:
         found = engine.forward(field)
     assert np.isfinite(found.values).all()
     assert 0.0 < found.energy < field.energy
-    assert any("totally reflected" in n.what for n in engine.neglected())
+    assert any("totally reflected" in n.description for n in engine.error_terms())
     steep = {1: SurfacePerturbation(tilt_x_deg=64.0)}
     with pytest.raises(InputError, match="total reflection"):
         WavePropagation(replace(scene, surface_perturbations=steep)).cost()
@@ -359,7 +359,7 @@ def test_light_that_the_rim_turns_is_told_by_the_band() -> None:
     for zones in (2.0, 4.0, 8.0):
         engine = WavePropagation(scene, zones=zones)
         errors.append(relative_error(engine.forward(point).values, truth))
-        (told,) = [n for n in engine.neglected() if "rim" in n.what]
+        (told,) = [n for n in engine.error_terms() if "rim" in n.description]
         assert told.at_rim
         assert 0.3 * told.relative_error < errors[-1] < 1.5 * told.relative_error
     assert errors[2] < 0.7 * errors[0]
@@ -377,10 +377,10 @@ def test_rim_lies_between_samples(paper_lens: Lens) -> None:
 
 
 def test_says_what_it_neglects(cylinder: AnalyticCase) -> None:
-    found = WavePropagation(cylinder.scene).neglected()
+    found = WavePropagation(cylinder.scene).error_terms()
     errors = [n.relative_error for n in found]
     assert errors == sorted(errors, reverse=True)
-    assert any("reflected" in n.what for n in found)
+    assert any("reflected" in n.description for n in found)
     assert all(0.0 <= e < 0.1 for e in errors)
-    stairs = WavePropagation(cylinder.scene, interface="staircase").neglected()[0]
+    stairs = WavePropagation(cylinder.scene, interface="staircase").error_terms()[0]
     assert 0.5 < stairs.relative_error < 0.7

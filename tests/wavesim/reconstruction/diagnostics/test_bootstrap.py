@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.diagnostics.bootstrap import UndeterminedError, uncertainty
-from wavesim.reconstruction.from_object import Reconstructed, reconstruct
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.sensor.measurement import Measurement

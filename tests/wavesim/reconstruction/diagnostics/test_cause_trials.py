@@ -14,8 +14,8 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.lens.lens import Lens
 from wavesim.reconstruction.diagnostics import cause_trials
-from wavesim.reconstruction.found import FoundObject
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.found_object import FoundObject
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.imaging import image
 

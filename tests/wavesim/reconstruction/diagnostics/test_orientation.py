@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS, misoriented
+from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS, orientation_findings
 from wavesim.sensor.measurement import Measurement
 
 SHAPE = (90, 120)
@@ -27,13 +27,13 @@ def taken(picture: np.ndarray, seed: int = 0) -> tuple[Measurement, np.ndarray]:
 @given(st.integers(0, 1000))
 def test_a_picture_as_it_is_has_no_finding(seed: int) -> None:
     plane, error = taken(MADE, seed)
-    assert misoriented([plane], [error]) == []
+    assert orientation_findings([plane], [error]) == []
 
 
 @pytest.mark.parametrize("name", ["mirrored left to right", "mirrored top to bottom", "turned by 180 deg"])
 def test_a_noisy_picture_that_is_mirrored_or_turned_is_found(name: str) -> None:
     plane, error = taken(np.asarray(ORIENTATIONS[name](MADE)))
-    found = max(misoriented([plane], [error]), key=lambda one: one.chi_square)
+    found = max(orientation_findings([plane], [error]), key=lambda one: one.chi_square)
     assert found.cause == "orientation"
     assert name in found.explanation
     assert "plane 1" in found.explanation
@@ -43,12 +43,12 @@ def test_a_quarter_turn_is_found_in_the_middle_square() -> None:
     picture = MADE.copy()
     picture[:, 15:105] = np.asarray(ORIENTATIONS["turned by 90 deg"](MADE[:, 15:105]))
     plane, error = taken(picture)
-    assert "turned by -90 deg" in misoriented([plane], [error])[0].explanation
+    assert "turned by -90 deg" in orientation_findings([plane], [error])[0].explanation
 
 
 def test_a_shifted_picture_is_found_with_its_shift() -> None:
     plane, error = taken(np.roll(MADE, (3, -5), (0, 1)))
-    shift = next(one for one in misoriented([plane], [error]) if one.cause == "shift")
+    shift = next(one for one in orientation_findings([plane], [error]) if one.cause == "shift")
     x, y = map(float, re.findall(r"(-?[\d.]+), (-?[\d.]+) pixels", shift.explanation)[0])
     assert (x, y) == (pytest.approx(5.0, abs=0.3), pytest.approx(-3.0, abs=0.3))
 
@@ -56,4 +56,4 @@ def test_a_shifted_picture_is_found_with_its_shift() -> None:
 def test_pixels_that_are_not_known_do_not_count() -> None:
     plane, error = taken(np.asarray(MADE[:, ::-1]))
     unknown = Measurement(1.0, plane.amplitude, np.full(SHAPE, np.inf))
-    assert misoriented([unknown], [error]) == []
+    assert orientation_findings([unknown], [error]) == []

@@ -6,8 +6,8 @@ from functools import cache
 from typing import Any
 
 from lensdesign import load_design, scaled
-from wavesim.reconstruction.found import FoundObject
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.found_object import FoundObject
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.imaging import image
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)

@@ -91,8 +91,8 @@ def test_means_are_those_of_the_sensor(fill_factor: float) -> None:
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
     expected = light_on_pixels(one, sensor, fill_factor=fill_factor, oversampling=4)
     pixels = PixelMeans(GRID, fill_factor)
-    way = TransferFunction(GRID, 0.532, 0.0, np.complex128)
-    means = pixels.intensity(pixels.carried(np.fft.fft2(one.values), way))
+    propagator = TransferFunction(GRID, 0.532, 0.0, np.complex128)
+    means = pixels.intensity(pixels.propagate(np.fft.fft2(one.values), propagator))
     off = np.linalg.norm(means - expected) / np.linalg.norm(expected)
     at_points = np.linalg.norm(np.abs(one.values) ** 2 - expected) / np.linalg.norm(expected)
     assert off < 0.01
@@ -106,16 +106,19 @@ def test_means_in_blocks_are_those_of_all_fine_samples(
     shape: tuple[int, int], fill_factor: float, distance_mm: float
 ) -> None:
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, distance_mm, np.complex128)
+    pixels, propagator = (
+        PixelMeans(grid, fill_factor),
+        TransferFunction(grid, 0.532, distance_mm, np.complex128),
+    )
     spectrum, _ = speckle(shape, 2)
     factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm)
     fine = densely(spectrum * factor)
-    found = pixels.intensity(pixels.carried(spectrum, way))
+    found = pixels.intensity(pixels.propagate(spectrum, propagator))
     means = np.maximum(means_of(pixels, np.abs(fine) ** 2), 0.0)
     np.testing.assert_allclose(found, means, atol=1e-14 * np.ptp(np.abs(fine) ** 2))
     other, _ = speckle(shape, 5)
     product = (fine.conj() * densely(other * factor)).real
-    found = pixels.products(pixels.carried(spectrum, way), pixels.carried(other, way))
+    found = pixels.products(pixels.propagate(spectrum, propagator), pixels.propagate(other, propagator))
     np.testing.assert_allclose(found, means_of(pixels, product), atol=1e-13 * np.abs(product).max())
 
 
@@ -123,11 +126,13 @@ def test_means_in_blocks_are_those_of_all_fine_samples(
 @pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
 def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, int], dtype: np.dtype) -> None:
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = PixelMeans(grid, 1.0), TransferFunction(grid, 0.532, 0.4, dtype)
+    pixels, propagator = PixelMeans(grid, 1.0), TransferFunction(grid, 0.532, 0.4, dtype)
     spectrum, change = speckle(shape, 3)
     total = np.ones(shape, dtype)
     there = spectrum.astype(dtype)
-    pixels.add_back(pixels.carried(there, way), change.astype(total.real.dtype), way, total)
+    pixels.add_adjoint(
+        pixels.propagate(there, propagator), change.astype(total.real.dtype), propagator, total
+    )
     factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, 0.4)
     fine = densely(spectrum * factor) * spread(pixels, change)
     expected = 1.0 + coarsely(fine, shape) * factor.conj()
@@ -139,24 +144,24 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
 def test_the_way_back_is_the_adjoint(height: int, width: int, fill_factor: float, seed: int) -> None:
     """Means are a quadratic form of the spectrum, which its own derivative gives again."""
     grid = Grid((height, width), PITCH, 1.0)
-    pixels, way = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, 0.4, np.complex128)
+    pixels, propagator = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, 0.4, np.complex128)
     spectrum, change = speckle(grid.shape, seed)
     # So bright in the middle of the band that no mean is held at 0.
     spectrum[0, 0] += 100.0 * grid.size
-    met = np.sum(change * pixels.intensity(pixels.carried(spectrum, way)))
+    met = np.sum(change * pixels.intensity(pixels.propagate(spectrum, propagator)))
     total = np.zeros_like(spectrum)
-    pixels.add_back(pixels.carried(spectrum, way), change, way, total)
+    pixels.add_adjoint(pixels.propagate(spectrum, propagator), change, propagator, total)
     assert np.vdot(spectrum, total) / grid.size == pytest.approx(met, rel=1e-10)
 
 
 def test_the_way_back_from_a_tilted_sensor_is_the_adjoint() -> None:
     pixels = PixelMeans(GRID, 0.8)
-    way = TiltedPropagator(GRID, 0.532, 0.4, np.complex128, (3.0, -2.0), (1e-3, 2e-3))
+    propagator = TiltedPropagator(GRID, 0.532, 0.4, np.complex128, (3.0, -2.0), (1e-3, 2e-3))
     spectrum, change = speckle(GRID.shape, 6)
     spectrum[0, 0] += 100.0 * GRID.size
-    met = np.sum(change * pixels.intensity(pixels.carried(spectrum, way)))
+    met = np.sum(change * pixels.intensity(pixels.propagate(spectrum, propagator)))
     total = np.ones_like(spectrum)
-    pixels.add_back(pixels.carried(spectrum, way), change, way, total)
+    pixels.add_adjoint(pixels.propagate(spectrum, propagator), change, propagator, total)
     assert np.vdot(spectrum, total - 1.0) / GRID.size == pytest.approx(met, rel=1e-10)
 
 
@@ -167,21 +172,23 @@ def test_changes_with_the_tilt_are_those_of_the_light_on_pixels(
 ) -> None:
     pixels, spectrum, small = PixelMeans(GRID, 1.0), np.fft.fft2(field().values), 1e-2
 
-    def way(step: float) -> TransferFunction | TiltedPropagator:
+    def propagator(step: float) -> TransferFunction | TiltedPropagator:
         tilt = [tilt_deg[n] + step * (n == axis) for n in range(2)]
         return propagator_to(GRID, 0.532, 0.4, np.complex128, (0.0, 0.0), (tilt[0], tilt[1]))
 
-    ahead, behind = (pixels.intensity(pixels.carried(spectrum, way(step))) for step in (small, -small))
+    ahead, behind = (
+        pixels.intensity(pixels.propagate(spectrum, propagator(step))) for step in (small, -small)
+    )
     slope = (ahead - behind) / (2.0 * small)
-    change = tilt_changes(pixels, spectrum, way(0.0), 0.532)[axis]
-    found = 2.0 * pixels.products(pixels.carried(spectrum, way(0.0)), change)
+    change = tilt_changes(pixels, spectrum, propagator(0.0), 0.532)[axis]
+    found = 2.0 * pixels.products(pixels.propagate(spectrum, propagator(0.0)), change)
     off = np.linalg.norm(found - slope) / np.linalg.norm(slope)
     assert off < 5e-3
 
 
 def test_a_point_is_a_pixel_of_no_width() -> None:
     pixels, (spectrum, _) = PixelMeans(GRID, 0.0), speckle(GRID.shape, 4)
-    found = pixels.intensity(pixels.carried(spectrum, TransferFunction(GRID, 0.532, 0.0, np.complex128)))
+    found = pixels.intensity(pixels.propagate(spectrum, TransferFunction(GRID, 0.532, 0.0, np.complex128)))
     assert pixels.taps == [1.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(found, np.abs(np.fft.ifft2(spectrum)) ** 2, atol=1e-14)
 
@@ -207,14 +214,14 @@ def test_means_and_spread_of_an_even_field_are_even() -> None:
 @pytest.mark.parametrize("shape", [*SHAPES, (300, 6)])
 @pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (3.0, -2.0)])
 @pytest.mark.parametrize("band", [7, 128])
-def test_one_pass_is_means_and_way_back(
+def test_one_pass_equals_means_and_adjoint(
     shape: tuple[int, int], tilt_deg: tuple[float, float], band: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bands are narrower than what they see beside them, as wide as all, and some."""
+    """Bands may be narrower than the neighbourhood of a pixel, or as high as the plane."""
     monkeypatch.setattr(bands, "BAND", band)
-    monkeypatch.setattr(bands, "NEW", 1 + band % 5)
+    monkeypatch.setattr(bands, "NEW_ROWS", 1 + band % 5)
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = (
+    pixels, propagator = (
         PixelMeans(grid, 0.8),
         propagator_to(grid, 0.532, 0.4, np.complex128, (1e-3, 2e-3), tilt_deg),
     )
@@ -225,26 +232,28 @@ def test_one_pass_is_means_and_way_back(
         return float(np.sum(means))
 
     expected, total = np.ones_like(spectrum), np.ones_like(spectrum)
-    means = pixels.intensity(pixels.carried(spectrum, way))
-    told = change(means, 0)
-    pixels.add_back(pixels.carried(spectrum, way), means, way, expected)
-    assert sum(pixels.changed(pixels.carried(spectrum, way), change, way, total)) == pytest.approx(told)
+    means = pixels.intensity(pixels.propagate(spectrum, propagator))
+    expected_sum = change(means, 0)
+    pixels.add_adjoint(pixels.propagate(spectrum, propagator), means, propagator, expected)
+    assert sum(
+        pixels.apply_change(pixels.propagate(spectrum, propagator), change, propagator, total)
+    ) == pytest.approx(expected_sum)
     np.testing.assert_allclose(total, expected, atol=1e-13 * np.abs(expected).max())
 
 
 def test_one_pass_does_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the last bit: what is told is added up in one order."""
+    """Results are added in one order, so that they agree to the last bit."""
     shape = (520, 40)
     pixels = PixelMeans(Grid(shape, PITCH, 1.0), 1.0)
-    way = TransferFunction(pixels.grid, 0.532, 0.4, np.complex64)
+    propagator = TransferFunction(pixels.grid, 0.532, 0.4, np.complex64)
     spectrum = speckle(shape, 8)[0].astype(np.complex64)
 
     def found() -> tuple[list[float], np.ndarray]:
         total = np.zeros_like(spectrum)
-        told = pixels.changed(
-            pixels.carried(spectrum, way), lambda means, first: float(means.sum()), way, total
+        sums = pixels.apply_change(
+            pixels.propagate(spectrum, propagator), lambda means, first: float(means.sum()), propagator, total
         )
-        return told, total
+        return sums, total
 
     several = found()
     monkeypatch.setattr(bands, "for_blocks", lambda work, count, block: for_blocks(work, count, block, 1))

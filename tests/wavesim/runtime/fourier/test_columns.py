@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavesim.runtime import threads
 from wavesim.runtime.fourier.cells import transform_cells
 from wavesim.runtime.fourier.columns import bytes_of_columns, transform_columns
-from wavesim.runtime.fourier.panels import aligned, rooms_for, steps_for
+from wavesim.runtime.fourier.panels import aligned, buffers_for, steps_for
 from wavesim.runtime.fourier.passes import SAMPLE
 
 ROUNDING = {np.complex64: 1e-6, np.complex128: 3e-15}
@@ -74,7 +74,7 @@ def test_some_rows_or_columns_of_a_grid(
     some = (slice(None), slice(start, stop)) if axis == 0 else (slice(start, stop),)
     exact[some] = np.fft.fft(exact[some], axis=axis) if stop > start else exact[some]
     steps, samples = steps_for(count, "complex64"), aligned((count * SAMPLE,), np.complex64)
-    rooms = rooms_for(count, "complex64")
+    rooms = buffers_for(count, "complex64")
     before = grid.copy()
     transform_cells(grid, start, stop, axis, steps, False, samples, rooms)
     assert relative(grid.view(np.complex64), exact) < 1e-6

@@ -19,7 +19,7 @@ from wavesim.runtime.fourier.panels import (
     bytes_of_panels,
     convolved,
     steps_for,
-    thread_room,
+    thread_buffer,
     transform_bytes,
 )
 
@@ -61,12 +61,12 @@ def test_a_plane_there_and_back(dtype: Any, rows: int, columns: int, at_a_time: 
     values = noise((rows, columns), dtype)
     panels = filled(values, at_a_time)
     for panel in panels.values:
-        panels.along_columns(panel, panel, back=False)
+        panels.along_columns(panel, panel, inverse=False)
     found = on_plane(panels)
     assert relative(found[:, :columns], np.fft.fft2(values.astype(complex))) < ROUNDING[dtype]
     assert not found[:, columns:].any()
     for panel in panels.values:
-        panels.along_columns(panel, panel, back=True)
+        panels.along_columns(panel, panel, inverse=True)
     again = np.empty_like(values)
     for first in range(0, rows, at_a_time):
         panels.take_rows(first, again[first : first + at_a_time])
@@ -78,7 +78,7 @@ def test_columns_go_into_another_panel_and_rows_come_from_other_values() -> None
     panels = filled(values, 16)
     before = panels.values.copy()
     target = aligned(panels.values.shape[1:], np.complex64)
-    panels.along_columns(panels.values[1], target, back=False)
+    panels.along_columns(panels.values[1], target, inverse=False)
     np.testing.assert_array_equal(panels.values, before)
     expected = np.fft.fft2(values.astype(complex))[:, LANES : 2 * LANES]
     assert relative(target[:, 0] + 1j * target[:, 1], expected) < 1e-6
@@ -108,13 +108,13 @@ def test_threads_have_rooms_of_their_own_and_have_them_again() -> None:
 
     def rooms(_: int) -> tuple[NDArray, NDArray]:
         both.wait()
-        return thread_room("mine", (3, 5), np.complex64), thread_room("mine", (3, 5), np.complex64)
+        return thread_buffer("mine", (3, 5), np.complex64), thread_buffer("mine", (3, 5), np.complex64)
 
     with ThreadPoolExecutor(2) as pool:
         (one, again), (other, _) = pool.map(rooms, range(2))
     assert one is again
     assert not np.shares_memory(one, other)
-    assert thread_room("mine", (3, 5), np.complex128).dtype == np.float64
+    assert thread_buffer("mine", (3, 5), np.complex128).dtype == np.float64
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (97, 40), (30, 1009)])
@@ -130,7 +130,7 @@ def test_memory_is_told(shape: tuple[int, int]) -> None:
         panels.put_rows(noise((16, shape[1]), np.complex64), 0)
         longest = max(shape, key=convolved)
         wide = convolved(longest)
-        return thread_room(
+        return thread_buffer(
             "samples", (len(panels.values) * 16 * 32,), np.complex64
         ).nbytes + wide * 8 * 16 * (2 if wide == longest else 3)
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wavesim.runtime.device import Precision, device_named, sum_of_terms, terms_back
+from wavesim.runtime.device import Precision, adjoint_of_terms, device_named, sum_of_terms
 from wavesim.runtime.fourier.terms import TermsTransform, axes_for, pieces_of
 
 ROUNDING = 1e-6
@@ -108,7 +108,8 @@ def test_weighted_terms_are_those_apart_added_up(terms: int, rows: int, columns:
     assert relative(found, (weights * apart).sum(axis=0)) < ROUNDING
     apart = back.execute(weights.conj() * values).reshape(shape)
     assert (
-        relative(terms_back(back, np, values, factors, weights), (factors.conj() * apart).sum(0)) < ROUNDING
+        relative(adjoint_of_terms(back, np, values, factors, weights), (factors.conj() * apart).sum(0))
+        < ROUNDING
     )
 
 

@@ -1,0 +1,102 @@
+"""Tiles turned by a slightly different lens, against tiles that were made of that lens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_twins import bars_under_stop
+
+from lensdesign.lens.poses import Pose, SurfacePerturbation
+from wavesim.calibration.joint.perturbed_tiles import (
+    PerturbedScene,
+    PerturbedTiles,
+    exit_field_changes_by_engines,
+    exit_field_changes_by_rays,
+    path_slopes,
+)
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.fields.field import Field
+from wavesim.scene.placement import Placement
+from wavesim.scene.scene import Scene, placed_scene
+
+WHAT = ("decenter", "tilt", "lens", "object farther")
+
+
+def changed(scene: Scene, what: str, size: float) -> Scene:
+    """The scene with a lens or an object that is not as it was; at 1, paths change by some radians."""
+    placement = {
+        "decenter": Placement(Pose(decenter_x_mm=5e-4 * size, decenter_y_mm=-3e-4 * size)),
+        "tilt": Placement(Pose(tilt_x_deg=0.05 * size, tilt_y_deg=-0.03 * size)),
+        "lens": Placement(
+            surface_perturbations={0: SurfacePerturbation(index=3e-4 * size, thickness_mm=4e-4 * size)}
+        ),
+        "object farther": Placement(object_shift_mm=(0.0, 0.0, -5e-4 * size)),
+    }[what]
+    return placed_scene(scene, placement)
+
+
+def made_of(scene: Scene, lit: Field) -> np.ndarray:
+    """The field behind tiles of the scene's own."""
+    there = Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)
+    return EikonalTiles(scene, error=0.1, tile_width_mm=0.03).forward(there).values
+
+
+@pytest.fixture(scope="module")
+def reference() -> tuple[EikonalTiles, Field]:
+    """Four tiles and more, so that each is narrow beside the object."""
+    scene, light, bars, _ = bars_under_stop()
+    engine = EikonalTiles(scene, error=0.1, tile_width_mm=0.03)
+    return engine, light.with_values(light.values * bars)
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_turned_tiles_are_those_of_the_changed_lens(reference: tuple[EikonalTiles, Field], what: str) -> None:
+    engine, lit = reference
+    scene = changed(engine.scene, what, 1.0)
+    made = made_of(scene, lit)
+    there = Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)
+    turned = PerturbedTiles(engine, scene).forward(there).values
+    change = np.linalg.norm(made - engine.forward(lit).values)
+    assert change > 0.05 * np.linalg.norm(made)
+    assert np.linalg.norm(turned - made) < 0.1 * change
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_changes_of_the_field_are_those_of_the_engine(
+    reference: tuple[EikonalTiles, Field], what: str
+) -> None:
+    engine, lit = reference
+    step = 0.02
+    scene = changed(engine.scene, what, step)
+    there, dtype = [PerturbedScene(scene, step)], lit.values.dtype
+    (by_path,) = exit_field_changes_by_rays(engine, lit, path_slopes(engine, dtype, there))
+    (by_tiles,) = exit_field_changes_by_engines(
+        engine, lit, there, lambda one: EikonalTiles(one, error=0.1, tile_width_mm=0.03)
+    )
+    change = (made_of(scene, lit) - engine.forward(lit).values) / step
+    assert by_tiles == pytest.approx(change)
+    assert np.linalg.norm(by_path - change) < 0.1 * np.linalg.norm(change)
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_slopes_of_rays_hold_where_tiles_are_turned(reference: tuple[EikonalTiles, Field], what: str) -> None:
+    """A lens that has changed by some radians changes on as it did."""
+    engine, lit = reference
+    turned = PerturbedTiles(engine, changed(engine.scene, what, 1.0))
+    dtype, step = lit.values.dtype, 0.02
+    slopes = [
+        path_slopes(one, dtype, [PerturbedScene(changed(engine.scene, what, size + step), step)])
+        for one, size in ((engine, 0.0), (turned, 1.0))
+    ]
+    before, now = (exit_field_changes_by_rays(turned, lit, own)[0] for own in slopes)
+    assert np.linalg.norm(before - now) < 0.1 * np.linalg.norm(now)
+
+
+def test_turned_tiles_and_their_adjoint_agree(reference: tuple[EikonalTiles, Field]) -> None:
+    engine, lit = reference
+    turned = PerturbedTiles(engine, changed(engine.scene, "decenter", 1.0))
+    field = turned.forward(lit)
+    there = turned.adjoint(field)
+    cells = engine.scene.object_grid.cell, engine.scene.exit_grid.cell
+    forth = np.vdot(field.values, field.values).real * cells[1]
+    assert forth == pytest.approx(np.vdot(there.values, lit.values).real * cells[0], rel=1e-4)

@@ -1,0 +1,165 @@
+"""What a bench is like, from frames with and without an object."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim import image
+from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
+from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.joint.pixels import SparsePixels
+from wavesim.calibration.pulls import independent_pulls
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.scene.bench import Bench, LightErrors
+from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
+from wavesim.sensor.frames import Frame
+
+TRUE = {
+    "light_tilt_x_deg": 0.5,
+    "light_tilt_y_deg": -0.3,
+    "light_phase_20_waves": 0.05,
+    "light_phase_11_waves": -0.03,
+    "light_amplitude_10": -0.06,
+    "light_amplitude_02": 0.04,
+}
+BENCH = Bench(light=LightErrors((0.5, -0.3), {(1, 0): -0.06, (0, 2): 0.04}, {(2, 0): 0.05, (1, 1): -0.03}))
+SETTINGS = CalibrationSettings(patch_mm=0.04, error=0.1, parameters="light", kind="amplitude")
+
+
+@pytest.fixture(scope="module")
+def lens() -> Lens:
+    return scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+
+
+def frames_of(lens: Lens, thing: str) -> tuple[Frame, ...]:
+    made = image(
+        lens, thing, placement=BENCH, patch_mm=0.04, exposures=(1.0, 30.0), engine="eikonal", error=0.1
+    )
+    return made.frames
+
+
+@pytest.fixture(scope="module")
+def empty(lens: Lens) -> tuple[Frame, ...]:
+    return frames_of(lens, "empty")
+
+
+@pytest.fixture(scope="module")
+def star(lens: Lens) -> tuple[Frame, ...]:
+    return frames_of(lens, "star")
+
+
+@pytest.fixture(scope="module")
+def measured(lens: Lens, empty: tuple[Frame, ...]) -> Calibrated:
+    return calibrate_empty(lens, empty, SETTINGS)
+
+
+def test_frames_without_an_object_tell_the_light(measured: Calibrated) -> None:
+    assert measured.explained
+    assert measured.deviations is not None
+    for name, value, deviation in zip(measured.parameters, measured.values, measured.deviations, strict=True):
+        assert abs(value - TRUE.get(name, 0.0)) < 4.0 * deviation, (name, value, deviation)
+    told = dict(zip(measured.parameters, measured.values, strict=True))
+    assert told["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
+    assert told["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
+
+
+def test_their_light_holds_while_the_rest_is_sought(
+    lens: Lens, empty: tuple[Frame, ...], star: tuple[Frame, ...], measured: Calibrated, tmp_path: Path
+) -> None:
+    quick = {"parameters": "plane_2_background", "iterations": 6, "most_mountings": 12, "kind": "complex"}
+    found = calibrate_frames(lens, star, SETTINGS, empty=empty, **quick)
+    told = dict(zip(found.parameters, found.values, strict=True))
+    assert [name for name in found.parameters if name.startswith("light")] == list(measured.parameters)
+    assert told["plane_2_background"] < 5e-3
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(found.table()))
+    light = read_calibration(path, lens).light
+    assert light == found.bench.light
+    assert light.tilt_deg == pytest.approx((0.5, -0.3), rel=0.05)
+
+
+def test_frames_that_saw_an_object_are_refused(lens: Lens, star: tuple[Frame, ...]) -> None:
+    with pytest.raises(InputError, match=r"empty: .*\d+\.\d times the noise"):
+        calibrate_empty(lens, star, SETTINGS, most_mountings=10)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"wavelength_um": 0.6}, r"empty: wavelength_um = 0.6; .*0.532"),
+        ({"pixel_pitch_um": 3.0}, r"empty: pixel_pitch_um = 3; .*3.2"),
+        ({"plane_distance_mm": 0.3}, r"empty: planes at 0.3 mm"),
+    ],
+)
+def test_frames_of_another_light_pitch_or_plane_are_refused(
+    lens: Lens, empty: tuple[Frame, ...], star: tuple[Frame, ...], change: dict[str, Any], message: str
+) -> None:
+    other = [replace(frame, settings=frame.settings.replaced(**change)) for frame in empty]
+    with pytest.raises(InputError, match=message):
+        calibrate_frames(lens, star, SETTINGS, empty=other)
+
+
+def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames are made with every pixel, through one field behind the lens."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
+    bench = Bench(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
+    small: dict[str, Any] = {"patch_mm": 0.04, "engine": "eikonal", "error": 0.1}
+    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0), **small).frames
+    taken: list[int] = []
+
+    def spied(self: SparsePixels, *given: Any) -> ForwardModel:
+        taken.append(self.recorded[0].amplitude.shape[0])
+        return model(self, *given)
+
+    model = SparsePixels.model
+    monkeypatch.setattr(SparsePixels, "model", spied)
+    names = "plane_2_shift_x_um,plane_2_shift_y_um"
+    found = calibrate_frames(lens, frames, parameters=names, most_mountings=5, iterations=3, **small)
+    assert set(taken) == {taken[0]}
+    assert 1.9 < frames[0].counts.shape[0] / taken[0] < 4.5
+    assert found.values == pytest.approx((4.0, -3.0), abs=0.3)
+
+
+@pytest.mark.parametrize("kind", ["amplitude", "complex"])
+def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruction(
+    lens: Lens, tmp_path: Path, kind: Literal["amplitude", "complex"]
+) -> None:
+    tiles: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.3}
+    frames = image(lens, "star", exposures=(1.0, 30.0), pixels=140, **tiles).frames
+    found = calibrate_frames(lens, frames, kind=kind, most_mountings=6, **tiles)
+    assert found.explained
+    assert found.nominal == found.parameters
+    assert set(found.undetermined) == (set() if kind == "amplitude" else LIGHT)
+    assert found.applied is not None
+    assert not any(found.applied.values())
+    assert found.deviations is not None
+    assert found.covariance is not None
+    assert found.typical is not None
+    pulls = independent_pulls(np.array(found.values), found.covariance, np.array(found.typical))
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(found.table()))
+    bench = read_calibration(path, lens)
+    again = reconstruct_frames(lens, frames, kind=kind, calibration=bench, **tiles)
+    assert found.over_noise == again.verdict.over_noise
+
+
+LIGHT = {
+    *(f"light_tilt_{axis}_deg" for axis in "xy"),
+    *(f"light_phase_{orders}_waves" for orders in ("20", "11", "02")),
+    *(f"light_amplitude_{orders}" for orders in ("10", "01", "20", "11", "02")),
+}
+
+
+def test_calibration_and_reconstruction_take_one_kind_of_object_by_default() -> None:
+    assert CalibrationSettings().kind == ReconstructionSettings().kind

@@ -1,0 +1,72 @@
+"""From a design to the object in two calls, without a command or a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.sensor.imaging import Imaged, image
+
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+
+
+@pytest.fixture(scope="module")
+def imaged() -> Imaged:
+    return image(LENS, patch_mm=0.05, engine="eikonal", error=0.3, seed=1)
+
+
+def test_frames_are_reconstructed_as_they_come(imaged: Imaged) -> None:
+    told: list[tuple[str, int, int]] = []
+    found = reconstruct_frames(
+        LENS,
+        imaged.frames,
+        patch_mm=0.05,
+        kind="amplitude",
+        engine="eikonal",
+        error=0.3,
+        iterations=8,
+        truth=imaged.target.transmission,
+        progress=lambda *what: told.append(what),
+    )
+    correlation = found.truth["object_correlation"]
+    assert correlation is not None
+    assert correlation > 0.85
+    assert found.figures()["iterations"] == len(found.curve) == 8
+    assert told[0] == ("object: engine eikonal", 0, 8)
+    assert "comparison with the true object" in [what for what, *_ in told]
+    assert "method object, engine eikonal" in repr(found)
+    assert "data:image/png;base64," in found._repr_html_()
+    assert "engine eikonal" in repr(imaged)
+    assert "<table>" in imaged._repr_html_()
+
+
+def test_an_object_of_one_s_own_is_imaged_as_a_named_one(imaged: Imaged) -> None:
+    again = image(LENS, imaged.target.transmission, engine="eikonal", error=0.3, seed=1, field_stop_mm=0.05)
+    for one, other in zip(again.frames, imaged.frames, strict=True):
+        assert np.array_equal(one.counts, other.counts)
+    with pytest.raises(InputError, match="leave them out"):
+        image(LENS, imaged.target.transmission, patch_mm=0.05)
+
+
+def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: Path) -> None:
+    for changes, message in (
+        ({"patch": 0.05}, "patch: Extra inputs"),
+        ({"kind": "phase"}, "kind: must be"),
+        ({"start": "model"}, "start: allowed for object: even, amplitude"),
+        ({"chart_at_mm": [(0.01, 0.0)]}, "chart_at_mm: means nothing without usaf"),
+        ({"waist_mm": 0.01}, "waist_mm: means nothing without illumination gaussian"),
+        ({"region_mm": (0.0, 0.0, 0.01, -0.01)}, "region_mm = 0,0,0.01,-0.01: must be finite"),
+        ({"method": "paper"}, "method paper: needs frames of two planes"),
+        ({"method": "paper", "source_deg": 0.1}, "source_deg: means nothing with method paper"),
+        ({"source_deg": 90.0}, "source_deg: must be from 0 to below 90"),
+    ):
+        with pytest.raises(InputError, match=message):
+            reconstruct_frames(LENS, imaged.frames[:1], folder=tmp_path, **{"patch_mm": 0.05} | changes)
+    with pytest.raises(InputError, match=r"frames: .*one"):
+        reconstruct_frames(LENS, [])
+    assert not list(tmp_path.iterdir())

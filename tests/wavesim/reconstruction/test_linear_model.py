@@ -1,0 +1,122 @@
+"""Slopes of a recording's model, and the way back to the object."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_twins import small_twin
+
+from wavesim.fields.field import Grid
+from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.reconstruction.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
+from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.sensor.measurement import Measurement
+
+
+@pytest.fixture(scope="module")
+def parts() -> tuple:
+    """A model with two planes, and a transmission that is not the one that they recorded."""
+    engine, lit = small_twin()
+    rng = np.random.default_rng(1)
+    truth, now = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape) for _ in range(2))
+    blank = [Measurement(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
+    seen = ForwardModel(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
+    planes = [
+        replace(p, amplitude=2.0 * a, sigma=1.0 + rng.random(a.shape), background=np.full(a.shape, 0.01))
+        for p, a in zip(blank, seen, strict=True)
+    ]
+    return engine, lit, planes, now.astype(complex)
+
+
+def linear(
+    parts: tuple,
+    *,
+    changed: dict | None = None,
+    transmission: np.ndarray | None = None,
+    tilt_deg: tuple[float, float] = (0.0, 0.0),
+) -> LinearModel:
+    engine, lit, planes, now = parts
+    planes = [replace(p, tilt_deg=tilt_deg) for p in (planes[0], replace(planes[1], **(changed or {})))]
+    model = ForwardModel(engine, lit, planes, None, 1.0)
+    return LinearModel(model, now if transmission is None else transmission, True)
+
+
+def test_the_way_back_is_the_adjoint(parts: tuple) -> None:
+    here, rng = linear(parts), np.random.default_rng(2)
+    change = rng.standard_normal(parts[3].shape) + 1j * rng.standard_normal(parts[3].shape)
+    left = rng.standard_normal(here.residual.shape)
+    there = float(np.vdot(here.jacobian_times_object(change), left))
+    assert float(np.vdot(change, here.adjoint_to_object(left)).real) == pytest.approx(there, rel=1e-5)
+
+
+def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
+    """The scale follows by itself, so that what it does is left out of the differences too."""
+    here, small = linear(parts), 1e-3
+    direction, seen = np.random.default_rng(3).standard_normal(parts[3].shape), here.measurement
+    assert isinstance(seen, FreeSpaceMeasurement)
+    cases = {
+        "object": (
+            here.jacobian_times_object(direction),
+            linear(parts, transmission=parts[3] + 1e-4 * direction),
+            1e-4,
+        ),
+        "distance": (
+            here.amplitude_change_on_plane(1, seen.by_distance(1)),
+            linear(parts, changed={"distance_mm": 0.6 + small}),
+            small,
+        ),
+        "tilt": (here.amplitude_changes(seen.by_tilt(1)), linear(parts, tilt_deg=(0.0, 1e-3)), 1e-3),
+        "shift": (
+            here.amplitude_change_on_plane(1, seen.by_shift(1, 0)),
+            linear(parts, changed={"shift_mm": (1e-5, 0.0)}),
+            1e-2,
+        ),
+    }
+    for name, (slope, there, step) in cases.items():
+        found = here.without_scale((here.residual - there.residual) / step)
+        assert np.linalg.norm(found - slope) < 0.05 * np.linalg.norm(slope), name
+
+
+def test_a_background_adds_its_share_of_the_mean(parts: tuple) -> None:
+    plane = parts[2][1]
+    mean = float(np.mean(plane.amplitude**2))
+    here, there = linear(parts), linear(parts, changed={"background": plane.background + 1e-3 * mean})
+    found = here.without_scale((here.residual - there.residual) / 1e-3)
+    assert np.linalg.norm(found - here.jacobian_times_background(1)) < 0.05 * np.linalg.norm(found)
+
+
+GRID = Grid((48, 40), 3.2e-3, 1.0)
+TILTS = (0.0, 0.0), (2.0, -1.0)
+
+
+def spectrum(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal(GRID.shape) + 1j * rng.standard_normal(GRID.shape)
+
+
+@pytest.fixture(params=TILTS, ids=["upright", "tilted"])
+def samples(request: pytest.FixtureRequest) -> CachedSamples:
+    propagator = propagator_to(GRID, 0.532, 0.4, complex, (1e-3, -2e-3), request.param)
+    assert isinstance(propagator, TiltedPropagator) == any(request.param)
+    return CachedSamples(PixelMeans(GRID, 0.9), spectrum(1), propagator)
+
+
+def test_intensities_and_products_agree_with_the_pixels(samples: CachedSamples) -> None:
+    rows, others = (samples.pixels.propagate(spectrum(seed), samples.propagator) for seed in (1, 2))
+    assert samples.intensity() == pytest.approx(samples.pixels.intensity(rows))
+    assert samples.products(spectrum(2)) == pytest.approx(samples.pixels.products(rows, others))
+
+
+def test_the_adjoint_is_that_of_the_pixels_and_can_be_repeated(samples: CachedSamples) -> None:
+    change = np.random.default_rng(3).random(GRID.shape)
+    expected = spectrum(4)
+    samples.pixels.add_adjoint(
+        samples.pixels.propagate(spectrum(1), samples.propagator), change, samples.propagator, expected
+    )
+    for _ in range(2):
+        total = spectrum(4)
+        samples.add_adjoint(change, total)
+        assert total == pytest.approx(expected)

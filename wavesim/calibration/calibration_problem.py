@@ -1,0 +1,303 @@
+"""A calibration from frames: its statement, and the resumable search among all parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose
+from wavesim.calibration.calibrated import Calibrated, correlated_parameters
+from wavesim.calibration.joint.pixels import (
+    CalibrationPixels,
+    DensePixels,
+    padded_to_fast_shape,
+    pixel_spacing,
+    sparse_pixels,
+)
+from wavesim.calibration.joint.search import JointSearch, SearchState
+from wavesim.calibration.parameters import (
+    LIGHT_ORDER,
+    Parameter,
+    Unknowns,
+    all_names,
+    bench_parameters,
+    chosen_parameters,
+    with_priors,
+)
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
+from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.memory import MemoryLimitError, memory_limit
+from wavesim.runtime.threads import one_blas_thread
+from wavesim.scene.engine import Engine
+from wavesim.scene.placement import Placement
+from wavesim.scene.scene import Scene
+from wavesim.scene.settings import CalibrationSettings, SettingError
+from wavesim.sensor.frame_sets import recorded_planes
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.measurement import noise_misfit
+from wavesim.sensor.recording import Progress
+from wavesim.sensor.windows import exit_scene, imaging_engine
+
+ARRAYS_PER_PARAMETER = 5
+"""Arrays of the size of all pixels per parameter that exist at the end of a search."""
+
+IGNORED_SETTINGS = {
+    "patch_mm",
+    "field_stop_mm",
+    "field_stop_at_mm",
+    "field_stop",
+    "object_pitch_um",
+    "illumination",
+    "most_mountings",
+}
+"""Settings that do not affect a search, or that affect it only through the light."""
+
+
+class CalibrationProblem:
+    """Frames, settings, and the engines of a calibration.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    frames
+        Frames of one or more planes.
+    settings
+        Settings of the calibration.
+    priors
+        Expected standard deviations by parameter, where they differ from the usual ones.
+
+    Attributes
+    ----------
+    pixels : CalibrationPixels
+        Pixels that the search uses.
+    scene : Scene
+        Nominal scene to the pixels of the nearest plane.
+    recorded : tuple of Measurement
+        Measured planes.
+    start : Placement
+        Nominal mounting.
+    """
+
+    def __init__(
+        self,
+        lens: Lens,
+        frames: Sequence[Frame],
+        settings: CalibrationSettings,
+        priors: Mapping[str, float] | None = None,
+    ) -> None:
+        self.lens, self.settings, self.priors = lens, settings, priors or {}
+        self.framed = framed = patch_of_frames(lens, frames, settings)
+        self.recorded = tuple(recorded_planes(frames))
+        self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
+        self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
+        self._light = light_of_frames(self.scene, framed.frames, framed.light)
+        self._engines: dict[str, Engine] = {}
+        light = framed.light.with_values(framed.light.values.astype(np.complex64))
+        pixel_settings = settings.scale, settings.fill_factor, self.make
+        sparse, spacing = None, pixel_spacing(framed.patch, self.scene)
+        if spacing > 1 and settings.engine == EikonalTiles.name:
+            dense = DensePixels(self.scene, light, self.recorded, *pixel_settings)
+            sparse = sparse_pixels(dense, framed.frames, spacing)
+        scene, recorded = padded_to_fast_shape(self.scene, self.recorded)
+        self.pixels: CalibrationPixels = sparse or DensePixels(scene, light, recorded, *pixel_settings)
+
+    def make(self, scene: Scene) -> Engine:
+        """Return the engine of a scene; the last one is stored, because scenes are often requested twice in
+        a row.
+        """
+        key = repr(scene)
+        if key not in self._engines:
+            self._engines.clear()
+            self._engines[key] = imaging_engine(
+                scene, self.settings, runs=2 * self.settings.iterations, light=self._light.on(scene)
+            )
+        return self._engines[key]
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters of the light that a complex object can imitate; none for an amplitude object."""
+        if self.settings.kind == "amplitude":
+            return ()
+        names_sought = {p.name for p in self.parameters()}
+        light = self.parameters("all", light_order=LIGHT_ORDER)
+        return tuple(p.name for p in light if p.group == "light" and p.name not in names_sought)
+
+    def parameters(self, text: str | None = None, light_order: int | None = None) -> tuple[Parameter, ...]:
+        """Return the requested parameters with their priors.
+
+        Parameters
+        ----------
+        text
+            Names or groups; default: those of the settings.
+        light_order
+            Highest sum of orders of the light's modes; default: by the kind of object.
+
+        Raises
+        ------
+        SettingError
+            If a name is unknown, or not possible with this kind of object.
+        """
+        patch, requested = self.framed.patch, text or self.settings.parameters
+        side_mm = patch.grid.shape[0] * patch.grid.pitch_mm
+        if light_order is None:
+            light_order = LIGHT_ORDER if self.settings.kind == "amplitude" else 0
+        allowed = bench_parameters(
+            self.lens, len(self.framed.planes_mm), side_mm, patch.wavelength_um, light_order=light_order
+        )
+        try:
+            chosen = chosen_parameters(requested, allowed)
+        except InputError as error:
+            hint = "; with a complex object no light is sought: use {kind} amplitude" * (not light_order)
+            raise SettingError(f"{{parameters}} = {requested!r}: {error}{hint}") from None
+        return with_priors(chosen, self.priors, all_names(self.lens))
+
+
+def search_bench(
+    problem: CalibrationProblem,
+    parameters: tuple[Parameter, ...],
+    start: Unknowns,
+    checkpoint_path: Path | None,
+    progress: Progress,
+    known: NDArray[Any] | None = None,
+) -> Calibrated:
+    """Search for the parameters of a bench, with a known object or together with the object.
+
+    Parameters
+    ----------
+    problem
+        Statement of the calibration.
+    parameters
+        Parameters that are sought.
+    start
+        Start of the search, with values of all other parameters.
+    checkpoint_path
+        File of the search's state; None disables it.
+    progress
+        Callback `progress(stage, completed, total)`.
+    known
+        Transmission of the object where it is known.
+
+    Returns
+    -------
+    Calibrated
+        The bench, estimates and their covariance.
+
+    Raises
+    ------
+    InputError
+        If the model raises it at the start of the search.
+    MemoryLimitError
+        If the derivatives of all pixels need more memory than is available.
+    KeyboardInterrupt
+        If the search is interrupted; the message says what was saved.
+    """
+    settings, light = problem.settings, problem.framed.light
+    _check_memory(len(parameters), problem)
+    settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
+    key = key_of_frames(
+        problem.lens, problem.framed.frames, light, settings_json, repr((dict(start.values), parameters))
+    )
+    run = _SearchRecord(
+        start,
+        tuple(p.name for p in parameters),
+        None if checkpoint_path is None else Checkpoint(checkpoint_path, key),
+    )
+    what = "the frames as designed" if known is None else "the frames without an object"
+    progress(what, 0, settings.most_mountings)
+    noise = noise_misfit(problem.pixels.recorded)
+    search = JointSearch(
+        problem.pixels,
+        settings.kind,
+        parameters,
+        settings.iterations,
+        settings.most_mountings,
+        noise,
+        known,
+        lambda number, _, misfit: progress(_misfit_text(misfit, noise), number, settings.most_mountings),
+        run.save,
+    )
+    try:
+        with one_blas_thread():
+            found = search.run(run.initial_state())
+    except KeyboardInterrupt:
+        outcome = (
+            "the same command goes on from there" if run.saved and checkpoint_path else "nothing was written"
+        )
+        raise KeyboardInterrupt(f"interrupted after {run.saved} mountings; {outcome}") from None
+    return Calibrated(
+        bench=found.unknowns.bench,
+        parameters=run.names,
+        values=tuple(found.estimates.tolist()),
+        deviations=tuple(found.deviations.tolist()),
+        typical=tuple(p.typical for p in parameters),
+        misfit_before=found.trail[0][1],
+        misfit=found.misfit,
+        trail=tuple((tuple(u.of(run.names).tolist()), misfit) for u, misfit in found.trail),
+        at_reach=(),
+        stopped_because=found.stopped_because,
+        misfit_of_noise=noise,
+        covariance=found.covariance,
+        traded=correlated_parameters(run.names, found.covariance),
+        nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
+        undetermined=problem.undetermined if known is None else (),
+        applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),
+    )
+
+
+def _check_memory(count: int, problem: CalibrationProblem) -> None:
+    """Check that the derivatives of all pixels fit in memory."""
+    pixels = sum(plane.amplitude.size for plane in problem.pixels.recorded)
+    needed_bytes, free_bytes = (
+        ARRAYS_PER_PARAMETER * count * pixels * np.dtype(np.float32).itemsize,
+        memory_limit(None),
+    )
+    if needed_bytes > free_bytes:
+        raise MemoryLimitError(
+            f"a search for {count} parameters in {pixels} pixels needs {1e-9 * needed_bytes:.3g} GB, and "
+            f"{1e-9 * free_bytes:.3g} GB are allowed: seek fewer parameters, or use a smaller "
+            "window of the frames"
+        )
+
+
+def _misfit_text(misfit: float, noise: float | None) -> str:
+    return f"misfit {misfit:.4f}" if noise is None else f"misfit {misfit / noise:.2f} times the noise"
+
+
+class _SearchRecord:
+    """The state of a search, and its checkpoint."""
+
+    def __init__(self, start: Unknowns, names: tuple[str, ...], checkpoint: Checkpoint | None) -> None:
+        self._start, self.names, self._checkpoint = start, names, checkpoint
+        self.saved = 0
+
+    def initial_state(self) -> SearchState:
+        """Return the state of an interrupted search, or the start."""
+        saved = None if self._checkpoint is None else self._checkpoint.load()
+        if saved is None:
+            return SearchState(self._start)
+        self.saved = len(saved["misfits"])
+        rows = zip(saved["values"].tolist(), saved["misfits"].tolist(), strict=True)
+        trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
+        current = self._start.changed(self.names, saved["here"].tolist())
+        return SearchState(current, int(saved["stage"]), float(saved["stretch"]), trail)
+
+    def save(self, state: SearchState) -> None:
+        """Save the state after a step."""
+        self.saved = len(state.trail)
+        if self._checkpoint is None:
+            return
+        self._checkpoint.keep(
+            here=state.unknowns.of(self.names),
+            values=[unknowns.of(self.names) for unknowns, _ in state.trail],
+            misfits=[misfit for _, misfit in state.trail],
+            stage=state.stage,
+            stretch=state.stretch,
+        )

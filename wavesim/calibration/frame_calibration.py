@@ -1,0 +1,370 @@
+"""Calibration of a bench from frames and a design, in one call."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
+from wavesim.calibration.known_object import calibrate
+from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
+from wavesim.fields.field import Field
+from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
+from wavesim.reconstruction.field_stop import StopSearch
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.reconstruction.linear_model import LinearModel
+from wavesim.reconstruction.problem import validate_frames
+from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
+from wavesim.scene.bench import Bench, LightErrors
+from wavesim.scene.scene import placed_scene
+from wavesim.scene.settings import (
+    CalibrationSettings,
+    FramedSettings,
+    ReconstructionSettings,
+    SettingError,
+)
+from wavesim.sensor.frame_sets import planes_of_frames
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.mounting import RIGID, light_on, parameter_names, planes_at, validate_parameters
+from wavesim.sensor.recording import Progress
+from wavesim.targets.patch import lit, lit_patch, read_object
+
+OBJECT_OVER_NOISE, OBJECT_FRACTION = 4.0, 0.2
+"""Misfit of a smooth light above which empty frames contain an object: over the noise, and as a fraction of
+the amplitude beyond the noise.
+"""
+
+
+class EmptyWarning(UserWarning):
+    """Frames without an object are not explained within their noise."""
+
+
+def calibrate_frames(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: CalibrationSettings | None = None,
+    *,
+    known: Field | Path | None = None,
+    empty: Sequence[Frame] | None = None,
+    priors: Mapping[str, float] | None = None,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    judges: bool = True,
+    **changes: Any,
+) -> Calibrated:
+    """Calibrate a bench: light, lens, mounting and camera.
+
+    The result is the bench for which frames and reconstruction agree best;
+    :func:`wavesim.reconstruct_frames` accepts it. Frames of a known object determine the mounting only.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    frames
+        One or more frames of each plane, from :func:`wavesim.image` or :func:`wavesim.read_frames`.
+    settings
+        All settings; default: `CalibrationSettings()`.
+    known
+        Transmission of a known object on the patch's samples, or its file or folder.
+    empty
+        Frames of the same planes without an object. They determine the light (:func:`calibrate_empty`), and
+        the search for other parameters starts from there.
+    priors
+        Standard deviations of parameters by name, where more is known than for a usual bench;
+        :func:`tolerancing.study.calibration_priors` takes them from a tolerance study.
+    folder
+        Folder of the checkpoint; the same call continues an interrupted search.
+    progress
+        Callback `progress(stage, completed, total)` with the number of benches.
+    judges
+        Whether the object is reconstructed on the bench found, by :func:`wavesim.reconstruct_frames` with
+        the same settings, to state the verdict. With a known object the verdict needs no reconstruction.
+    **changes
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    Calibrated
+        The bench, the estimates, and the verdict.
+
+    Raises
+    ------
+    InputError, SamplingError
+        If a value is invalid, no light passes the lens, or empty frames contain an object.
+    KeyboardInterrupt
+        If the search is interrupted; the message says what was saved.
+
+    Warns
+    -----
+    EmptyWarning
+        If empty frames are not fully explained.
+    """
+    requested_settings = (settings or CalibrationSettings()).replaced(**changes)
+    validate_frames(lens, frames, requested_settings)
+    progress = progress or (lambda what, done, count: None)
+    settings = _with_stop(lens, frames, requested_settings, progress)
+    found = _calibrated(lens, frames, settings, known, empty, priors, folder, progress, judges)
+    patch = lit_patch(lens, settings, frames[0].settings.wavelength_um)[0]
+    found = replace(
+        found,
+        field_stop_mm=patch.field_stop_mm,
+        field_stop_at_mm=patch.field_stop_at_mm,
+        field_stop_from=requested_settings.field_stop_from,
+    )
+    if found.verdict is None or not found.stop_warning:
+        return found
+    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_warning)))
+
+
+def _with_stop(
+    lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, progress: Progress
+) -> CalibrationSettings:
+    """Return settings with a stated field stop, which is found first if requested."""
+    if settings.field_stop != "find":
+        return settings
+    problem = CalibrationProblem(lens, frames, settings)
+    patch = problem.framed.patch
+    search = StopSearch(
+        problem.make(problem.scene),
+        problem.recorded,
+        lambda stop: lit(patch.with_stop(*stop), settings),
+        lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
+        settings.kind,
+        settings.scale,
+        settings.fill_factor,
+        progress=lambda text: progress(text, 0, 0),
+    )
+    return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
+
+
+def _calibrated(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: CalibrationSettings,
+    known: Field | Path | None,
+    empty: Sequence[Frame] | None,
+    priors: Mapping[str, float] | None,
+    folder: Path | None,
+    progress: Progress,
+    judges: bool,
+) -> Calibrated:
+    """Return the bench for a stated field stop."""
+    problem = CalibrationProblem(lens, frames, settings, priors)
+    if known is not None:
+        if empty is not None or priors is not None:
+            other = "empty" if priors is None else "priors"
+            raise SettingError(f"{{known}}, {{{other}}}: give one of them")
+        known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
+        return _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
+    start, checkpoint_path = (
+        Unknowns(lens, Bench(problem.start)),
+        None if folder is None else folder / CHECKPOINT,
+    )
+    if empty is None:
+        found = search_bench(problem, problem.parameters(), start, checkpoint_path, progress)
+        return _with_verdict(lens, frames, settings, found, progress) if judges else found
+    validate_same_frames(empty, frames)
+    measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
+    remaining = tuple(p for p in problem.parameters(light_order=0) if p.name in measured.parameters)
+    if not remaining:
+        return _with_verdict(lens, frames, settings, measured, progress) if judges else measured
+    start = start.changed(measured.parameters, list((measured.applied or {}).values()))
+    found = _with_light(measured, search_bench(problem, remaining, start, checkpoint_path, progress))
+    return _with_verdict(lens, frames, settings, found, progress) if judges else found
+
+
+def calibrate_empty(
+    lens: Lens,
+    empty: Sequence[Frame],
+    settings: CalibrationSettings | None = None,
+    *,
+    start: Bench | None = None,
+    priors: Mapping[str, float] | None = None,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Calibrated:
+    """Find the light, and other requested parameters, from frames without an object.
+
+    The light is smooth: modes of its amplitude and phase up to the fourth order are found.
+
+    Parameters
+    ----------
+    lens, settings, priors, folder, progress, **changes
+        See :func:`calibrate_frames`.
+    empty
+        Frames without an object.
+    start
+        Lens, mounting and camera as far as they are not sought; its light is ignored.
+
+    Returns
+    -------
+    Calibrated
+        The light and the bench.
+
+    Raises
+    ------
+    InputError, SamplingError
+        If a value is invalid, no light passes the lens, or the frames contain an object.
+
+    Warns
+    -----
+    EmptyWarning
+        If the frames are not fully explained.
+    """
+    settings = (settings or CalibrationSettings()).replaced(**changes)
+    validate_frames(lens, empty, settings)
+    problem = CalibrationProblem(lens, empty, settings, priors)
+    progress = progress or (lambda what, done, count: None)
+    everything = problem.parameters("all", light_order=LIGHT_ORDER_ALONE)
+    requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
+    parameters_sought = tuple(p for p in everything if p.group == "light" or p in requested)
+    unknowns = Unknowns(lens, replace(start or Bench(problem.start), light=LightErrors()))
+    checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
+    known = np.ones(problem.framed.light.grid.shape, np.float32)
+    found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known)
+    found = _with_verdict_of_known_object(problem, found, problem.framed.light.with_values(known))
+    noise, over_noise = found.misfit_of_noise or 0.0, found.over_noise or 0.0
+    if over_noise > OBJECT_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > OBJECT_FRACTION:
+        if checkpoint_path is not None:
+            checkpoint_path.unlink(missing_ok=True)
+        raise SettingError(
+            f"{{empty}}: a smooth light leaves {over_noise:.1f} times the noise of these frames: "
+            "must be frames without an object, through this lens" + _HINT * (len(requested) < len(everything))
+        )
+    if not found.explained:
+        warnings.warn(
+            f"frames without an object: a smooth light leaves {over_noise:.1f} times the noise, which limits "
+            "the accuracy of the light",
+            EmptyWarning,
+            stacklevel=2,
+        )
+    return found
+
+
+_HINT = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
+
+
+def validate_same_frames(empty: Sequence[Frame], frames: Sequence[Frame]) -> None:
+    """Check that frames without an object have the wavelength, the pixels and the planes of the object's
+    frames.
+
+    Raises
+    ------
+    InputError
+        If they differ; the message names the difference.
+    """
+    for name in ("wavelength_um", "pixel_pitch_um"):
+        empty_value, frames_value = (getattr(frame_set[0].settings, name) for frame_set in (empty, frames))
+        if not math.isclose(empty_value, frames_value, rel_tol=1e-6):
+            raise SettingError(
+                f"{{empty}}: {name} = {empty_value:g}; that of the object's frames is "
+                f"{frames_value:g}: must be the same"
+            )
+    empty_mm, frames_mm = (
+        [plane.distance_mm for plane in planes_of_frames(frame_set)] for frame_set in (empty, frames)
+    )
+    if not (len(empty_mm) == len(frames_mm) and np.allclose(empty_mm, frames_mm, rtol=1e-6, atol=0.0)):
+        empty_text, frames_text = (", ".join(f"{z:g}" for z in planes) for planes in (empty_mm, frames_mm))
+        raise SettingError(
+            f"{{empty}}: planes at {empty_text} mm; the object's frames have {frames_text} mm: "
+            "must be the same"
+        )
+
+
+def _with_light(measured: Calibrated, found: Calibrated) -> Calibrated:
+    """Return a result, with the light from empty frames in front."""
+    assert measured.deviations is not None
+    assert measured.typical is not None
+    assert found.deviations is not None
+    assert found.typical is not None
+    count = len(measured.parameters) - len(found.parameters)
+    names, light = measured.parameters[:count], measured.values[:count]
+    return replace(
+        found,
+        parameters=names + found.parameters,
+        values=light + found.values,
+        deviations=measured.deviations[:count] + found.deviations,
+        typical=measured.typical[:count] + found.typical,
+        covariance=None,
+        trail=tuple((light + values, misfit) for values, misfit in found.trail),
+        traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
+        nominal=(*(n for n in names if n in measured.nominal), *found.nominal),
+        undetermined=(),
+        applied={n: (measured.applied or {})[n] for n in names} | dict(found.applied or {}),
+    )
+
+
+def _with_verdict(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: CalibrationSettings,
+    found: Calibrated,
+    progress: Progress | None,
+) -> Calibrated:
+    """Return the result with the verdict of a reconstruction."""
+    settings_given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    reconstruction = reconstruct_frames(
+        lens, frames, ReconstructionSettings(**settings_given), calibration=found.bench, progress=progress
+    )
+    return replace(found, verdict=reconstruction.verdict)
+
+
+def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated, known: Field) -> Calibrated:
+    """Return the result with the verdict for a known object on the bench found."""
+    bench, settings = found.bench, problem.settings
+    engine = problem.make(placed_scene(problem.scene, bench.placement))
+    light, planes = light_on(problem.framed.light, bench), planes_at(problem.recorded, bench)
+    model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor)
+    if settings.scale is None:
+        model.scale = LinearModel(model, np.asarray(known.values), True).scale
+    nothing = np.zeros(0, np.intp)
+    residuals = [
+        PlaneResidual(
+            plane.distance_mm, plane.amplitude, sigma, modelled - plane.amplitude, nothing, np.zeros(0)
+        )
+        for plane, modelled in zip(planes, model.amplitudes(np.asarray(known.values)), strict=True)
+        if (sigma := plane.sigma) is not None
+    ]
+    return replace(found, verdict=verdict(residuals) if residuals else None)
+
+
+def _calibrate_mounting(problem: CalibrationProblem, known: Field, progress: Progress) -> Calibrated:
+    settings = problem.settings
+    return calibrate(
+        problem.scene,
+        problem.framed.light,
+        problem.recorded,
+        known=known,
+        parameters=_chosen_names(settings.parameters, parameter_names(len(problem.framed.planes_mm))),
+        scale=settings.scale,
+        fill_factor=settings.fill_factor,
+        start=problem.start,
+        make=problem.make,
+        most_mountings=settings.most_mountings,
+        progress=lambda name, count, _, misfit: progress(
+            f"{name} search: misfit {misfit:.4f}", count, settings.most_mountings
+        ),
+    )
+
+
+def _chosen_names(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the requested parameters."""
+    groups = {"rigid": RIGID, "all": allowed}
+    names = groups.get(text) or tuple(part.strip() for part in text.split(",") if part.strip())
+    try:
+        validate_parameters(names, len(allowed) - len(RIGID) - 1)
+    except InputError as error:
+        raise SettingError(f"{{parameters}} = {text!r}: {error}; or: rigid, all") from None
+    return names

@@ -1,0 +1,307 @@
+"""Eikonal tiles of a lens or sensor pose that differs slightly from that of given tiles.
+
+The optical path of a ray is stationary. To first order, a change of the lens changes the path from an object
+point to a sensor point by the path difference of the changed lens's rays, and by nothing else. The field of
+a tile is multiplied by the phasor of this change at the tile's center. Away from the center, the path
+changes by the change of the direction in which rays leave the object, times the distance from the center.
+
+The same holds for a sensor that is slightly off the grid of the tiles. This takes a hundredth of the time of
+new tiles. Amplitudes, and the path of a tile beyond its first order, stay unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.poses import rotation_matrix
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_adjoint, at_once
+from wavesim.fields.field import Field, Grid
+from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
+from wavesim.rays.ray_bundles import RayBundle, trace_bundle
+from wavesim.runtime.threads import one_blas_thread
+from wavesim.scene.engine import Cost, Engine, ErrorTerm, Operator
+from wavesim.scene.scene import Scene
+
+ORDER = 10
+"""Order of the polynomials that fit changes of the path, which are smooth."""
+
+
+class SensorPose(NamedTuple):
+    """Pose of a sensor relative to the grid of an engine: distance along z, lateral shift, and tilt.
+
+    Tilts follow the convention of :class:`wavesim.scene.Placement`.
+    """
+
+    distance_mm: float = 0.0
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+
+
+ON_GRID = SensorPose()
+
+
+def ray_changes(
+    scene: Scene,
+    tile: Tile,
+    carrier: RayMap,
+    grid: Grid,
+    sensor_pose: SensorPose = ON_GRID,
+    removed: SmoothMap | None = None,
+) -> SmoothMap:
+    """Return how the rays of a changed scene differ from those of a tile.
+
+    Parameters
+    ----------
+    scene
+        Scene with the changed lens.
+    tile, carrier
+        Part of the object, and the original rays of its center.
+    grid
+        Grid of the plane to which the rays go.
+    sensor_pose
+        Pose of the sensor relative to that grid.
+    removed
+        Existing changes, which are subtracted.
+
+    Returns
+    -------
+    SmoothMap
+        On the sensor: increase of the path from the tile's center in mm, and changes of the direction
+        cosines along y and x with which rays leave the object.
+
+    Raises
+    ------
+    InputError
+        If no ray arrives.
+    """
+    with one_blas_thread():
+        pupil = sample_points(carrier.traced, ORDER)
+        rays = trace_bundle(scene, np.asarray(tile.centre_mm), pupil, grid.z_mm)
+        if not np.any(rays.ok):
+            raise InputError("no ray of the changed lens arrives: the change is too large")
+        sensor_points, path_mm = _on_sensor(rays, float(scene.system.index[0, -1]), grid, sensor_pose)
+        arriving = sensor_points[rays.ok]
+        changes = np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
+        changes -= carrier.maps.at(arriving)[[0, 2, 3]]
+        if removed is not None:
+            changes -= removed.at(arriving)
+        return fit_map(arriving, changes, ORDER)
+
+
+def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPose) -> tuple[Array, Array]:
+    """Return where rays meet the sensor, (y, x) in its frame about the grid's center, and their paths in
+    mm.
+    """
+    if sensor_pose == ON_GRID:
+        return rays.sensor_mm, rays.path_mm
+    transverse = rays.slopes[:, ::-1] / index
+    direction = np.column_stack([transverse, np.sqrt(1.0 - np.sum(transverse**2, axis=1))])
+    start = np.pad(rays.sensor_mm[:, ::-1] - grid.centre_mm, ((0, 0), (0, 1)))
+    start -= [*sensor_pose.shift_mm, sensor_pose.distance_mm]
+    rotation = rotation_matrix(*np.deg2rad(sensor_pose.tilt_deg))
+    normal = rotation[:, 2]
+    length = -(start @ normal) / (direction @ normal)
+    in_sensor_frame = (start + length[:, None] * direction) @ rotation[:, :2] + grid.centre_mm
+    return in_sensor_frame[:, ::-1], rays.path_mm + index * length
+
+
+class PerturbedTiles(Engine):
+    """Tiles that differ slightly from those of another engine.
+
+    Parameters
+    ----------
+    reference
+        Engine whose scene has the same grids, except for the distance of the object.
+    scene
+        Scene with the changed lens.
+    sensor_pose
+        Pose of the sensor relative to the grid of the tiles.
+
+    Raises
+    ------
+    InputError
+        If there is free space between the tiles' plane and a sensor that is off the grid.
+    """
+
+    name = "turned-tiles"
+
+    def __init__(self, reference: EikonalTiles, scene: Scene, sensor_pose: SensorPose = ON_GRID) -> None:
+        super().__init__(scene)
+        if sensor_pose != ON_GRID and reference.plane.beyond is not None:
+            raise InputError(
+                f"tiles of a sensor displaced by {sensor_pose}: there must be no free space before the sensor"
+            )
+        self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
+        self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
+
+    def _perturbed_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+        if dtype not in self._operators:
+            grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
+            self._operators[dtype] = tuple(
+                operator.perturbed(
+                    carrier, ray_changes(self.scene, tile, carrier, grid, self.sensor_pose), wavenumber
+                )
+                for tile, carrier, operator in self.reference.tile_operators(dtype)
+            )
+        return self._operators[dtype]
+
+    def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
+        """Yield each tile, its original rays, and its operator for fields of a data type."""
+        for (tile, carrier, _), operator in zip(
+            self.reference.tile_operators(dtype), self._perturbed_operators(dtype), strict=True
+        ):
+            yield tile, carrier, operator
+
+    def _forward(self, values: Any) -> Any:
+        scaled = values * values.real.dtype.type(self.scene.object_grid.cell)
+        result = np.zeros(self.plane.grid.shape, scaled.dtype)
+        add_tiles(self._perturbed_operators(scaled.dtype), scaled, result)
+        beyond = self.plane.beyond
+        return result if beyond is None else beyond.forward(result.astype(complex)).astype(scaled.dtype)
+
+    def _adjoint(self, values: Any) -> Any:
+        dtype, beyond = values.dtype, self.plane.beyond
+        field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
+        result = np.zeros(self.scene.object_grid.shape, dtype)
+        add_tiles_adjoint(self._perturbed_operators(dtype), field, result)
+        return result * result.real.dtype.type(self.plane.grid.cell)
+
+    def cost(self) -> Cost:
+        return self.reference.cost()
+
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        return self.reference.error_terms()
+
+    def settings(self) -> dict[str, Any]:
+        return self.reference.settings()
+
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+PathSlopes = Sequence[Sequence[SmoothMap]]
+
+
+class PerturbedScene(NamedTuple):
+    """A scene with a small change of lens, object or sensor, and the step of the parameter that causes
+    it.
+    """
+
+    scene: Scene
+    step: float
+    sensor_pose: SensorPose = ON_GRID
+
+
+def path_slopes(
+    engine: EikonalTiles | PerturbedTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
+) -> PathSlopes:
+    """Return the derivatives of paths and directions of each tile's rays with respect to each parameter.
+
+    Parameters
+    ----------
+    engine
+        Engine of the unchanged scene.
+    dtype
+        Data type of fields.
+    perturbed
+        The scene with a small step of each parameter.
+
+    Returns
+    -------
+    sequence of sequence of SmoothMap
+        For each tile, and for each parameter.
+
+    Raises
+    ------
+    InputError
+        If the rays of a changed lens do not arrive.
+    """
+    grid, slopes = engine.plane.grid, []
+    for tile, carrier, _ in engine.tile_operators(np.dtype(dtype)):
+        existing = None
+        if isinstance(engine, PerturbedTiles):
+            existing = ray_changes(engine.scene, tile, carrier, grid, engine.sensor_pose)
+        ray_maps = [
+            ray_changes(each.scene, tile, carrier, grid, each.sensor_pose, existing) for each in perturbed
+        ]
+        slopes.append(
+            [
+                replace(m, coefficients=m.coefficients / each.step)
+                for m, each in zip(ray_maps, perturbed, strict=True)
+            ]
+        )
+    return slopes
+
+
+def exit_field_changes_by_rays(
+    engine: EikonalTiles | PerturbedTiles, lit: Field, slopes: PathSlopes
+) -> list[ComplexArray]:
+    """Return the change of the field on the exit grid per unit of each parameter, from path slopes.
+
+    Parameters
+    ----------
+    engine
+        Engine of the unchanged scene.
+    lit
+        Field behind the object.
+    slopes
+        Path slopes of the tiles' rays, for this scene or a similar one.
+    """
+    grid, wavenumber = engine.plane.grid, engine.scene.wavenumber_per_mm
+    axes = grid.y_mm, grid.x_mm
+    results = [np.zeros(grid.shape, lit.values.dtype) for _ in slopes[0]]
+    for (_, _, moments_at_exit), maps in zip(_tile_moments(engine, lit), slopes, strict=True):
+        moments_at_exit *= moments_at_exit.dtype.type(1j * wavenumber)
+        for each, result in zip(maps, results, strict=True):
+            path, *cosines = each.along(axes).single().each()
+            result += path * moments_at_exit[0]
+            for cosine, moment in zip(cosines, moments_at_exit[1:], strict=True):
+                result -= cosine * moment
+    if engine.plane.beyond is None:
+        return results
+    return [
+        np.asarray(engine.plane.beyond.forward(each.astype(complex)), lit.values.dtype) for each in results
+    ]
+
+
+def exit_field_changes_by_engines(
+    engine: Operator, lit: Field, perturbed: Sequence[PerturbedScene], make: Callable[[Scene], Engine]
+) -> list[ComplexArray]:
+    """Return the same changes from finite differences of engines, which `make` makes for the changed
+    scenes.
+    """
+    now = engine.forward(lit).values
+    return [
+        (make(each.scene).forward(_on_scene(lit, each.scene)).values - now) / each.step for each in perturbed
+    ]
+
+
+def _tile_moments(
+    engine: EikonalTiles | PerturbedTiles, field: Field
+) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
+    """Yield each tile, its rays, and its fields on the plane where tiles are summed, shape (3, ny, nx).
+
+    The three fields are those of the object, and of the object times y and times x from the tile's center in
+    mm.
+    """
+    scaled = field.values * field.values.real.dtype.type(engine.scene.object_grid.cell)
+    for tile, carrier, operator in engine.tile_operators(scaled.dtype):
+        y_mm, x_mm = (offsets.astype(scaled.real.dtype) for offsets in tile.offsets_mm)
+        part = scaled[operator.part]
+        moments = part, part * y_mm[:, None], part * x_mm
+        moments_at_exit = np.zeros((3, *engine.plane.grid.shape), scaled.dtype)
+        carried = at_once([partial(operator.transformed, moment) for moment in moments])
+        for each, result in zip(carried, moments_at_exit, strict=True):
+            operator.add(each, result)
+        yield tile, carrier, moments_at_exit
+
+
+def _on_scene(lit: Field, scene: Scene) -> Field:
+    return Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)

@@ -1,0 +1,235 @@
+"""Mounting of the lens from frames of a known object: decenter, tilt, working distance, plane distances.
+
+The misfit of amplitudes depends on the mounting only through the lens. Its derivatives follow from rigid
+motions, because a motion of the lens is equivalent to the opposite motion of object and sensor. With the
+generator G of a motion and the propagation A,
+
+    dA/dp = G_exit A - A G_object.
+
+A first, coarse search compares blurred intensities. Decenter and tilt of a lens have nearly the same effect
+on its light; the search therefore uses directions in which the misfit has similar curvature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, validate_whole_number
+from lensdesign.lens.lens import Lens
+from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.gauss_newton import GaussNewton, Minimum
+from wavesim.calibration.response import RealArray, Response, mounting_response
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.scene.bench import Bench
+from wavesim.scene.engine import Engine
+from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement, noise_misfit
+from wavesim.sensor.mounting import (
+    DECENTERS,
+    RIGID,
+    TILTS,
+    light_on,
+    planes_at,
+    validate_parameters,
+    values_of,
+    with_values,
+)
+
+Make = Callable[[Scene], Engine]
+Progress = Callable[[str, int, Placement, float], None]
+
+COARSE_BLUR_PIXELS = 8.0
+"""Blur of the coarse search, wider than the fringes at the border of the field stop's shadow."""
+
+COARSE_MOUNTINGS = 8
+"""Largest number of mountings in the coarse search, which only needs to come near."""
+
+LEAST_GAIN = 3e-3
+"""The fine search ends when a step reduces the squared misfit by less than this fraction."""
+
+DECENTER_RANGE, TILT_RANGE_DEG, DISTANCE_RANGE = 0.1, 5.0, 0.02
+"""Range of the search: decenters over the lens's diameter, tilts in deg, distances over that of the
+object.
+"""
+
+
+def eikonal_tiles(scene: Scene) -> Engine:
+    """Return the default engine of a calibration: eikonal tiles with an error of at most 0.1."""
+    return engine_for(scene, "eikonal", error=0.1)
+
+
+def calibrate(
+    scene: Scene,
+    illumination: Field,
+    recorded: Sequence[Measurement],
+    *,
+    known: Field,
+    parameters: Sequence[str] = RIGID,
+    scale: float | None = None,
+    fill_factor: float = 0.0,
+    start: Placement = NOMINAL,
+    make: Make = eikonal_tiles,
+    most_mountings: int = 80,
+    progress: Progress | None = None,
+) -> Calibrated:
+    """Find the mounting of the lens from frames of a known object.
+
+    Parameters
+    ----------
+    scene
+        The nominal lens and grids.
+    illumination
+        Field on the nominal object grid, with the field stop applied.
+    recorded
+        Measured amplitudes of one or more planes, at nominal distances from the exit grid.
+    known
+        Transmission of the object.
+    parameters
+        Parameters to find; see :func:`wavesim.sensor.mounting.parameter_names`.
+    scale, fill_factor
+        See :func:`wavesim.reconstruct`.
+    start
+        Mounting at which the search starts, and values of parameters that are not sought.
+    make
+        Function that returns the engine of a scene.
+    most_mountings
+        Largest number of mountings in the fine search.
+    progress
+        Callback `progress(search, count, mounting, misfit)`, called after each mounting.
+
+    Returns
+    -------
+    Calibrated
+        The mounting, and the misfits of all mountings that were tried.
+
+    Raises
+    ------
+    InputError
+        If a value or a shape is invalid, or no light passes the lens at the start.
+    """
+    validate_parameters(parameters, len(recorded))
+    validate_whole_number("most_mountings", most_mountings, 1)
+    if known.grid != illumination.grid:
+        raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
+    problem = _MountingProblem(scene, illumination, recorded, known, scale, fill_factor, make)
+    fine_start, rigid = start, tuple(name for name in parameters if name in RIGID)
+    if rigid:
+        coarse_search = _MountingSearch("coarse", problem.blurred, start, rigid, progress)
+        fine_start = coarse_search.mounting(
+            coarse_search.search(
+                _search_range(scene.lens, rigid), min(most_mountings, COARSE_MOUNTINGS)
+            ).point
+        )
+    fine_search = _MountingSearch("fine", problem.frames, fine_start, tuple(parameters), progress)
+    search_range = _search_range(scene.lens, parameters)
+    found = fine_search.search(search_range, most_mountings)
+    at_reach = tuple(
+        n for n, v, r in zip(parameters, found.point, search_range, strict=True) if abs(v) > 0.999 * r
+    )
+    return Calibrated(
+        bench=Bench(fine_search.mounting(found.point)),
+        parameters=tuple(parameters),
+        values=tuple(found.point.tolist()),
+        deviations=None,
+        typical=None,
+        misfit_before=problem.frames(start, ()).misfit,
+        misfit=found.residual_norm,
+        trail=tuple(fine_search.trail),
+        at_reach=at_reach,
+        stopped_because=found.stopped_because,
+        misfit_of_noise=noise_misfit(recorded),
+    )
+
+
+def _search_range(lens: Lens, parameters: Sequence[str]) -> Array:
+    """Return the range of the search for each parameter."""
+    diameter_mm = 2.0 * min(s.semi_diameter_mm or np.inf for s in lens.surfaces)
+    if not np.isfinite(diameter_mm):
+        diameter_mm = abs(lens.object_z_mm)
+    search_range = dict.fromkeys(DECENTERS, DECENTER_RANGE * diameter_mm) | dict.fromkeys(
+        TILTS, TILT_RANGE_DEG
+    )
+    return np.array([search_range.get(name, DISTANCE_RANGE * abs(lens.object_z_mm)) for name in parameters])
+
+
+@dataclass(frozen=True, eq=False)
+class _MountingProblem:
+    """Frames and known object; for the fields see :func:`calibrate`."""
+
+    scene: Scene
+    illumination: Field
+    recorded: Sequence[Measurement]
+    known: Field
+    scale: float | None
+    fill_factor: float
+    make: Make
+
+    def blurred(self, mounting: Placement, names: Sequence[str]) -> Response:
+        """Return the response of blurred intensities."""
+        return self._response(mounting, names, COARSE_BLUR_PIXELS)
+
+    def frames(self, mounting: Placement, names: Sequence[str]) -> Response:
+        """Return the response of the frames themselves."""
+        return self._response(mounting, names, 0.0)
+
+    def _response(self, mounting: Placement, names: Sequence[str], blur_pixels: float) -> Response:
+        return mounting_response(
+            self._model(mounting),
+            np.asarray(self.known.values),
+            mounting,
+            names,
+            blur_pixels=blur_pixels,
+            fits_scale=self.scale is None,
+        )
+
+    def _model(self, mounting: Placement) -> ForwardModel:
+        return ForwardModel(
+            self.make(placed_scene(self.scene, mounting)),
+            light_on(self.illumination, mounting),
+            planes_at(self.recorded, mounting),
+            self.scale,
+            self.fill_factor,
+        )
+
+
+class _MountingSearch:
+    """A search among mountings, with a record of all trials."""
+
+    def __init__(
+        self,
+        name: str,
+        respond: Callable[[Placement, Sequence[str]], Response],
+        start: Placement,
+        parameters: tuple[str, ...],
+        progress: Progress | None,
+    ) -> None:
+        self.name, self.respond, self.start = name, respond, start
+        self.parameters, self.progress = parameters, progress
+        self.trail: list[tuple[tuple[float, ...], float]] = []
+
+    def mounting(self, point: Array) -> Placement:
+        return with_values(self.start, self.parameters, list(point))
+
+    def search(self, search_range: Array, most_evaluations: int) -> Minimum:
+        """Search with the derivatives of the whole model."""
+
+        def model(point: Array) -> tuple[RealArray, RealArray]:
+            response = self.respond(self.mounting(point), self.parameters)
+            self._record(point, response.misfit)
+            return response.residual, response.changes
+
+        return GaussNewton(model, values_of(self.start, self.parameters), search_range).run(
+            LEAST_GAIN, most_evaluations
+        )
+
+    def _record(self, point: Array, misfit: float) -> None:
+        self.trail.append((tuple(point.tolist()), misfit))
+        if self.progress is not None:
+            self.progress(self.name, len(self.trail), self.mounting(point), misfit)

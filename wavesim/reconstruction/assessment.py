@@ -1,0 +1,378 @@
+"""Assessment of a result by its frames: residuals, the engine's error, the bench that frames prefer, and
+causes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lensdesign.errors import TransferLensError
+from wavesim.fields.field import Field, Grid
+from wavesim.metrics.goodness_of_fit import (
+    FEW,
+    LIMIT,
+    MODEL_ERROR,
+    Finding,
+    GoodnessOfFit,
+    Trial,
+    Undetected,
+    plane_verdicts,
+    verdict,
+)
+from wavesim.metrics.plane_residuals import PlaneResidual
+from wavesim.reconstruction.diagnostics.bench_estimates import smooth_phase_waves
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
+from wavesim.reconstruction.diagnostics.held_out import is_given, residual_maps_of
+from wavesim.reconstruction.diagnostics.orientation import orientation_findings
+from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
+from wavesim.reconstruction.found_object import Array
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
+from wavesim.reconstruction.phase_retrieval import agreement
+from wavesim.reconstruction.problem import ReconstructionProblem
+from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.settings import ReconstructionSettings
+from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement, noise_misfit
+from wavesim.sensor.windows import LEAST_DIVERSITY
+
+FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
+"""Factor by which a more accurate engine's error is smaller: aim, and least factor. Its error is never below
+`FINEST`, the error of pixels and free space.
+"""
+
+NO_DIVERSITY = 1.0
+"""Diversity of the planes below which their pictures do not determine a complex object."""
+
+RAMP_WAVES = 0.35
+"""Phase ramp in waves over half of the patch above which light or camera, rather than the object, may cause
+it.
+"""
+
+NEAR = 1.4
+"""Factor to the limit of an explained misfit below which a falling misfit only needs more iterations."""
+
+Progress = Callable[[str], None]
+"""Callback with a message about the current step."""
+
+EngineOn = Callable[[Grid], AbstractContextManager[Engine]]
+"""Returns an engine from a part of the object, ready for use."""
+
+
+class MethodResult(NamedTuple):
+    """Result of one method.
+
+    Attributes
+    ----------
+    transmission, behind : Field or None
+        The transmission, or the field behind the part of the object that is to be refocused.
+    residual_maps : tuple of ndarray
+        For each plane, modelled less measured amplitude.
+    curve : tuple of float
+        Misfit or correlation of every iteration.
+    of_method : dict
+        Figures that only one method has.
+    agreement : float or None
+        Smallest correlation between results of several starts.
+    whole : Field or None
+        The transmission on all samples.
+    engine_errors : tuple of ndarray
+        Change of the amplitudes with a more accurate engine.
+    model_error : float
+        Relative error of amplitudes that is allowed.
+    """
+
+    transmission: Field | None
+    behind: Field | None
+    residual_maps: tuple[Array, ...]
+    curve: tuple[float, ...]
+    of_method: dict[str, Any]
+    agreement: float | None = None
+    whole: Field | None = None
+    engine_errors: tuple[Array, ...] = ()
+    model_error: float = MODEL_ERROR
+
+
+def judge_result(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine_on: EngineOn,
+    found: MethodResult,
+    progress: Progress,
+) -> GoodnessOfFit:
+    """Return whether the planes are explained.
+
+    Where they are not, possible causes are tried, except on a whole field.
+    """
+    residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
+    known = [
+        (plane, error)
+        for plane, error in zip(case.recorded, found.residual_maps, strict=True)
+        if is_given(plane)
+    ]
+    given, maps = [plane for plane, _ in known], [error for _, error in known]
+    findings = orientation_findings(given, maps)
+
+    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> GoodnessOfFit:
+        return verdict(
+            residuals,
+            trials,
+            curve,
+            found.agreement,
+            model_error=found.model_error,
+            findings=findings,
+            undetected=undetected,
+            calibrated=case.calibrated,
+            rounding=case.rounding,
+        )
+
+    first = judged()
+    if settings.method == "paper" or isinstance(case.engine, Tiled):
+        return first
+    if settings.kind == "complex" and found.whole is not None:
+        findings += _ramp(found.whole)
+        if len(given) > 1 and case.diversity < NO_DIVERSITY:
+            explanation = (
+                "the planes are so near each other that their pictures are nearly equal (diversity "
+                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more); they do not determine "
+                "a complex object"
+            )
+            findings.append(Finding("several objects", explanation))
+    # If the misfit is only slightly too large and still falls, more iterations are sufficient.
+    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
+    if early:
+        return judged()
+    with engine_on(case.light.grid) as engine:
+        trials, undetected = list[Trial](), tuple[Undetected, ...]()
+        if found.whole is not None and not case.modes[1:]:
+            progress("score test of the bench")
+            test = _score_test(case, settings, engine, found, progress)
+            if test is not None and first.within:
+                undetected = test.undetected
+                if test.is_preferred:
+                    findings.append(Finding(test.cause, test.explanation, test.chi_square))
+        if not first.within:
+            progress("possible causes")
+            trials = CauseTrials(
+                engine=engine,
+                light=case.light,
+                recorded=case.given,
+                maps=maps,
+                kind=settings.kind,
+                tv_weight=settings.tv_weight,
+                scale=settings.scale,
+                fill_factor=settings.fill_factor,
+                diversity=case.diversity,
+                modes=case.modes,
+                stops=stop_search(case, settings, engine, progress),
+                stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
+            ).trials()
+    return judged(trials, undetected)
+
+
+def _score_test(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    found: MethodResult,
+    progress: Progress,
+) -> ScoreTest | None:
+    """Return the score test of the bench, or None where rays or samples do not allow it."""
+    assert found.whole is not None
+    try:
+        return score_test(
+            engine,
+            case.light,
+            case.given,
+            found.whole.values,
+            settings.kind,
+            scale=found.of_method["scale"],
+            fits_scale=settings.scale is None,
+            fill_factor=settings.fill_factor,
+            model_error=found.model_error,
+            progress=progress,
+        )
+    except TransferLensError:
+        return None
+
+
+def stop_search(
+    case: ReconstructionProblem, settings: ReconstructionSettings, engine: Engine, progress: Progress
+) -> StopSearch:
+    """Return the search for another field stop than the assumed one."""
+    grid = case.patch.grid
+    return StopSearch(
+        engine,
+        case.given,
+        lambda stop: case.light_behind(case.patch.with_stop(*stop)),
+        grid.pitch_mm * min(grid.shape) if settings.patch_mm is None else settings.patch_mm,
+        settings.kind,
+        settings.scale,
+        settings.fill_factor,
+        case.modes,
+        progress,
+    )
+
+
+def _ramp(transmission: Field) -> list[Finding]:
+    """Return a finding if a complex object has a phase ramp that light or camera may have caused."""
+    phase = smooth_phase_waves(transmission)
+    x, y = phase[1, 0], phase[0, 1]
+    if math.hypot(x, y) < RAMP_WAVES:
+        return []
+    explanation = (
+        f"the object carries a phase ramp of {x:.2g}, {y:.2g} waves over half of the patch, which tilted "
+        "light or a shifted plane would give too"
+    )
+    return [Finding("phase ramp", explanation)]
+
+
+def _residuals(
+    case: ReconstructionProblem, maps: Sequence[Array], engine_errors: Sequence[Array | None]
+) -> list[PlaneResidual]:
+    planes = []
+    errors = engine_errors or [None] * len(maps)
+    for plane, error, held_out, plane_frames, engine in zip(
+        case.recorded, maps, case.held_out, case.planes, errors, strict=True
+    ):
+        assert plane.sigma is not None
+        left = plane.amplitude, plane.sigma, error, held_out.pixels, held_out.sigma
+        planes.append(PlaneResidual(plane_frames.distance_mm, *left, engine))
+    return planes
+
+
+def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit: float) -> bool:
+    """Return whether residuals exceed the noise, by no more than the engine's predicted error."""
+    if excess_of(case, maps) <= 1.0:
+        return False
+    excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
+    return case.predicted_error > excess
+
+
+def may_be_brighter(
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
+) -> bool:
+    """Return whether an amplitude object converged above the noise, so that its upper limit of 1 may be too
+    low.
+    """
+    if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
+        return False
+    if found.stopped_because != "rest" or len(found.residual_maps) < len(case.recorded):
+        return False
+    return excess_of(case, found.residual_maps) > 1.0
+
+
+def may_be_stagnated(
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
+) -> bool:
+    """Return whether the search for an amplitude object converged above the noise, perhaps in a local
+    minimum.
+    """
+    if settings.kind != "amplitude" or isinstance(case.engine, Tiled) or found.stopped_because != "rest":
+        return False
+    return len(found.residual_maps) == len(case.recorded) and excess_of(case, found.residual_maps) > 1.0
+
+
+def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
+    """Return the largest residuals of all planes over those that count as explained."""
+    return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))
+
+
+def more_accurate_case(case: ReconstructionProblem, progress: Progress) -> ReconstructionProblem | None:
+    """The case with a more accurate engine; None where there is none that is worth it."""
+    if isinstance(case.engine, Tiled) or case.predicted_error <= FINEST:
+        return None
+    target = max(case.predicted_error / FINER, FINEST)
+    progress(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")
+    try:
+        engine, predicted = case.engine_of_error(target)
+    except TransferLensError:
+        return None
+    if predicted > case.predicted_error / LEAST_FINER:
+        return None
+    return case._replace(engine=engine, predicted_error=predicted)
+
+
+def engine_errors(
+    finer: ReconstructionProblem,
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    found: Reconstructed,
+    maps: Sequence[Array],
+) -> tuple[Array, ...]:
+    """Return amplitudes of the object with a more accurate engine less those with the given engine."""
+    more = residual_maps_of(finer.engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
+    return tuple(one - other for one, other in zip(more, maps, strict=True))
+
+
+def starts_needed(
+    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
+) -> ReconstructionSettings:
+    """Return settings with a second start if iterations converged but the planes may not determine the
+    object.
+    """
+    if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
+        return settings
+    if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
+        return settings
+    return settings.replaced(starts=2)
+
+
+PHASE_RAD = 1.0
+"""Root mean square of the random phases from which complex objects start; amplitudes start between 0 and
+1.
+"""
+
+
+def agreement_of_starts(
+    engine: Engine,
+    light: Field,
+    recorded: Sequence[Measurement],
+    settings: ReconstructionSettings,
+    found: Reconstructed,
+    progress: Callable[[str], None],
+    modes: Sequence[SourceMode] = (),
+) -> float | None:
+    """Return the smallest correlation between the lit objects of several starts, or None for a single start.
+
+    Parameters
+    ----------
+    engine, light, recorded, modes
+        See :func:`wavesim.reconstruct`.
+    settings
+        Number of starts, and all other settings.
+    found
+        Result of the usual start.
+    progress
+        Called with a message for each start.
+    """
+    if settings.starts == 1:
+        return None
+    ends = [light.with_values(light.values * found.transmission.values)]
+    for seed in range(1, settings.starts):
+        progress(f"start {seed + 1} of {settings.starts}")
+        random = np.random.default_rng(seed)
+        if settings.kind == "amplitude":
+            first = random.random(light.grid.shape)
+        else:
+            first = np.exp(1j * PHASE_RAD * random.standard_normal(light.grid.shape))
+        other = reconstruct(
+            engine,
+            light,
+            recorded,
+            kind=settings.kind,
+            tv_weight=settings.tv_weight,
+            iterations=settings.most_iterations,
+            until_noise=True,
+            scale=settings.scale,
+            start=light.with_values(first.astype(light.values.dtype)),
+            fill_factor=settings.fill_factor,
+            modes=modes,
+        )
+        ends.append(light.with_values(light.values * other.transmission.values))
+    return agreement(ends)

@@ -1,0 +1,168 @@
+"""The object found from frames, with its figures of quality."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.notebook import html_picture, html_table
+from wavesim.fields.field import Field, Grid
+from wavesim.metrics.goodness_of_fit import GoodnessOfFit
+from wavesim.metrics.judgement import chart_metrics, plane_metrics
+from wavesim.runtime.memory import Memory
+from wavesim.scene.engine import Engine
+from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
+from wavesim.sensor.frame_sets import PlaneFrames
+from wavesim.sensor.measurement import Measurement
+from wavesim.targets.patch import Patch
+from wavesim.targets.usaf import UsafElement
+
+Array = NDArray[np.floating[Any]]
+
+
+class Focus(NamedTuple):
+    """The sharpest distance, and the curve of sharpness (SVFG) over all distances."""
+
+    distance_mm: float
+    distances_mm: Array
+    svfg: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FoundObject:
+    """The object found from frames, and the quality of the result.
+
+    Attributes
+    ----------
+    settings : ReconstructionSettings
+        Settings of the reconstruction.
+    patch : Patch
+        Samples of the object and its field stop.
+    transmission : Field
+        Transmission of the object, or of the requested region; 0 where there is no light.
+    inside : ndarray of bool
+        Samples of the transmission within the field stop.
+    planes : tuple of PlaneFrames
+        Distance, exposures and saturation of each plane.
+    recorded : tuple of Measurement
+        Measured amplitudes of the planes.
+    residual_maps : tuple of ndarray
+        For each plane, modelled less measured amplitude.
+    curve : tuple of float
+        Misfit (method object) or correlation A6 (method paper) of every iteration.
+    verdict : GoodnessOfFit
+        Whether the planes are explained, and possible causes where they are not.
+    focus : Focus, optional
+        Distance at which the object is sharpest, if it was requested.
+    of_method : dict
+        Figures that only one method has.
+    true : Field, optional
+        The true object on the same samples, if it was given.
+    truth : dict
+        Figures of the comparison with the true object; empty without it.
+    charts : tuple
+        Elements of the USAF chart in the middle, and of those at other positions.
+    diversity : float
+        Diversity of the planes (:func:`wavesim.sensor.windows.diversity`).
+    engine : Engine
+        Engine from the object to the nearest plane.
+    memory : Memory
+        Estimate of the memory.
+    predicted_error : float
+        Upper bound of the engine's relative L2 error on the nearest plane, for light with as much intensity
+        at the rim of the aperture as the frames show.
+    """
+
+    settings: ReconstructionSettings
+    patch: Patch
+    transmission: Field
+    inside: NDArray[np.bool_]
+    planes: tuple[PlaneFrames, ...]
+    recorded: tuple[Measurement, ...]
+    residual_maps: tuple[Array, ...]
+    curve: tuple[float, ...]
+    verdict: GoodnessOfFit
+    focus: Focus | None
+    of_method: dict[str, Any]
+    true: Field | None
+    truth: dict[str, float | None]
+    charts: tuple[tuple[UsafElement, ...], ...]
+    diversity: float
+    engine: Engine
+    memory: Memory
+    predicted_error: float
+
+    def figures(self) -> dict[str, Any]:
+        """Return all figures for JSON: planes, focus, true object and charts."""
+        settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
+        return {
+            "method": settings.method,
+            "kind": settings.kind if settings.method == "object" else "complex",
+            "start": settings.first,
+            "iterations": len(self.curve),
+            **self.of_method,
+            "planes": [
+                {
+                    "plane_distance_mm": plane_frames.distance_mm,
+                    "exposures": list(plane_frames.exposures),
+                    **plane_metrics(plane.amplitude, plane.sigma, error),
+                    "saturated_share": plane_frames.saturated_share,
+                }
+                for plane_frames, plane, error in zip(
+                    self.planes, self.recorded, self.residual_maps, strict=True
+                )
+            ],
+            "verdict": self.verdict.as_dict(),
+            "diversity": self.diversity,
+            "field_stop_mm": self.patch.field_stop_mm,
+            "field_stop_at_mm": list(self.patch.field_stop_at_mm),
+            "field_stop_from": settings.field_stop_from,
+            "object_pitch_um": 1e3 * pitch_mm,
+            "samples": self.patch.grid.shape[0],
+            "region_mm": None if settings.region_mm is None else _region(self.transmission.grid),
+            "refocus_um": None if self.focus is None else 1e3 * self.focus.distance_mm,
+            "truth": self.truth,
+            "usaf": self._chart_figures(),
+        }
+
+    def _chart_figures(self) -> dict[str, Any]:
+        """Return contrast and finest resolved element of each chart."""
+        if not self.charts or self.settings.usaf is None:
+            return {}
+        coherent_limit_um = 0.5 * self.patch.wavelength_um / self.engine.scene.lens.object.numerical_aperture
+        polarity = self.settings.usaf
+        middle, *others = (
+            chart_metrics(self.transmission, chart, polarity, coherent_limit_um, self.inside)
+            for chart in self.charts
+        )
+        others_by_point = zip(self.settings.chart_at_mm, others, strict=True)
+        return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in others_by_point]}
+
+    def __repr__(self) -> str:
+        return f"FoundObject({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Object behind frames", self._rows(), html_picture(self.transmission.values))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        settings, (rows, columns) = self.settings, self.transmission.grid.shape
+        curve_name = "correlation A6" if settings.method == "paper" else "misfit"
+        lines = [
+            ("method", f"{settings.method}, engine {self.engine.name}"),
+            ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} um"),
+            ("field stop", f"{self.patch.stop_words}, {STOP_ORIGINS[settings.field_stop_from]}"),
+            ("iterations", f"{len(self.curve)}, {curve_name} {self.curve[-1]:.5g}"),
+        ]
+        lines.append(("verdict", self.verdict.words))
+        if self.focus is not None:
+            lines.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} um behind the object plane"))
+        return lines + [(name, f"{value:.4g}") for name, value in self.truth.items() if value is not None]
+
+
+def _region(shown: Grid) -> list[float]:
+    """Return x and y of the center, width and height of the displayed samples, in mm."""
+    (half_y, half_x), (x, y) = shown.half_widths_mm, shown.centre_mm
+    return [x, y, 2.0 * half_x, 2.0 * half_y]

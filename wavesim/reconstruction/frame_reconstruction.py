@@ -1,0 +1,495 @@
+"""Reconstruction of an object from frames, in one call: iterations, refocusing, assessment and
+comparison.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lensdesign.common.clusters import ClusterError
+from lensdesign.lens.lens import Lens
+from wavesim.engines.registry import AUTO
+from wavesim.engines.whole_field.on_cluster import tiles_in
+from wavesim.fields.field import Field, Grid
+from wavesim.metrics.goodness_of_fit import MODEL_ERROR
+from wavesim.metrics.judgement import truth_metrics
+from wavesim.reconstruction.assessment import (
+    EngineOn,
+    MethodResult,
+    agreement_of_starts,
+    engine_errors,
+    excess_of,
+    is_engine_limited,
+    judge_result,
+    may_be_brighter,
+    may_be_stagnated,
+    more_accurate_case,
+    starts_needed,
+    stop_search,
+)
+from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
+from wavesim.reconstruction.field_stop import FieldStop
+from wavesim.reconstruction.found_object import Array, Focus, FoundObject
+from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
+from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem, validate_frames
+from wavesim.reconstruction.refocusing import refocus_field
+from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
+from wavesim.reconstruction.source_width import find_source_width
+from wavesim.reconstruction.stopped_down import (
+    INNER_ITERATIONS,
+    ITERATIONS,
+    coarse_problem,
+    on_all_samples,
+)
+from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.memory import Memory
+from wavesim.scene.bench import Bench
+from wavesim.scene.engine import SAFETY, Engine, Tiled
+from wavesim.scene.light import Light
+from wavesim.scene.placement import Placement
+from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.scene.source import Source
+from wavesim.sensor.frames import Frame
+from wavesim.sensor.recording import Progress
+from wavesim.sensor.windows import imaging_engine
+from wavesim.targets.patch import transmission_of
+from wavesim.targets.region import cut_field, soft_rim
+
+BETTER = 0.97
+"""Ratio of residuals below which an unbounded amplitude object, or one from another start, is preferred."""
+
+BRIGHT = 0.99
+"""Quantile of a complex object's amplitudes that is scaled to 1 in the start of an amplitude object."""
+
+ClusterHandover = Callable[[Engine], Engine]
+"""Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
+
+
+def reconstruct_frames(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: ReconstructionSettings | None = None,
+    *,
+    truth: Field | Path | None = None,
+    calibration: Placement | Bench | None = None,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    on_estimate: Callable[[Memory], None] | None = None,
+    **changes: Any,
+) -> FoundObject:
+    """Reconstruct the object behind frames: amplitude, phase, residuals, refocusing, and an assessment.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    frames
+        One or more frames of each plane, from :func:`wavesim.image` or :func:`wavesim.read_frames`.
+    settings
+        All settings; default: `ReconstructionSettings()`.
+    truth
+        Transmission of the true object on the patch's samples, or its file or folder.
+    calibration
+        Bench or mounting of the lens, from :func:`wavesim.calibrate_frames`.
+    folder
+        Folder of the checkpoint (`CHECKPOINT`) and of arrays that do not fit in memory. The same call
+        continues an interrupted run. The checkpoint stays there.
+    progress
+        Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
+    on_estimate
+        Callback `on_estimate(memory)` with the estimate of the memory, called after all checks.
+    **changes
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    FoundObject
+        The object, its residuals, and its verdict.
+
+    Raises
+    ------
+    InputError, SamplingError, MemoryLimitError
+        If an input is invalid or the arrays do not fit, before anything is computed or written.
+    KeyboardInterrupt, ClusterError
+        If the run is interrupted or the cluster fails; the message says what was saved.
+
+    Warns
+    -----
+    FootprintWarning, DiversityWarning
+        If the frames contain less information than they could.
+    """
+    settings = (settings or ReconstructionSettings()).replaced(**changes)
+    validate_frames(lens, frames, settings)
+    case = reconstruction_problem(lens, frames, settings, truth, calibration, folder)
+    reporter = ProgressReporter(progress, settings, case.engine)
+    if settings.field_stop == "find":
+        stated = settings.with_stop(*_find_stop(case, settings, reporter))
+        case = reconstruction_problem(lens, frames, stated, truth, calibration, folder)
+    del frames  # they are large, and the problem does not need them any more
+    if on_estimate is not None:
+        on_estimate(case.memory)
+    try:
+        with tiles_in(settings.cluster) as hand_over:
+            return _run(case, settings, hand_over, reporter)
+    except KeyboardInterrupt:
+        hint = _resume_hint(case) or "nothing was written"
+        count = f"{reporter.iterations} of {settings.most_iterations}"
+        raise KeyboardInterrupt(f"interrupted after {count} iterations; {hint}") from None
+    except ClusterError as error:
+        raise ClusterError(f"{error}; {_resume_hint(case) or 'no iteration was checkpoint'}") from error
+
+
+def _find_stop(
+    case: ReconstructionProblem, settings: ReconstructionSettings, reporter: ProgressReporter
+) -> FieldStop:
+    """Return the field stop: position and diameter as far as settings do not state them."""
+    if isinstance(case.engine, Tiled):
+        raise SettingError(
+            "{field_stop} find: needs many short reconstructions, which take too long for a whole field; "
+            "find it on a smaller patch ({patch_mm}), and state {field_stop_mm} and {field_stop_at_mm}"
+        )
+    search = stop_search(case, settings, case.engine, reporter.step)
+    return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
+
+
+class ProgressReporter:
+    """Reports the progress of a run: iterations, and parts of the engine's work within them.
+
+    Parameters
+    ----------
+    progress
+        Callback `progress(stage, completed, total)`, or None.
+    settings
+        Settings of the reconstruction.
+    engine
+        Engine, named in the first report.
+    """
+
+    def __init__(self, progress: Progress | None, settings: ReconstructionSettings, engine: Engine) -> None:
+        self._progress = progress or (lambda what, done, count: None)
+        self._method, self._most = settings.method, settings.most_iterations
+        self._figure = "CC" if settings.method == "paper" else "misfit"
+        self.iterations = 0
+        self._report(f"{self._method}: engine {engine.name}", 0, self._most)
+
+    def _report(self, message: str, done: int, count: int) -> None:
+        self._message, self._done, self._count = message, done, count
+        self._progress(message, done, count)
+
+    def iteration(self, index: int, figure: float) -> None:
+        """Report an iteration and its misfit or correlation."""
+        self.iterations = index + 1
+        self._report(f"{self._method}: {self._figure} {figure:.5f}", self.iterations, self._most)
+
+    def coarse_iteration(self, index: int, figure: float) -> None:
+        """Report an iteration on half of the samples."""
+        self._report(f"{self._method}, half of the samples: {self._figure} {figure:.5f}", 0, self._most)
+
+    def step(self, what: str) -> None:
+        """Report a step that is not an iteration."""
+        self._report(what, 0, 0)
+
+    def count(self, done: int, total: int) -> None:
+        """Report the progress within the current step."""
+        self._report(self._message, done, total)
+
+    def engine_part(self, done: int, total: int) -> None:
+        """Report a part of one use of an engine."""
+        self._progress(f"{self._message}, super-tile {done} of {total}", self._done, self._count)
+
+
+@contextmanager
+def _prepared_engine(
+    engine: Engine, hand_over: ClusterHandover, reporter: ProgressReporter
+) -> Iterator[Engine]:
+    """Yield an engine that reports its progress and uses the cluster if there is one.
+
+    The cheapest engine for a region may do neither.
+    """
+    if not isinstance(engine, Tiled):
+        yield engine
+        return
+    engine.progress = reporter.engine_part
+    try:
+        yield hand_over(engine)
+    finally:
+        engine.progress = None
+
+
+def _resume_hint(case: ReconstructionProblem) -> str:
+    checkpoint = case.checkpoint is not None and case.checkpoint.kept
+    return "the same command goes on from where it was last kept" if checkpoint else ""
+
+
+def _run(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    hand_over: ClusterHandover,
+    reporter: ProgressReporter,
+) -> FoundObject:
+    def engine_on(grid: Grid) -> AbstractContextManager[Engine]:
+        own_grid = case.engine.scene.object_grid
+        return _prepared_engine(
+            case.engine if grid == own_grid else case.engine_on(grid), hand_over, reporter
+        )
+
+    start = None
+    if settings.source_deg == "find":
+        with engine_on(case.light.grid) as engine:
+            width_deg, start = find_source_width(engine, case.light, case.given, settings, reporter.step)
+        case = case._replace(source=Source(width_deg))
+    if settings.method == "paper":
+        found = _retrieve(case, settings, engine_on, reporter)
+    else:
+        # The list gives up the initial state, so that its arrays do not stay in memory to the end.
+        initial = [saved_state(case.checkpoint, case.scratch)]
+        if initial == [None] and start is None:
+            initial = [_coarse_start(case, settings, hand_over, reporter)]
+        case, found = _find_object(case, settings, hand_over, reporter, start, initial)
+    judged = judge_result(case, settings, engine_on, found, reporter.step)
+    transmission, field_behind, maps, curve, of_method = found[:5]
+    del found
+    focus = None
+    if field_behind is not None and settings.focus_mm is not None:
+        reporter.step("refocusing")
+        transmission, focus = _refocus(case, settings.focus_mm, field_behind, reporter)
+        field_behind = None
+    assert transmission is not None
+    true, truth = None, dict[str, float | None]()
+    if case.truth is not None:
+        reporter.step("comparison with the true object")
+        true, light = (cut_field(field, case.shown_grid) for field in (case.truth, case.light))
+        scene = case.engine.scene
+        truth = truth_metrics(transmission, true, light, case.inside, scene, case.scratch)
+    return FoundObject(
+        settings=settings,
+        patch=case.patch,
+        transmission=transmission,
+        inside=case.inside,
+        planes=case.planes,
+        recorded=case.recorded,
+        residual_maps=maps,
+        curve=curve,
+        verdict=judged,
+        focus=focus,
+        of_method=of_method,
+        true=true,
+        truth=truth,
+        charts=case.charts,
+        diversity=case.diversity,
+        engine=case.engine,
+        memory=case.memory,
+        predicted_error=case.predicted_error,
+    )
+
+
+def _coarse_start(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    hand_over: ClusterHandover,
+    reporter: ProgressReporter,
+) -> SolverState | None:
+    """Return the state after the first iterations of a whole field on half of its samples, or None if they
+    save little.
+    """
+    if not isinstance(case.engine, Tiled) or len(case.modes) > 1:
+        return None
+    small = coarse_problem(case.engine.scene, case.light, case.given)
+    if small is None:
+        return None
+    kind = "amplitude" if settings.first == "amplitude" else settings.kind
+    engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS, light=Light(small.light))
+    with _prepared_engine(engine, hand_over, reporter) as ready:
+        found = reconstruct(
+            ready,
+            small.light,
+            small.recorded,
+            kind=kind,
+            tv_weight=settings.tv_weight,
+            iterations=min(ITERATIONS, settings.most_iterations),
+            until_noise=True,
+            scale=settings.scale,
+            fill_factor=settings.fill_factor,
+            progress=reporter.coarse_iteration,
+            residuals=False,
+            inner_iterations=INNER_ITERATIONS,
+        )
+    values = found.transmission.values
+    values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)
+    values = case.scratch.held(values, "a step")
+    return SolverState(values, values, 0.0, (), None, 0, 0)
+
+
+def _find_object(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    hand_over: ClusterHandover,
+    reporter: ProgressReporter,
+    start: Field | None,
+    initial: list[SolverState | None],
+) -> tuple[ReconstructionProblem, MethodResult]:
+    """Return the object, and the problem with the engine that found it.
+
+    If residuals exceed the noise by at most the engine's predicted error, a more accurate engine continues,
+    unless the error was stated.
+    """
+    checkpoint: Checkpoint | None = case.checkpoint
+    curve: tuple[float, ...] = ()
+    model_error = MODEL_ERROR
+    first: Field | Literal["amplitude"] | None = "amplitude" if settings.first == "amplitude" else start
+    errors: tuple[Array, ...] = ()
+    while True:
+        with _prepared_engine(case.engine, hand_over, reporter) as engine:
+            found = _solve(
+                case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
+            )
+            if not curve and may_be_brighter(case, settings, found):
+                brighter = _solve(case, settings, engine, reporter, first, bounded=False)
+                excess = [excess_of(case, one.residual_maps) for one in (found, brighter)]
+                if excess[1] < BETTER * excess[0]:
+                    found = brighter
+                del brighter
+            if not curve and may_be_stagnated(case, settings, found):
+                found = _solve_from_complex_object(case, settings, engine, reporter, found)
+            maps = found.residual_maps
+            if len(maps) < len(case.recorded):
+                maps = residual_maps_of(
+                    engine, case.light, case.recorded, settings.fill_factor, found, case.modes
+                )
+            curve += found.misfit
+            is_limited = is_engine_limited(case, maps, found.misfit[-1])
+            accurate = more_accurate_case(case, reporter.step) if is_limited else None
+            if accurate is None or settings.error is not None or settings.engine != AUTO:
+                if accurate is not None:
+                    errors = engine_errors(accurate, case, settings, found, maps)
+                elif is_limited:
+                    model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
+                agreement = agreement_of_starts(
+                    engine,
+                    case.light,
+                    case.given,
+                    starts_needed(case, settings, found),
+                    found,
+                    reporter.step,
+                    case.modes,
+                )
+                break
+        case, first, checkpoint = accurate, found.transmission, None
+    of_method: dict[str, Any] = {
+        "scale": found.scale,
+        "misfit": found.misfit[-1],
+        "stopped_because": found.stopped_because,
+    }
+    if settings.source_deg:
+        of_method["source_deg"] = case.source.width_deg
+    shown_part, field_behind = cut_field(found.transmission, case.refocus_grid), None
+    if settings.focus_mm is not None:
+        field_behind = shown_part.with_values(
+            cut_field(case.light, case.refocus_grid).values * shown_part.values
+        )
+    whole = None if isinstance(case.engine, Tiled) else found.transmission
+    transmission = shown_part if field_behind is None else None
+    return case, MethodResult(
+        transmission, field_behind, maps, curve, of_method, agreement, whole, errors, model_error
+    )
+
+
+def _solve(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    start: Field | Literal["amplitude"] | None,
+    checkpoint: Checkpoint | None = None,
+    resume: SolverState | None = None,
+    bounded: bool = True,
+) -> Reconstructed:
+    """Return the object that iterations with one engine find."""
+    return reconstruct(
+        engine,
+        case.light,
+        case.given,
+        kind=settings.kind,
+        tv_weight=settings.tv_weight,
+        iterations=settings.most_iterations,
+        until_noise=True,
+        scale=settings.scale,
+        start=start,
+        fill_factor=settings.fill_factor,
+        progress=reporter.iteration,
+        resume=resume,
+        keep=state_saver(checkpoint),
+        scratch=case.scratch,
+        modes=case.modes,
+        bounded=bounded,
+    )
+
+
+def _solve_from_complex_object(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    found: Reconstructed,
+) -> Reconstructed:
+    """Return the amplitude object that starts from a complex one if it fits better than the one found.
+
+    A complex transmission avoids local minima of a real one between 0 and 1.
+    """
+    reporter.step("complex object as another start")
+    complex_object = _solve(case, settings.replaced(kind="complex"), engine, reporter, None).transmission
+    amplitude = np.abs(complex_object.values)
+    if settings.scale is None:
+        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], BRIGHT)), 1e-6)
+    start = complex_object.with_values(np.clip(amplitude, 0.0, 1.0).astype(complex_object.values.dtype))
+    other = _solve(case, settings, engine, reporter, start)
+    is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)
+    return other if is_better else found
+
+
+def _retrieve(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine_on: EngineOn,
+    reporter: ProgressReporter,
+) -> MethodResult:
+    with engine_on(case.light.grid) as engine:
+        retrieved, maps = retrieve_resumably(
+            engine,
+            case.light,
+            case.recorded,
+            case.checkpoint,
+            iterations=settings.most_iterations,
+            start=settings.first,
+            progress=reporter.iteration,
+            scratch=case.scratch,
+        )
+    of_method = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
+    reporter.step("back to the object")
+    with engine_on(case.refocus_grid) as engine:
+        return MethodResult(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, of_method)
+
+
+def _refocus(
+    case: ReconstructionProblem,
+    focus_mm: tuple[float, float],
+    field_behind: Field,
+    reporter: ProgressReporter,
+) -> tuple[Field, Focus]:
+    """Return the object at its sharpest distance; the field is propagated, and not the transmission."""
+    if field_behind.grid != case.shown_grid:  # a sharp edge of a part of the field would diffract
+        field_behind = field_behind.with_values(
+            field_behind.values * soft_rim(case.shown_grid, field_behind.grid)
+        )
+    found = refocus_field(field_behind, focus_mm, case.depth_mm, reporter.count)
+    # The illumination hardly changes over a few depths of focus.
+    light = cut_field(case.light, field_behind.grid)
+    transmission = transmission_of(replace(found.field, grid=light.grid), light)
+    return cut_field(transmission, case.shown_grid), Focus(found.distance_mm, found.distances_mm, found.svfg)

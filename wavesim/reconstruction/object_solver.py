@@ -1,0 +1,490 @@
+"""Object-domain reconstruction: find the object itself from intensities behind the lens.
+
+The object t (its complex transmission) under a known illumination u gives the fields A_n(u t) on the planes
+n. The solver minimizes the weighted misfit of amplitudes plus a total variation by the steps
+
+    t <- prox( t + mean over n of conj(u) A_n*( P_n(A_n(u t)) - A_n(u t) ) / max |u|^2 ),
+
+where P_n replaces the amplitude of a field by the measured one. Engine and free space are nearly unitary.
+The Hessian is therefore 1 at most, and accelerated steps are stable up to a step length of 4/3.
+
+Each step consists of a few inner iterations of the same kind on the field behind the lens, where planes cost
+little, before the change is taken back to the object. The proximal map of the total variation preserves
+edges and suppresses noise. Steps are accelerated (FISTA), and the momentum restarts where it increases the
+misfit. The object is zero where the illumination is zero: a field stop acts as a support constraint.
+
+References
+----------
+A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse problems",
+SIAM J. Imaging Sci. 2, 183 (2009).
+B. O'Donoghue and E. Candes, "Adaptive restart for accelerated gradient schemes", Found. Comput. Math. 15,
+715 (2015).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.notebook import html_picture, html_table
+from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
+from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.reconstruction.memory import Sizes, step_array
+from wavesim.reconstruction.phase_retrieval import validate_planes
+from wavesim.reconstruction.total_variation import prox_tv
+from wavesim.runtime.scratch import Scratch
+from wavesim.scene.engine import Grids, Operator
+from wavesim.scene.settings import Kind
+from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit, power_of_two
+
+Array = NDArray[np.inexact[Any]]
+Stop = Literal["noise", "rest", "iterations"]
+
+STOPPED: dict[Stop, str] = {
+    "noise": ", where the misfit came to the noise",
+    "rest": ", where the misfit fell no more",
+    "iterations": "",
+}
+"""Text that describes each reason for the end of the iterations."""
+
+SCALE_ITERATIONS = 4
+"""Iterations in which an unknown scale is fitted. In later ones scale and transmission would drift."""
+
+AMPLITUDE_START = 12
+"""Iterations that seek an amplitude object if `start` is "amplitude"."""
+
+
+TV_PER_NOISE = 1.0
+"""Weight of the total variation over the standard deviation of the noise of a step.
+
+The noise counts as larger than stated by the ratio of the misfit to the misfit of noise alone, because
+residuals that the model does not explain yet carry no detail.
+"""
+
+STEP, FRICTION = 1.3, 1.0
+"""Length of a step, and a constant that limits the momentum: after j steps it is j / (j + `FRICTION`)."""
+
+INNER_ITERATIONS, INNER_STEP_FACTOR, FAR = 4, 2.0, 1.2
+"""Inner iterations of a step, the factor by which they lengthen it and its total variation, and their limit.
+
+Inner iterations are used while the misfit exceeds `FAR` times the misfit of noise. Nearer to the noise they
+would fit the noise.
+"""
+AT_NOISE = 1.01
+"""Misfit over that of noise alone at which iterations count as having reached the noise.
+
+Slowly converging parts, such as smooth phase, still improve there as long as the misfit falls.
+"""
+
+EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
+"""Convergence: over `EARLY` iterations (`NEAR_EARLY` near the noise, `AT_NOISE_EARLY` at the noise) the
+misfit falls by less than the fraction `EARLY_GAIN`. At the noise, iterations also end where all further
+iterations together are expected to change the misfit by less than that.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstructed:
+    """A reconstructed object.
+
+    Attributes
+    ----------
+    transmission : Field
+        Transmission on the engine's object grid; 0 where there is no light.
+    misfit : tuple of float
+        Relative L2 difference between modelled and measured amplitudes of all planes, before each iteration.
+    residual_maps : tuple of ndarray
+        For each plane, modelled less measured amplitude, in the unit of the measured amplitude.
+    scale : float
+        Measured amplitude per unit of the modelled amplitude.
+    stopped_because : {"noise", "rest", "iterations"}
+        Reason for the end of the iterations.
+
+        - "noise": the misfit has reached the value that noise alone leaves (discrepancy principle).
+        - "rest": the misfit has converged.
+        - "iterations": all iterations were used.
+    """
+
+    transmission: Field
+    misfit: tuple[float, ...]
+    residual_maps: tuple[NDArray[np.floating[Any]], ...]
+    scale: float
+    stopped_because: Stop
+
+    def __repr__(self) -> str:
+        return f"Reconstructed({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Reconstructed object", self._rows(), html_picture(self.transmission.values))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        grid, why = self.transmission.grid, STOPPED[self.stopped_because]
+        return [
+            ("samples", f"{grid.shape[0]} x {grid.shape[1]} of {1e3 * grid.pitch_mm:.4g} um"),
+            ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.5g}{why}"),
+            ("planes", f"{len(self.residual_maps)}, scale {self.scale:.4g}"),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class SolverState:
+    """State of the solver after an iteration: all that is needed to resume it.
+
+    Attributes
+    ----------
+    transmission, ahead : ndarray
+        Last iterate, and the extrapolated point at which the next gradient is taken. Both are real while an
+        amplitude object is sought.
+    momentum : float
+        Number of steps since the last restart of the momentum.
+    misfit : tuple of float
+        Misfit of every iteration so far.
+    scale : float or None
+        Measured amplitude per unit of the modelled amplitude; None before it is known.
+    stage, began : int
+        Index of the current stage (kind of object that is sought), and number of iterations before it.
+    """
+
+    transmission: Array
+    ahead: Array
+    momentum: float
+    misfit: tuple[float, ...]
+    scale: float | None
+    stage: int
+    began: int
+
+
+def reconstruct(
+    engine: Operator,
+    illumination: Field,
+    recorded: Sequence[Measurement],
+    *,
+    kind: Kind = "complex",
+    tv_weight: float | Literal["auto"] = 0.0,
+    iterations: int = 80,
+    until_noise: bool = False,
+    scale: float | None = None,
+    start: Field | Literal["amplitude"] | None = None,
+    fill_factor: float = 0.0,
+    progress: Callable[[int, float], None] | None = None,
+    resume: SolverState | None = None,
+    keep: Callable[[SolverState], None] | None = None,
+    scratch: Scratch | None = None,
+    modes: Sequence[SourceMode] = (),
+    rows: Sequence[slice] = (),
+    residuals: bool = True,
+    inner_iterations: int = INNER_ITERATIONS,
+    bounded: bool = True,
+) -> Reconstructed:
+    """Find the object behind measured amplitudes.
+
+    Parameters
+    ----------
+    engine
+        Forward and adjoint operator from the object grid to a plane behind the lens.
+    illumination
+        Field on the engine's object grid, with the field stop applied. Its data type (complex64 or
+        complex128) is that of the computation.
+    recorded
+        Measured amplitudes of one or more planes, with distances from the engine's exit grid in mm. Pixels
+        are weighted by their standard deviation `sigma`; a pixel with infinite `sigma` is ignored.
+    kind
+        "complex", or "amplitude" for a real transmission between 0 and 1.
+    tv_weight
+        Weight of the total variation, for transmissions of order 1; 0 disables it. "auto" means
+        `TV_PER_NOISE` times the noise of a step, which follows from `sigma` of all planes, times the ratio
+        of the misfit to that of noise alone.
+    iterations
+        Largest number of iterations; fewer are made where the misfit converges.
+    until_noise
+        Whether iterations also end where the misfit reaches the value that noise alone would leave
+        (:func:`wavesim.sensor.measurement.noise_misfit`).
+    scale
+        Measured amplitude per unit of the modelled amplitude, where a picture without an object has
+        determined it. Default: fitted in the first iterations; the transmission is then known up to a
+        factor.
+    start
+        Initial transmission; default: 1. "amplitude": the first `AMPLITUDE_START` iterations seek an
+        amplitude object. This helps to find a complex object on a dark ground, which is far from 1.
+    fill_factor
+        Linear fill factor of a pixel: side of its photosensitive square over the pitch. 0 means samples at
+        points, such as those of a simulated field.
+    progress
+        Callback `progress(index, misfit)`, called after every iteration.
+    resume
+        State of an interrupted run with the same arguments, which continues from there.
+    keep
+        Callback `keep(state)`, called after every iteration; `resume` accepts the state.
+    scratch
+        Storage of arrays that are kept from one iteration to the next; default: memory. Arrays of the caller
+        stay where they are; :meth:`wavesim.Scratch.moved` moves them.
+    modes
+        Modes of the light of an extended source (:meth:`wavesim.scene.Source.modes`). Each mode passes
+        through the engine separately.
+    rows
+        Rows of the engine's exit grid that hold the pixels of each plane, if the engine propagates directly
+        to the planes. Default: planes are reached through free space.
+    residuals
+        Whether residual maps are computed, which takes one more forward propagation.
+    inner_iterations
+        Inner iterations behind the lens in each step, as long as the misfit is far above the noise.
+    bounded
+        Whether the amplitude is at most 1. An unknown scale is fitted to an object that is bright
+        everywhere; bright parts of an object on a dark ground may then have to exceed 1.
+
+    Returns
+    -------
+    Reconstructed
+        The object, the misfit of every iteration, and residual maps.
+
+    Raises
+    ------
+    InputError
+        If a value or a shape is invalid, planes are in different units, modes have another wavelength than
+        the illumination, or the disk of the scratch files is full.
+    """
+    validate_numbers(kind, tv_weight, iterations, scale, fill_factor)
+    validate_measurements(engine.scene, illumination, recorded, start, modes, rows)
+    scratch = scratch or Scratch()
+    unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
+    if light_unit != 1.0:
+        illumination = illumination.with_values(
+            illumination.values / illumination.values.real.dtype.type(light_unit)
+        )
+    recorded = in_unit(recorded, unit)
+    model = ForwardModel(
+        engine,
+        illumination,
+        recorded,
+        scale and scale * light_unit / unit,
+        fill_factor,
+        scratch,
+        modes,
+        rows,
+    )
+    weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
+    distances = tuple(plane.distance_mm for plane in recorded)
+    sizes = Sizes(engine.scene.object_grid.shape, engine.scene.exit_grid.shape, distances, dtype=model.dtype)
+    descent = _ProximalDescent(
+        model,
+        weight,
+        noise,
+        noise_misfit(recorded),
+        until_noise,
+        scale is None,
+        progress,
+        keep,
+        sizes,
+        scratch,
+        inner_iterations,
+        bounded,
+    )
+    stages = [(kind, iterations)]
+    if start == "amplitude":
+        stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
+    # The list gives up the initial state, so that its arrays do not stay in memory to the end.
+    initial = [resume or _initial_state(model, start, stages[0][0], scratch)]
+    del resume
+    state = descent.run(initial.pop(), stages)
+    now, misfits, stop_reason = state.transmission, state.misfit, descent.stop(state) or "iterations"
+    del state
+    maps = tuple(model.amplitudes(now)) if residuals else ()
+    for modelled, plane in zip(maps, recorded, strict=residuals):
+        modelled -= plane.amplitude
+        modelled *= modelled.dtype.type(unit)
+    found = illumination.with_values(now.astype(illumination.values.dtype))
+    return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stop_reason)
+
+
+def _initial_state(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch) -> SolverState:
+    """Return the state before the first iteration."""
+    is_field = isinstance(start, Field)
+    dtype = model.dtype if is_field or kind == "complex" else model.real
+    now = scratch.array(model.lit.shape, dtype, "a step")
+    np.multiply(start.values if is_field else 1.0, model.lit, out=now, casting="same_kind")
+    return SolverState(now, now, 0.0, (), model.scale if model.knows_scale else None, 0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _ProximalDescent:
+    """Accelerated proximal gradient steps."""
+
+    model: ForwardModel
+    tv_weight: float
+    noise_at_scale_1: float | None
+    misfit_of_noise: float | None
+    until_noise: bool
+    fits_scale: bool
+    progress: Callable[[int, float], None] | None
+    keep: Callable[[SolverState], None] | None
+    sizes: Sizes
+    scratch: Scratch
+    inner_iterations: int
+    bounded: bool
+
+    def run(self, state: SolverState, stages: Sequence[tuple[Kind, int]]) -> SolverState:
+        """Return the state after all stages (kind of object, and iteration at which the stage ends)."""
+        if state.scale is not None:
+            self.model.scale, self.model.knows_scale = state.scale, True
+        for stage, (kind, until) in enumerate(stages):
+            if stage < state.stage:
+                continue
+            if stage > state.stage:
+                now, misfit = state.transmission, state.misfit
+                state = SolverState(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
+                del now
+            while len(state.misfit) < until and self.stop(state) is None:
+                state = self._next_state(state, kind)
+                if self.progress is not None:
+                    self.progress(len(state.misfit) - 1, state.misfit[-1])
+                if self.keep is not None:
+                    self.keep(state)
+        return state
+
+    def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
+        self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
+        now: Array = state.transmission.real if kind == "amplitude" else state.transmission
+        is_far = self._is_far(state)
+        point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)
+        point = prox_tv(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * self._tv_weight(misfit))
+        if kind == "amplitude":
+            np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
+        step = step_array(self.sizes, kind)
+        after = self.scratch.make(step)
+        np.multiply(point, self.model.lit, out=after)
+        del point
+        steps = 0.0 if _leads_uphill(now, state.ahead, after) else state.momentum
+        ahead = self.scratch.make(step)
+        np.subtract(after, now, out=ahead)
+        ahead *= steps / (steps + FRICTION)
+        ahead += after
+        return SolverState(
+            after, ahead, steps + 1.0, (*state.misfit, misfit), self.model.scale, state.stage, state.began
+        )
+
+    def _is_far(self, state: SolverState) -> bool:
+        """Return whether the misfit is clearly above that of noise, or the noise is unknown.
+
+        Planes with separate exit fields cannot use inner iterations on a common field.
+        """
+        if self.model.rows:
+            return False
+        known = self.misfit_of_noise is not None and state.misfit
+        return not known or state.misfit[-1] > FAR * (self.misfit_of_noise or 0.0)
+
+    def _gradient_step(self, ahead: Array, kind: Kind, inner_iterations: int) -> tuple[Array, float]:
+        """Return the point after a gradient step from the extrapolated point, and the misfit there."""
+        point, misfit = self.model.step(ahead, inner_iterations, STEP)
+        point *= point.real.dtype.type(STEP)
+        if kind == "amplitude":
+            return point.real + ahead.real, misfit
+        point += ahead
+        return point, misfit
+
+    def _tv_weight(self, misfit: float) -> float:
+        if self.noise_at_scale_1 is None or self.misfit_of_noise is None:
+            return self.tv_weight
+        weight = TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale
+        return weight * max(misfit / self.misfit_of_noise, 1.0)
+
+    def stop(self, state: SolverState) -> Stop | None:
+        """Return the reason to stop, or None if iterations continue."""
+        if len(state.misfit) - state.began == 0:
+            return None
+        misfits, noise = state.misfit[state.began :], self.misfit_of_noise
+        over = misfits[-1] / noise if self.until_noise and noise else math.inf
+        if over <= AT_NOISE and (
+            _is_converged(misfits, AT_NOISE_EARLY) or _expected_change(misfits) < EARLY_GAIN
+        ):
+            return "noise"
+        rests = len(misfits) > EARLY and _is_converged(misfits, NEAR_EARLY if over <= FAR else EARLY)
+        return "rest" if rests else None
+
+
+def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
+    """Return whether the misfit hardly changed over the last iterations."""
+    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
+
+
+def _expected_change(misfits: Sequence[float]) -> float:
+    """Return the relative change of the misfit that further iterations are expected to make.
+
+    The changes are extrapolated as a geometric series from the last three.
+    """
+    changes = np.abs(np.diff(misfits[-4:]))
+    if len(changes) < 3 or not changes[0] > changes[1] > changes[2]:
+        return math.inf
+    # The larger ratio counts, because a single change is small where the inner iterations end.
+    ratio = max(changes[1] / changes[0], changes[2] / changes[1])
+    return float(changes[2] * ratio / ((1.0 - ratio) * misfits[-1]))
+
+
+def _leads_uphill(now: Array, ahead: Array, after: Array) -> bool:
+    """Return whether the last step points against the gradient, so that the momentum must restart."""
+    # A few rows at a time: differences of whole fields would be the largest arrays of a step.
+    blocks = (slice(start, start + 8) for start in range(0, len(now), 8))
+    along = (np.vdot(ahead[rows] - after[rows], after[rows] - now[rows]) for rows in blocks)
+    return sum(float(one.real) for one in along) > 0.0
+
+
+def validate_numbers(
+    kind: str, tv_weight: float | str, iterations: int, scale: float | None, fill_factor: float
+) -> None:
+    """Check that settings of :func:`wavesim.reconstruct` are within their range.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range.
+    """
+    validate_choice("kind", kind, ("complex", "amplitude"))
+    if tv_weight != "auto" and (
+        isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
+    ):
+        raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
+    validate_whole_number("iterations", iterations, 1)
+    if scale is not None:
+        validate_positive("scale", scale)
+    # A fill factor above 1 describes the blur of the picture.
+    if not 0.0 <= fill_factor <= 2.0:
+        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 2")
+
+
+def validate_measurements(
+    grids: Grids,
+    illumination: Field,
+    recorded: Sequence[Measurement],
+    start: Any,
+    modes: Sequence[SourceMode],
+    rows: Sequence[slice],
+) -> None:
+    """Check that illumination, planes and start of :func:`wavesim.reconstruct` fit the grids of the engine.
+
+    Raises
+    ------
+    InputError
+        If a grid, a shape, the start or a wavelength does not fit.
+    """
+    if illumination.grid != grids.object_grid:
+        raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
+    if not np.any(np.abs(illumination.values) > 0.0):
+        raise InputError("illumination: is all dark")
+    if not recorded:
+        raise InputError("recorded: must be one plane at least")
+    shape = grids.exit_grid.shape
+    if rows:
+        shape = (shape[0] // len(rows), *shape[1:])
+    validate_planes(recorded, shape, "the exit grid's")
+    if not (start is None or start == "amplitude" or isinstance(start, Field)):
+        raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
+    if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
+        raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
+    if any(mode.wavelength_um != illumination.wavelength_um for mode in modes):
+        raise InputError(f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is")
