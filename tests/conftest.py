@@ -26,6 +26,9 @@ HUNG_SECONDS = 600
 # Files that take longest: they come first, so that no worker is left with one when the others are done.
 LONG = (
     "test_documented_commands.py",
+    "lensdesign/optimization/limits/",
+    "studio/page/",
+    "paper/test_registry.py",
     "wavesim/engines/whole_field/test_engine.py",
     "test_notebooks.py",
     "wavesim/cli/",

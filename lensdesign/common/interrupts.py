@@ -15,6 +15,9 @@ from typing import Any
 
 from lensdesign.errors import UNFINISHED
 
+END_PROCESS = os._exit
+"""Ends the process immediately."""
+
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 NERVOUS_SECONDS = 1.0
@@ -67,7 +70,7 @@ class _Stop:
         """End the process immediately; workers end with the process that started them."""
         _sweep()
         os.write(2, b"interrupted; ended before all had come to its end\n")
-        os._exit(self.status)
+        END_PROCESS(self.status)
 
     @property
     def status(self) -> int:

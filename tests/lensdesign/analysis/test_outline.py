@@ -61,7 +61,7 @@ def test_a_thin_edge_is_exported_with_its_drawn_outline_and_a_warning() -> None:
     assert (edge.diameter_mm, edge.origin, edge.fits) == (7.3, "chosen", False)
     assert edge.thickness_mm == pytest.approx(0.3022, abs=1e-4)
     assert edge.statement.endswith("a drawing with general tolerances needs more than 0.7 mm")
-    with pytest.raises(InputError, match=r"diameter.* 7\.3 mm"):
+    with pytest.raises(InputError, match=r"at the chosen ground diameter, 7\.3 mm"):
         drawing_as_stated(lens)
 
 

@@ -62,7 +62,7 @@ def test_other_explorations_and_other_files_are_refused(
     other = tmp_path / "other"
     other.mkdir()
     (other / "letter.txt").write_text("dear", encoding="utf-8")
-    with pytest.raises(InputError, match=r"searches\.jsonl"):
+    with pytest.raises(InputError, match=r"holds other files, but no searches\.jsonl"):
         folder_for(other, specification, axes_of(OVER, specification), 4).begin()
     assert (other / "letter.txt").read_text(encoding="utf-8") == "dear"
 

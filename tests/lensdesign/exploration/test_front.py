@@ -76,5 +76,5 @@ def test_a_field_is_given_and_the_rest_sought(specification: Specification) -> N
 def test_a_specification_that_nothing_meets_is_told(specification: Specification) -> None:
     limits = specification.constraints.replaced(max_lens_thickness_mm=3.0)
     nothing = specification.model_copy(update={"constraints": limits})
-    with pytest.raises(DesignError, match="no lens was found"):
+    with pytest.raises(DesignError, match="no lens meets the specification"):
         Exploration(nothing, axes_of("thickness,spread", nothing), lenses=2).run()

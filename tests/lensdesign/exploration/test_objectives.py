@@ -14,10 +14,10 @@ from lensdesign.optimization.specification.sections import Constraints, Toleranc
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("thickness", r"1 named.*two to four"),
-        ("thickness,width", r"'width'.*thickness, track"),
-        ("thickness,thickness", "thickness stands twice"),
-        ("field,na", "sought: thickness"),
+        ("thickness", "1 named; allowed: two to four"),
+        ("thickness,width", "'width' is not an objective; allowed: thickness, track"),
+        ("thickness,thickness", "thickness is given twice"),
+        ("field,na", "at least one must be a goal of a search: thickness"),
         ("thickness,yield", "yield needs tolerances"),
         ("thickness,cost", "cost needs tolerances"),
         ("field=2,thickness", "bounds must be two numbers"),

@@ -89,11 +89,11 @@ def test_glass_catalogues_are_relative_to_the_file(design: Path, tmp_path: Path)
 
 
 FAULTS = [
-    ("radius_mm = 42.3", "radius_mm = 0.0", "surface 1, radius_mm: a radius of 0 is no surface"),
-    ("radius_mm = 42.3", 'radius_mm = "42.3"', r"surface 1, radius_mm = '42.3'"),
-    ("radius_mm = 42.3", "radius_mm = nan", "surface 1, radius_mm = nan"),
-    ("radius_mm = 42.3", "radius = 42.3", "surface 1, radius: unknown key"),
-    ("thickness_mm = 9.7", "thickness_mm = -9.7", r"surface 1, thickness_mm = -9.7"),
+    ("radius_mm = 42.3", "radius_mm = 0.0", "surface 1, radius_mm: a radius of 0 is not a surface"),
+    ("radius_mm = 42.3", 'radius_mm = "42.3"', r"surface 1, radius_mm = '42.3': must be a valid number"),
+    ("radius_mm = 42.3", "radius_mm = nan", "surface 1, radius_mm = nan: must be a finite number"),
+    ("radius_mm = 42.3", "radius = 42.3", "surface 1, radius: unknown key; allowed: radius_mm, conic, asphe"),
+    ("thickness_mm = 9.7", "thickness_mm = -9.7", "surface 1, thickness_mm = -9.7: must be greater than 0"),
     ("thickness_mm = 9.7\n", "", "surface 1: thickness_mm is missing"),
     ("conic = -0.9", "conic = -0.9\nthickness_mm = 1.0", r"surface 2: .*last surface.*thick"),
     ("thickness_mm = 9.7", "thickness_mm = 0.5", "surfaces 1 and 2 cross"),
@@ -166,14 +166,14 @@ FAULTS = [
         "[[surfaces]]",
         r"surfaces: .*did you mean surface",
     ),
-    ("radius_mm = 42.3", "raduis_mm = 42.3", r"raduis_mm: .*did you mean radius_mm"),
-    ("wavelengths_um = [0.532]", "wavelengths_um = 0.532", r"wavelengths_um = 0.532"),
-    ("[9344, 7000]", "[9344, 7000, 1]", r"pixels = \[9344, 7000, 1\].* 2 item"),
-    ("[9344, 7000]", "[9344, 9999999]", r"pixels 2 = 9999999.* 1000000"),
-    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 1e300", r"pixel_pitch_um = 1e.300"),
-    ("conic = -0.9", f"asphere = {[0.0] * 21}", r"surface 2, asphere = .* 20 item"),
-    ('title = "A singlet"', "glass_catalogs = [3]", "glass_catalogs 1 = 3"),
-    ('title = "A singlet"', 'glass_catalogs = ["a\\u0000"]', "glass_catalogs: a path cannot hold a NUL"),
+    ("radius_mm = 42.3", "raduis_mm = 42.3", "raduis_mm: unknown key; .*; did you mean radius_mm"),
+    ("wavelengths_um = [0.532]", "wavelengths_um = 0.532", "wavelengths_um = 0.532: must be a list"),
+    ("[9344, 7000]", "[9344, 7000, 1]", r"pixels = \[9344, 7000, 1\]: must hold at most 2 items"),
+    ("[9344, 7000]", "[9344, 9999999]", "pixels 2 = 9999999: must be less than or equal to 1000000"),
+    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 1e300", "pixel_pitch_um = 1e.300: must be less than or equal"),
+    ("conic = -0.9", f"asphere = {[0.0] * 21}", "surface 2, asphere = .*: must hold at most 20 items"),
+    ('title = "A singlet"', "glass_catalogs = [3]", "glass_catalogs 1 = 3: must be a path"),
+    ('title = "A singlet"', 'glass_catalogs = ["a\\u0000"]', "glass_catalogs: a path must not contain a NUL"),
     ('title = "A singlet"', f"title = {'[' * 3000}", "not valid TOML: .*recursion"),
     ('title = "A singlet"', f"title = {'1' * 5000}", "not valid TOML: .*limit"),
     ('"N-BK7"', '"1.5"', r"'1.5'.*number"),
@@ -248,7 +248,7 @@ def test_unwritable_paths_are_refused(paper_lens: Lens, tmp_path: Path) -> None:
         save_design(paper_lens, tmp_path)
     blocked = tmp_path / "file"
     blocked.write_text("x")
-    with pytest.raises(InputError, match=r"file stands.*folder"):
+    with pytest.raises(InputError, match="there is a file where a folder is needed"):
         save_design(paper_lens, blocked / "lens.toml")
     assert blocked.read_text() == "x"
 

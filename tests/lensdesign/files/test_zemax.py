@@ -17,7 +17,6 @@ from lensdesign.analysis.paraxial import first_order
 from lensdesign.common.input_files import LENS_FILE_BYTES
 from lensdesign.files.draft import LossyImportError, Supplement
 from lensdesign.files.zemax import radius_mm, read_zmx, write_zmx
-from lensdesign.lens.figure_source import FigureSource
 
 HEADER = """VERS 171115
 DBDT 0 1 1.000E+10 0.000E+00
@@ -352,7 +351,7 @@ LOSSES = [
     ("  FIMP\r\n  CURV 0.0\r\n  DISZ 0", "  CURV 0.01\r\n  DISZ 0", "surface 4: curved image surface"),
     ("CURV 0.0\r\n  DISZ INF", "CURV 0.1\r\n  DISZ INF", "surface 0: curved object surface"),
     ("DISZ INF", "GLAS F2\r\n  DISZ INF", "surface 0: object in F2, read as air"),
-    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break"),
+    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break that is not a pose"),
 ]
 
 
@@ -367,21 +366,21 @@ def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, messag
 
 
 FAULTS = [
-    ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'"),
-    ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'"),
-    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' stands"),
-    ("DISZ 9.0", "DISZ nan", "'nan' stands"),
-    ("DISZ 9.0", "DISZ 1e999", "'1e999' stands where"),
-    ("DISZ 9.0", "DISZ 1_0", "'1_0' stands where"),
-    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' stands where"),
-    ("DISZ 9.0", "DISZ", r"0 values.* 1"),
-    ("DISZ 9.0", "DISZ 0.0", "0 mm behind surface 1"),
-    ("DISZ 9.0", "DISZ -9.0", "-9 mm behind surface 1"),
-    ("DISZ 9.0", "DISZ INFINITY", "inf mm behind surface 1"),
+    ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'; only sequential"),
+    ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'; only lengths in MM"),
+    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' must be a finite number"),
+    ("DISZ 9.0", "DISZ nan", "'nan' must be a finite number"),
+    ("DISZ 9.0", "DISZ 1e999", "'1e999' must be"),
+    ("DISZ 9.0", "DISZ 1_0", "'1_0' must be"),
+    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' must be"),
+    ("DISZ 9.0", "DISZ", "0 values; at least 1"),
+    ("DISZ 9.0", "DISZ 0.0", "the next surface lies 0 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ -9.0", "the next surface lies -9 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ INFINITY", "the next surface lies inf mm behind surface 1"),
     ("SURF 2", "SURF 7", "SURF '7' where surface 2 must follow"),
-    ("N-BAF10", "N-BAF10X", r"'N-BAF10X'.*N-BAF10"),
-    ("CURV 0.0", "CURV abc", "'abc' stands where"),
-    ("PWAV 2", "PWAV 2.5", r"'2.5' stands"),
+    ("N-BAF10", "N-BAF10X", r"unknown material 'N-BAF10X'; did you mean N-BAF10"),
+    ("CURV 0.0", "CURV abc", "'abc' must be"),
+    ("PWAV 2", "PWAV 2.5", "'2.5' must be a whole number"),
     ("STOP", "GLAS", "GLAS without a name"),
     ("FWGN 1", "NOTE 0 transferlens pixels [1", r"remark transferlens 'pixels' \(line 17\): not readable"),
     (
@@ -408,7 +407,7 @@ def test_faults_are_named(tmp_path: Path, old: str, new: str, message: str | Non
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match=r"working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
+        match=r"lacks working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
     ):
         read_zmx(saved(tmp_path, AC254_050))
 
@@ -439,15 +438,8 @@ def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
 
 def test_more_asphere_terms_than_the_format_holds_are_not_written(tmp_path: Path, paper_lens: Lens) -> None:
     path = tmp_path / "lens.zmx"
-    figure = FigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
-    with pytest.raises(InputError, match=r"surface 1: a \.zmx file cannot represent a measured figure"):
-        write_zmx(paper_lens.with_surface(0, figure=figure), path)
     with pytest.raises(InputError, match=r"surface 2: 8 asphere terms; a .zmx file holds 7, up to r\^16"):
         write_zmx(paper_lens.with_surface(1, asphere=(0.0,) * 7 + (1e-30,)), path)
-    with pytest.raises(InputError, match="a single pose only"):
-        write_zmx(paper_lens, path, Pose(np.zeros(3)))
-    with pytest.raises(MaterialError, match="unknown material"):
-        write_zmx(paper_lens.with_surface(0, material="N-BK77"), path)
     assert not path.exists()
 
 
@@ -589,7 +581,9 @@ def test_a_stop_within_the_lens_is_filled_by_the_real_marginal_ray(tmp_path: Pat
 @pytest.mark.parametrize("second", ["ENPD 4", "FNUM 4 0", "FLOA", "OBNA 0.2 0"])
 def test_two_system_apertures_are_refused(tmp_path: Path, second: str) -> None:
     text = SINGLET.replace("OBNA 0.1 0", f"OBNA 0.1 0\n{second}")
-    with pytest.raises(InputError, match=r"line 6: .*aperture.*line 5"):
+    with pytest.raises(
+        InputError, match="line 6: a second system aperture that differs from the one of line 5"
+    ):
         read_zmx(saved(tmp_path, text), SENSOR)
 
 

@@ -206,7 +206,7 @@ def test_a_twin_has_the_edge_scaled(paper_lens: Lens) -> None:
                 "semi_diameter_mm": 11.0,
                 "flange": {"semi_diameter_mm": 12.0, "distance_mm": 0.5, "thickness_mm": 1.0},
             },
-            r"edge cylinder.* 1.455",
+            "not on the edge cylinder, which extends from 1.455.* behind the front vertex",
         ),
         ({"front_bevel_mm": -0.1}, r"edge 1, front_bevel_mm = -0.1"),
         ({"bevel": 0.1}, "unknown key"),
@@ -225,14 +225,14 @@ def test_impossible_edges_are_refused(
 
 
 def test_one_edge_for_each_element(paper_lens: Lens) -> None:
-    with pytest.raises(DesignError, match=r"element.* 1, or none"):
+    with pytest.raises(DesignError, match=r"one for each glass element, front to back .1., or none"):
         paper_lens.replaced(edges=(Edge(), Edge()))
 
 
 def test_a_bevel_on_a_surface_that_falls_away_steeply_is_refused(paper_lens: Lens) -> None:
     steep = paper_lens.with_surface(1, radius_mm=-10.5, conic=0.0)
     edge = Edge(semi_diameter_mm=10.3, back_bevel_mm=0.2)
-    with pytest.raises(DesignError, match=r"surface 2.* 7"):
+    with pytest.raises(DesignError, match="removes no glass from surface 2, whose slope there is 7"):
         steep.replaced(edges=(edge,))
 
 
@@ -241,7 +241,7 @@ def test_a_perturbed_surface_may_not_reach_into_the_flange(paper_lens: Lens) -> 
     ring = FLANGE.replaced(distance_mm=element.cylinder_z_mm[0])
     lens = moulded(paper_lens, flange=ring)
     assert lens_mesh(lens, 10.0).mesh.is_watertight
-    with pytest.raises(InputError, match=r"as perturbed: .*edge cylinder"):
+    with pytest.raises(InputError, match="the edge cylinder extends at its narrowest from"):
         lens_mesh(lens, 10.0, surface_perturbations={0: SurfacePerturbation(tilt_y_deg=0.5)})
 
 

@@ -350,7 +350,7 @@ def test_a_search_that_a_limit_cut_says_so_and_gives_the_same_lens_again(thinnes
 def test_a_time_limit_that_cuts_is_told_though_every_constraint_is_met(thinnest):
     """What a start came to on its first rays may converge, and still be cut before worse rays were added."""
     hurried = changed(thinnest, optimize=thinnest.optimize.replaced(max_seconds=1e-6))
-    with pytest.raises(DesignError, match=r"no start.*max_seconds"):
+    with pytest.raises(DesignError, match=r"no start was made: max_seconds left no time"):
         optimize(hurried)
 
 

@@ -108,7 +108,7 @@ def test_colours_are_linear_light(scene: dict[str, trimesh.Trimesh]) -> None:
 
 
 def test_nothing_is_written_where_no_scene_can_be(paper_lens: Lens, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\.glb alone"):
+    with pytest.raises(InputError, match=r"must end in \.glb"):
         write_scene(paper_lens, tmp_path / "lens.stl")
     with pytest.raises(InputError, match="edge thickness"):
         write_scene(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.glb")

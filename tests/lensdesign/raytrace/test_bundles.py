@@ -126,5 +126,7 @@ def test_the_stop_moves_with_its_surface(paper_lens: Lens) -> None:
 
 @pytest.mark.parametrize("field", [[0.0], [[0.0, np.nan]], [[0.0, 1.0, 2.0]], [[[0.0, 1.0]]]])
 def test_points_of_other_shapes_are_refused(paper_lens: Lens, field: list) -> None:
-    with pytest.raises(InputError, match=r"field_points_mm .*\(n, 2\)"):
+    with pytest.raises(
+        InputError, match=r"field_points_mm has shape .* must be finite values of shape \(n, 2\)"
+    ):
         launch(paper_lens, field, [[0.0, 0.0]], 0.532)

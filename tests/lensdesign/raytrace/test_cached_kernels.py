@@ -76,7 +76,9 @@ def test_without_a_place_kernels_are_kept_in_a_private_temporary_folder(
     nowhere: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with pytest.warns(KernelCacheWarning, match=r"transferlens-kernels-.*NUMBA_CACHE_DIR") as told:
+    with pytest.warns(
+        KernelCacheWarning, match=r"are cached in .*transferlens-kernels-.*NUMBA_CACHE_DIR"
+    ) as told:
         kernels = [cached_njit(nogil=True)(double) for _ in range(2)]
     assert len(told) == 1
     assert kernels[0](3) == 6
@@ -100,7 +102,7 @@ def test_a_place_that_others_could_have_filled_is_not_taken(
         place.symlink_to(tmp_path / "elsewhere")
     else:
         place.touch()
-    with pytest.warns(KernelCacheWarning, match="not kept"):
+    with pytest.warns(KernelCacheWarning, match="are not cached: every process compiles its own"):
         kernel = cached_njit(nogil=True)(double)
     assert kernel(3) == 6
     assert not list(tmp_path.rglob("*.nbi"))

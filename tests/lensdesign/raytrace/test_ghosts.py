@@ -89,5 +89,5 @@ def test_a_ghost_of_a_moved_lens_is_the_moved_ghost() -> None:
 def test_surfaces_that_are_not_there() -> None:
     system = compile_system(PAPER, 0.532)
     for front, back in ((1, 1), (0, 2), (-1, 1)):
-        with pytest.raises(InputError, match="two of 1 to 2"):
+        with pytest.raises(InputError, match="must be two surfaces from 1 to 2"):
             ghost_system(system, front, back)

@@ -115,7 +115,7 @@ def test_what_is_all_but_black_shows_nothing(chain):
 
 
 def test_refuses_bars_beyond_the_field_stop(chain):
-    with pytest.raises(InputError, match=r"field stop.*patch_mm = 0\.05"):
+    with pytest.raises(InputError, match=r"patch_mm = 0\.05: the image is shifted"):
         chain.contrasts(chain.transmission, np.array([0.0, 20.0]))
 
 

@@ -338,7 +338,7 @@ def test_cost_is_traded_for_what_is_built(wavefront_study: Path) -> None:
     assert cheap["as_built_rms_waves"] == pytest.approx(11 / 5 * dear["as_built_rms_waves"], rel=0.1)
     low, high = axes_of("cost,as_built_rms", asked)[0].bounds or (0.0, 0.0)
     assert high - 1.0 == pytest.approx(4.0 * (low - 1.0))
-    with pytest.raises(InputError, match=r"cost .*as_built_rms or yield"):
+    with pytest.raises(InputError, match="cost has no effect without as_built_rms or yield"):
         axes_of("thickness,cost", asked)
 
 

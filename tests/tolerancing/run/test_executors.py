@@ -154,7 +154,7 @@ def test_when_the_last_worker_dies_the_run_says_so_and_ends(loaded, cluster, tmp
             only.kill()
 
     with pytest.raises(RunError, match="last worker is gone, and none has joined within 2 s; what was"):
-        run_study(loaded, tmp_path / "store", trials=2000, cluster=cluster.address, progress=progress)
+        run_study(loaded, tmp_path / "store", trials=800, cluster=cluster.address, progress=progress)
     assert "the cluster's last worker is gone; waiting 2 s" in capsys.readouterr().err
     with open_store(tmp_path / "store") as store:
         held = store.trial_count()

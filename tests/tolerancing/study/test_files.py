@@ -102,7 +102,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
         (
             "at_most = 4.83",
             "at_most = 5.0\n[[slice_count]]\nslices = [10, 10]\nline_widths_um = [1.0]",
-            r"slice_count 1: .*twice",
+            r"slice_count 1: .*must be different from each other",
         ),
         ("arms = 6", "arms = 1", r"sampling, arms = 1"),
         ('design = "design.toml"', 'design = "none.toml"', r"cannot read .*none.toml"),

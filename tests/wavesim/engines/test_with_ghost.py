@@ -73,5 +73,5 @@ def test_back_is_the_conjugate_transpose() -> None:
 
 
 def test_shares_that_are_none() -> None:
-    with pytest.raises(InputError, match=r"share.* 0 to 1"):
+    with pytest.raises(InputError, match=r"ghost = .*: must be .* from 0 to 1"):
         WithGhost(ENGINE.straight, 1.5)

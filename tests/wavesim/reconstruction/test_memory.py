@@ -207,8 +207,8 @@ def test_each_phase_holds_what_is_listed(
         beyond = {}
         for phase, peak in peaks.items():
             need = need_of(tuple(replace(one, during=one.during & phase) for one in arrays))
-            told = need.least_bytes if in_files else need.most_bytes
-            beyond[phase] = (peak - told) / (COMPLEX64 * math.prod(shape))
+            expected = need.least_bytes if in_files else need.most_bytes
+            beyond[phase] = (peak - expected) / (COMPLEX64 * math.prod(shape))
         assert all(-0.01 < one < 0.12 for one in beyond.values()), (in_files, beyond)  # least array: 0.125
 
 

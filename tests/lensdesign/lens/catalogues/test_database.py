@@ -37,5 +37,5 @@ def test_glasses_have_the_index_that_the_package_gives() -> None:
 
 
 def test_a_page_without_a_formula_that_is_known_is_refused() -> None:
-    with pytest.raises(MaterialError, match="main/Ar/Peck-15C"):
+    with pytest.raises(MaterialError, match="main/Ar/Peck-15C: the page has no index by a supported formula"):
         read_page(database_pages()["main", "Ar", "Peck-15C"])

@@ -55,9 +55,9 @@ def test_names_with_temperatures_are_taken_apart_again(temperature):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("N-BK7@warm", "'N-BK7@50C'"),
-        ("N-BK7@900C", "-100 to 140 C"),
-        ("SILICA@50C", r"SILICA .*no data"),
+        ("N-BK7@warm", "a temperature must be given as in 'N-BK7@50C'"),
+        ("N-BK7@900C", "must be from -100 to 140 C"),
+        ("SILICA@50C", r"SILICA .*change of its index with temperature is not known"),
         ("1.5@50C", "a constant index is a number"),
     ],
 )

@@ -285,7 +285,7 @@ def test_spline_error_is_what_it_was_asked_for() -> None:
         assert np.max(meridian.distances(found)) < 1.001 * asked
         counts.append(len(points))
     assert counts == sorted(set(counts))
-    with pytest.raises(InputError, match="1e-20 mm"):
+    with pytest.raises(InputError, match="cannot be approximated within 1e-20 mm"):
         cad_solids.asphere_spline(meridian, 1e-20)
 
 
@@ -438,7 +438,7 @@ def test_a_file_that_departs_from_the_lens_is_refused(
 
 def test_what_cannot_be_written_leaves_nothing(paper_lens: Lens, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file stands.*folder"):
+    with pytest.raises(InputError, match="there is a file where a folder is needed"):
         write_step(paper_lens, tmp_path / "file" / "lens.step")
     (tmp_path / "folder.step").mkdir()
     with pytest.raises(InputError, match="it is a folder"):
@@ -449,7 +449,7 @@ def test_what_cannot_be_written_leaves_nothing(paper_lens: Lens, tmp_path: Path)
         write_step(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.step")
     with pytest.raises(InputError, match=r"element 1 .*1e-07 mm.*1e-06"):
         write_step(singlet({"radius_mm": 50.0}, {"radius_mm": 50.0}, 1e-7, 2.0), tmp_path / "lens.step")
-    with pytest.raises(InputError, match=r"element 1 .*OCP"):
+    with pytest.raises(InputError, match=r"element 1 .*OCP failed: "):
         write_step(singlet({}, {}, 1.0, 1e-8), tmp_path / "lens.step")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.step"]
 

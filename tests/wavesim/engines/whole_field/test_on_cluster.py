@@ -156,7 +156,7 @@ def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
 
 
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
-    with pytest.raises(InputError, match=r"cluster.*engine two-level"):
+    with pytest.raises(InputError, match="a cluster needs engine hierarchical"):
         validate_tiled(engine_for(scene, "no-lens"))
 
 
