@@ -160,6 +160,15 @@ class CalibrationProblem:
         return with_priors(chosen, self.priors, all_names(self.lens))
 
 
+def _key_text(parameters: Sequence[Parameter]) -> str:
+    """Return the text of parameters in keys of stored searches, as earlier versions wrote it."""
+    texts = (
+        f"Parameter(name={p.name!r}, part={p.group!r}, typical={p.typical!r}, usual={p.usual!r})"
+        for p in parameters
+    )
+    return f"({', '.join(texts)}{',' if len(parameters) == 1 else ''})"
+
+
 def search_bench(
     problem: CalibrationProblem,
     parameters: tuple[Parameter, ...],
@@ -202,9 +211,8 @@ def search_bench(
     settings, light = problem.settings, problem.framed.light
     _check_memory(len(parameters), problem)
     settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
-    key = key_of_frames(
-        problem.lens, problem.framed.frames, light, settings_json, repr((dict(start.values), parameters))
-    )
+    search_text = f"({dict(start.values)!r}, {_key_text(parameters)})"
+    key = key_of_frames(problem.lens, problem.framed.frames, light, settings_json, search_text)
     run = _SearchRecord(
         start,
         tuple(p.name for p in parameters),

@@ -80,6 +80,9 @@ KEY_SETTINGS = (
 )
 """Settings that affect the iterations, besides those of the engine."""
 
+KEY_NAMES = {'"fill_factor":': '"active_width":'}
+"""Names of settings in keys of stored results, where they were renamed, so that earlier checkpoints stay usable."""
+
 
 class ReconstructionProblem(NamedTuple):
     """All inputs of a reconstruction.
@@ -443,7 +446,14 @@ def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *settings_j
         for pattern in (frame.maps.gain, frame.maps.dark_electrons, frame.maps.bad)
         if pattern is not None
     ]
-    return key_of(lens.model_dump_json(), digest_of(light.values), *settings_json, *pictures, *maps)
+    texts = [_with_former_names(text) if isinstance(text, str) else text for text in settings_json]
+    return key_of(lens.model_dump_json(), digest_of(light.values), *texts, *pictures, *maps)
+
+
+def _with_former_names(settings_json: str) -> str:
+    for name, former in KEY_NAMES.items():
+        settings_json = settings_json.replace(name, former)
+    return settings_json
 
 
 RING_WIDTH = 0.1

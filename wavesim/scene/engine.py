@@ -121,6 +121,9 @@ class Engine(ABC):
 
     name: ClassVar[str]
 
+    key_name: ClassVar[str] = ""
+    """Name in keys of stored fields, if it differs, so that earlier results stay usable after a renaming."""
+
     gain: ClassVar[float] = math.inf
     """Largest ratio of the predicted errors of two successive candidates for which a third one is tried."""
 
@@ -160,7 +163,8 @@ class Engine(ABC):
     def key(self) -> str:
         """Return a digest of engine, scene and settings. Equal operators have equal keys in all processes."""
         with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full, to the last digit
-            text = f"{self.name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
+            name = self.key_name or self.name
+            text = f"{name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
         return sha256(text.encode()).hexdigest()
 
     def edge_illumination(self, light: Light) -> float:

@@ -117,6 +117,8 @@ class WholeFieldEngine(Tiled):
 
     name = "hierarchical"
 
+    key_name = "two-level"
+
     elsewhere: Executor | None = None
 
     @classmethod
