@@ -121,7 +121,7 @@ class DrawnEdge:
 
     @property
     def fits(self) -> bool:
-        """Whether the edge is thick enough for a drawing with general tolerances.
+        """True if the edge is thick enough for a drawing with general tolerances.
 
         An edge that the design states has its own tolerances and always fits here.
         """

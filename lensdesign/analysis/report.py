@@ -13,7 +13,7 @@ from lensdesign.common.text import finite_or_none
 
 @dataclass(frozen=True)
 class Constraint:
-    """One constraint on the lens.
+    """A constraint on the lens.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allo
 
 
 class Section(BaseModel):
-    """One table of a file: immutable and without unknown keys."""
+    """A table of a file: immutable and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
 

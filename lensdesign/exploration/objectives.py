@@ -17,7 +17,7 @@ from lensdesign.optimization.specification.specification import Specification
 
 @dataclass(frozen=True)
 class Objective:
-    """One objective of a trade-off.
+    """An objective of a trade-off.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Objective:
 
     @property
     def scanned(self) -> bool:
-        """Whether the objective is an input of a search instead of its goal."""
+        """True if the objective is an input of a search instead of its goal."""
         return not self.goal
 
     def sought(self, specification: Specification) -> Specification:

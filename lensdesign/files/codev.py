@@ -292,7 +292,7 @@ class FileSurface:
 
     @property
     def is_moved(self) -> bool:
-        """Whether the surface has decenters or tilts."""
+        """True if the surface has decenters or tilts."""
         return bool(self.moves)
 
 

@@ -169,7 +169,7 @@ class CoordinateBreak:
 
 @dataclass(frozen=True)
 class SurfaceRow:
-    """One surface of a file; the object comes first and the image last.
+    """A surface of a file; the object comes first and the image last.
 
     If `axes` is given, the row is a coordinate break. `shape` holds the keys of a design file that describe
     the shape, except radius and conic constant. `automatic_mm` is a semi-diameter that the other program

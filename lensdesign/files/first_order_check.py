@@ -50,7 +50,7 @@ class _SurfaceTrain:
 
     @property
     def refracts(self) -> bool:
-        """Whether the lens has more than one medium."""
+        """True if the lens has more than one medium."""
         return len(set(self.indices)) > 1
 
     def matrix(self) -> np.ndarray:

@@ -35,12 +35,12 @@ class Surfaces(Protocol):
 
     @property
     def edges(self) -> tuple[Edge, ...]:
-        """One edge for each glass element, or none."""
+        """An edge for each glass element, or none."""
 
 
 @dataclass(frozen=True)
 class Element:
-    """One body of glass.
+    """A body of glass.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Element:
 
     @property
     def rotational(self) -> bool:
-        """Whether the body is rotationally symmetric."""
+        """True if the body is rotationally symmetric."""
         return all(m.surface.shape.ROTATIONAL for m in (self.front, self.back))
 
     @property

@@ -1,4 +1,4 @@
-"""One refracting surface, as a design file states it: shape, medium behind it, aperture, measured figure."""
+"""A refracting surface, as a design file states it: shape, medium behind it, aperture, measured figure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 
 
 class Surface(Section):
-    """One refracting surface and the medium behind it.
+    """A refracting surface and the medium behind it.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""One start of an optimization: a local search over a working set of rays, to which worse rays are added."""
+"""A start of an optimization: a local search over a working set of rays, to which worse rays are added."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _NO_LINES = np.empty((0, 2, 3))
 
 @dataclass(frozen=True)
 class ScenePart:
-    """One object of the scene.
+    """An object of the scene.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class ScenePart:
 
     @property
     def label_below(self) -> bool:
-        """Whether the label is placed below the object instead of above it."""
+        """True if the label is placed below the object instead of above it."""
         return self.kind in ("glass", "object")
 
 

@@ -86,7 +86,7 @@ class CompiledSystem:
 
     @property
     def rotational(self) -> bool:
-        """Whether the system is rotationally symmetric about the axis of the nominal lens."""
+        """True if the system is rotationally symmetric about the axis of the nominal lens."""
         moved = np.any(self.tilted) or np.any(self.vertex[..., :2])
         return not (moved or any(self.figures)) and all(shape.ROTATIONAL for shape in self.shapes)
 

@@ -35,7 +35,7 @@ class Variable:
 
     @property
     def is_shape_term(self) -> bool:
-        """Whether the variable is a term of the surface's shape."""
+        """True if the variable is a term of the surface's shape."""
         return self.kind not in KINDS
 
 

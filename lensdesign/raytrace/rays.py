@@ -57,7 +57,7 @@ class RayTrace:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Whether each ray arrived."""
+        """True if each ray arrived."""
         return self.status == Status.OK
 
     @property

@@ -88,7 +88,7 @@ class Workbench:
 
     @property
     def is_saved(self) -> bool:
-        """Whether the file holds the present design."""
+        """True if the file holds the present design."""
         return self.editing.now.tables == self.saved
 
     # Changes of the lens.

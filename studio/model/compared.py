@@ -12,7 +12,7 @@ from lensdesign.lens.lens import Lens
 
 @dataclass(frozen=True)
 class Line:
-    """One value of all designs.
+    """A value of all designs.
 
     Attributes
     ----------

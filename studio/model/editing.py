@@ -27,7 +27,7 @@ MAX_STEPS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One state of a design.
+    """A state of a design.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ PLANE = "plane"
 
 @dataclass(frozen=True)
 class Value:
-    """One value.
+    """A value.
 
     Attributes
     ----------

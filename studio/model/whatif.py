@@ -24,7 +24,7 @@ MOVES = (
 
 @dataclass(frozen=True)
 class Amount:
-    """One possible deviation and the range of its slider.
+    """A possible deviation and the range of its slider.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ LARGEST_SCORE = 1e100
 
 
 class Merit(Section):
-    """One figure of merit and its limit.
+    """A figure of merit and its limit.
 
     Attributes
     ----------

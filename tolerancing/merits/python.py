@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One perturbed system, the argument of a user-defined merit.
+    """A perturbed system, the argument of a user-defined merit.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ class Motions:
 
     @cached_property
     def _sags(self) -> list[tuple[int, slice, Array]]:
-        """For each shape and figure: its surface, motions, and sag with slopes, shape (n, 3, motions)."""
+        """Surface, motions and sag with slopes, shape (n, 3, motions), of each shape and figure."""
         paths, layout = self.paths, self.paths.layout
         found = []
         for k, shape in enumerate(paths.shapes):

@@ -1,4 +1,4 @@
-"""One indication of a sheet that predictions score: what it tolerances, and by how much."""
+"""An indication of a sheet that predictions score: what it tolerances, and by how much."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Deviation(NamedTuple):
 
 @dataclass(frozen=True)
 class SheetItem:
-    """One indication of a sheet that predictions score.
+    """An indication of a sheet that predictions score.
 
     Attributes
     ----------

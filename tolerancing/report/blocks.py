@@ -111,7 +111,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One figure.
+    """A figure.
 
     Attributes
     ----------

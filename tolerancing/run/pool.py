@@ -52,7 +52,7 @@ class LocalPool(Processes):
 
     @property
     def can_rehearse(self) -> bool:
-        """Whether a worker may do the rehearsal. Merits in Python need a process of their own."""
+        """True if a worker may do the rehearsal. Merits in Python need a process of their own."""
         return self.count > 1 and not self._has_python_merits
 
     def run_with_prefetch(

@@ -64,7 +64,7 @@ class TrialChoice(NamedTuple):
 
     @property
     def all(self) -> Indices:
-        """All indices, in the order in which the estimators expect high-fidelity scores."""
+        """Indices, in the order in which the estimators expect high-fidelity scores."""
         return np.concatenate([self.worst, self.random])
 
 

@@ -232,7 +232,7 @@ class _Search:
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """Whether each root is bracketed."""
+        """True if each root is bracketed."""
         return np.isfinite(self.high)
 
     def bracket(self, largest: float) -> None:

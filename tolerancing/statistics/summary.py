@@ -101,7 +101,7 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        """Whether the store holds all planned trials and steps."""
+        """True if the store holds all planned trials and steps."""
         return self.trials >= self.record.planned_trials and self.steps >= self.planned_steps
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""One trial of a store, which is drawn, traced and scored again and compared with the stored results."""
+"""A trial of a store, which is drawn, traced and scored again and compared with the stored results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class SingleTrial:
 
     @property
     def same(self) -> bool | None:
-        """Whether values and scores equal the stored ones to the last bit; None if none are stored."""
+        """True if values and scores equal the stored ones to the last bit; None if none are stored."""
         if self.stored is None:
             return None
         return all(

@@ -118,7 +118,7 @@ class Study(Section):
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """All series: sweeps, grids, slice counts and sensitivities."""
+        """Series: sweeps, grids, slice counts and sensitivities."""
         alone = (OneAtATime(self.perturbations),) if self.sensitivity else ()
         return (*self.sweeps, *self.grids, *self.slice_counts, *alone)
 
@@ -206,7 +206,7 @@ class Study(Section):
 
     @property
     def varied_parameters(self) -> tuple[PerturbedParameter, ...]:
-        """All parameters that trials, sweeps and grids vary."""
+        """Parameters that trials, sweeps and grids vary."""
         axes = (axis for grid in self.grids for axis in (grid.x, grid.y))
         return (*self.perturbations, *self.sweeps, *axes)
 

@@ -148,7 +148,7 @@ class Calibrated:
 
     @property
     def explained(self) -> bool | None:
-        """Whether the frames are explained, from the verdict; None without a verdict."""
+        """True if the frames are explained, from the verdict; None without a verdict."""
         return None if self.verdict is None else self.verdict.explained
 
     def table(self) -> dict[str, Any]:

@@ -273,12 +273,12 @@ class Plans:
 
     @property
     def enough(self) -> bool:
-        """Whether a plan reaches the requested correlation."""
+        """True if a plan reaches the requested correlation."""
         return self.recommended.correlation >= self.settings.correlation
 
     @property
     def at_noise(self) -> bool:
-        """Whether the frames of the recommended plan are explained up to their noise."""
+        """True if the frames of the recommended plan are explained up to their noise."""
         return self.recommended.misfit_over_noise <= EXPLAINED
 
     @property

@@ -72,7 +72,7 @@ class Grid:
 
     @property
     def is_line(self) -> bool:
-        """Whether the grid is a meridional line."""
+        """True if the grid is a meridional line."""
         return len(self.shape) == 1
 
     @property

@@ -90,7 +90,7 @@ class Picture:
 
     @property
     def is_grey(self) -> bool:
-        """Whether `values` are the stored values of one channel."""
+        """True if `values` are the stored values of one channel."""
         return self.mode in GREY_MODES and not self.states_alpha
 
 

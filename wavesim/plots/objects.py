@@ -30,7 +30,7 @@ STYLES = {"found": ("#1f5fa8", "-"), "true": ("#333333", "--")}
 
 
 class _Shown(NamedTuple):
-    """One picture with its name, values, colour map and range, and the label of its colour bar."""
+    """A picture with its name, values, colour map and range, and the label of its colour bar."""
 
     name: str
     values: Array

@@ -36,7 +36,7 @@ Function = Callable[[Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One level of a picture.
+    """A level of a picture.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ class SurfaceMap:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether the surface exists, within its clear semi-diameter."""
+        """True if the surface exists, within its clear semi-diameter."""
         return np.asarray(np.isfinite(self.z_mm) & (self.inwards_mm >= 0.0))
 
 

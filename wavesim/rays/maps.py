@@ -178,7 +178,7 @@ class RayMap:
 
     @property
     def resolves_edge(self) -> bool:
-        """Whether two orders describe the edge, and rays reach its shadow."""
+        """True if two orders describe the edge, and rays reach its shadow."""
         if self.edge is None:
             return False
         lit = self.pupil.reach

@@ -57,7 +57,7 @@ class OpenPupil:
 
     @property
     def is_line(self) -> bool:
-        """Whether there is only y."""
+        """True if there is only y."""
         return len(self.angles) == 2
 
     @cached_property

@@ -140,7 +140,7 @@ class MeasurementOperator(Protocol):
 
 
 class FreeSpaceMeasurement:
-    """All pixels of planes that are reached through free space from one exit field.
+    """Pixels of planes that are reached through free space from one exit field.
 
     Parameters
     ----------

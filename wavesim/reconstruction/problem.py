@@ -81,11 +81,11 @@ KEY_SETTINGS = (
 """Settings that affect the iterations, besides those of the engine."""
 
 KEY_NAMES = {'"fill_factor":': '"active_width":'}
-"""Names of settings in keys of stored results, where they were renamed, so that earlier checkpoints stay usable."""
+"""Former names of settings, which keys of stored results keep: earlier checkpoints stay usable."""
 
 
 class ReconstructionProblem(NamedTuple):
-    """All inputs of a reconstruction.
+    """Inputs of a reconstruction.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ class Checkpoint:
 
     @property
     def kept(self) -> bool:
-        """Whether results of this run are stored; their arrays are not read."""
+        """True if results of this run are stored; their arrays are not read."""
         try:
             return str(read_arrays(self.path, KEY_BYTES, only=("key",))["key"]) == self.key
         except (InputError, KeyError):

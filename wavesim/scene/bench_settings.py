@@ -123,7 +123,7 @@ class BenchSettings(Section):
 
     @property
     def differs(self) -> bool:
-        """Whether light, lens or sensor position deviate from the design, apart from pixels and exposures."""
+        """True if light, lens or sensor position deviate from the design, apart from pixels and exposures."""
         return bool(self.errors().keys() - PIXEL_SETTINGS)
 
 

@@ -302,7 +302,7 @@ class ImageSettings(
     PatchSettings,
     ObjectSettings,
 ):
-    """All settings of :func:`wavesim.image`."""
+    """Settings of :func:`wavesim.image`."""
 
 
 class ChoiceSettings(PatchSettings, ObjectSettings):
@@ -372,7 +372,7 @@ class FramedSettings(EngineSettings, PatchSettings):
 
 
 class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
-    """All settings of :func:`wavesim.reconstruct_frames`."""
+    """Settings of :func:`wavesim.reconstruct_frames`."""
 
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
     iterations: int | None = Field(
@@ -468,7 +468,7 @@ class FreeSpaceSettings(Settings):
 
 
 class PlanSettings(Settings):
-    """All settings of :func:`wavesim.calibration.plan_frames`."""
+    """Settings of :func:`wavesim.calibration.plan_frames`."""
 
     model_config = ConfigDict(loc_by_alias=False)
 
@@ -501,7 +501,7 @@ class PlanSettings(Settings):
 
 
 class CalibrationSettings(FramedSettings):
-    """All settings of :func:`wavesim.calibrate_frames`."""
+    """Settings of :func:`wavesim.calibrate_frames`."""
 
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that meets the error limit.")
     iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")

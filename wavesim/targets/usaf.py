@@ -51,7 +51,7 @@ def usaf_line_width_um(group: int, element: int) -> float:
 
 @dataclass(frozen=True)
 class UsafElement:
-    """One element of the chart with its position.
+    """An element of the chart with its position.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ SAME_INDEX = 1e-6
 
 @dataclass(frozen=True)
 class AgfGlass:
-    """One glass of an AGF catalogue.
+    """A glass of an AGF catalogue.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _TAG = re.compile(r"<[^>]+>")
 
 @dataclass(frozen=True)
 class Page:
-    """One page of the catalogue: shelf, book, page, their display names, and the file with its data."""
+    """A page of the catalogue: shelf, book, page, their display names, and the file with its data."""
 
     shelf: str
     book: str

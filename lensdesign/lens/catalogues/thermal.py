@@ -49,7 +49,7 @@ class Thermal:
 
     @property
     def knows_index(self) -> bool:
-        """Whether the change of the index with temperature is known."""
+        """True if the change of the index with temperature is known."""
         return self.schott is not None or self.absolute_per_k is not None
 
     def index_at(self, index: float, wavelength_um: float, temperature_c: float) -> float:

@@ -48,7 +48,7 @@ class Shape(ABC):
     """Parameters that an optimizer may vary, by their names in a design file."""
 
     ROTATIONAL: ClassVar[bool] = True
-    """Whether the surface is rotationally symmetric."""
+    """True if the surface is rotationally symmetric."""
 
     ZEMAX_LOST: ClassVar[Mapping[int, str]] = {}
     """Parameters of the Zemax surface that this shape cannot represent: description by number."""

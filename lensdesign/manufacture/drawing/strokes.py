@@ -74,7 +74,7 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Text:
-    """One line of text.
+    """A line of text.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ Item = Stroke | Text
 
 @dataclass(frozen=True)
 class Sheet:
-    """One page of a drawing."""
+    """A page of a drawing."""
 
     items: tuple[Item, ...]
 

@@ -69,7 +69,7 @@ class LensMesh:
 
 @dataclass(frozen=True)
 class HeightSurface:
-    """One surface of a perturbed lens, as heights along the axis of the lens.
+    """A surface of a perturbed lens, as heights along the axis of the lens.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ ALONG, ROUND = 513, 16
 
 @dataclass(frozen=True)
 class StepBody:
-    """One glass body, as read back from a STEP file.
+    """A glass body, as read back from a STEP file.
 
     Attributes
     ----------

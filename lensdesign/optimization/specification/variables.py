@@ -13,7 +13,7 @@ from lensdesign.raytrace.gradients import Variable
 
 
 class VariableRange(Section):
-    """One variable with its bounds or choices.
+    """A variable with its bounds or choices.
 
     Attributes
     ----------

@@ -185,7 +185,7 @@ class CalibrationPixels(ABC):
 
 
 class DensePixels(CalibrationPixels):
-    """All pixels of each plane, reached from one exit field through free space."""
+    """Pixels of each plane, reached from one exit field through free space."""
 
     def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
         bench, scene = unknowns.bench, placed_scene(self.scene, unknowns.bench.placement)

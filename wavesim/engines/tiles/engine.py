@@ -164,7 +164,7 @@ class EikonalTiles(Engine):
 
     @cached_property
     def _draws_edges(self) -> bool:
-        """Whether ray maps represent the Fresnel diffraction at the rim for the object's centre.
+        """True if ray maps represent the Fresnel diffraction at the rim for the object's centre.
 
         They do not where rays outside the rim are too irregular, such as for a figure that is measured up to
         it.

@@ -91,7 +91,7 @@ class ScoreTest:
 
     @property
     def is_preferred(self) -> bool:
-        """Whether frames clearly prefer another bench, and the object would differ."""
+        """True if frames clearly prefer another bench, and the object would differ."""
         threshold = CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * self.pixels
         return self.chi_square > threshold and 1.0 - self.correlation > LEAST_LOSS
 
