@@ -114,7 +114,7 @@ def figure_4(work: Work) -> Made:
     picture = work.picture(
         _figure_4(lens, cut, far),
         f"The lens in {DRAWN_SLICES} slices a surface; the annulus of one of {PAPER_SLICES} slices and its "
-        f"side view; what vertical compensation errs by, for rays from the axis. All from the engine's own "
+        f"side view; the error of vertical compensation for rays from the axis. All from the engine's own "
         f"planes.",
     )
     difference = (
