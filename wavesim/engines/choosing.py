@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -198,6 +198,32 @@ def predictions(
             if found.refused or found.relative_error <= error or found.relative_error > engine.gain * before:
                 break
             before = found.relative_error
+
+
+def affordable_engines(
+    scene: Scene,
+    errors: Sequence[float],
+    *,
+    memory_gb: float = 1e-9 * LARGEST_BYTES,
+    seconds: float = LONGEST_SECONDS,
+    runs: int = 2,
+    light: Light | None = None,
+) -> list[Prediction]:
+    """Return the predictions of all engines that memory and time allow, the most accurate first.
+
+    Parameters
+    ----------
+    scene
+        Lens, object grid and exit grid.
+    errors
+        Relative errors for which engines propose settings. The predicted errors need not be below them.
+    memory_gb, seconds, runs, light
+        As of :func:`choose`.
+    """
+    allowed = Allowed(math.inf, 1e9 * memory_gb, seconds, runs)
+    weighed = (one for error in errors for one in predictions(scene, error, light))
+    known = (one for one in weighed if math.isfinite(one.relative_error) and allowed.fault(one) is None)
+    return sorted(known, key=lambda one: (one.relative_error, one.total_seconds(runs)))
 
 
 def choose(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.camera.exposures import rounding_fraction
@@ -22,6 +22,9 @@ from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
 from wavesim.camera.recorded import Recorded
 from wavesim.camera.windows import exit_scene, imaging_engine
+from wavesim.engines.choosing import affordable_engines, engine_for
+from wavesim.engines.registry import AUTO
+from wavesim.engines.surfaces.grids import LONGEST_SECONDS
 from wavesim.engines.whole_field.on_cluster import refuse_no_tiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, lit, read_object, usaf_charts_of
@@ -43,6 +46,9 @@ from wavesim.scene.source import Source, SourceMode
 
 FOLDS = 2.0
 """Of how far light spreads while it is refocused: room about a region, so that its rim does not show."""
+
+MOST_SLOWDOWN = 10.0
+"""Largest time of all iterations with an engine that replaces the first one, relative to the first one's."""
 
 TELLING = (
     "hold_out_plane",
@@ -151,8 +157,11 @@ def frames_case(
     lit = light.with_values(scratch.held(light.values, "the illumination"))
 
     def engine_of_error(error: float) -> tuple[Engine, float]:
-        own = _engine(scene, settings.replaced(error=error), runs, limit, Light(lit, even))
-        return own, own.predicted_error(Light(lit, even))
+        light = Light(lit, even)
+        if keeps_engine(settings):
+            own = _engine(scene, settings.replaced(error=error), runs, limit, light)
+            return own, own.predicted_error(light)
+        return _raised_engine(engine, error, predicted_error, runs, limit, light)
 
     return FramesCase(
         patch,
@@ -216,9 +225,41 @@ def _true(truth: Field | Path, patch: Patch) -> Field:
 
 
 def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float, light: Light) -> Engine:
+    return imaging_engine(scene, settings, runs=runs, memory_gb=_free_gb(scene, limit), light=light)
+
+
+def _free_gb(scene: Scene, limit: float) -> float:
+    """Return the memory (GB) that is left for an engine."""
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    left_gb = 1e-9 * (limit - BASE_BYTES - fields)
-    return imaging_engine(scene, settings, runs=runs, memory_gb=left_gb, light=light)
+    return 1e-9 * (limit - BASE_BYTES - fields)
+
+
+def keeps_engine(settings: ReconstructionSettings) -> bool:
+    """Return whether the engine or its error is stated, so that no other engine may replace it."""
+    return settings.error is not None or settings.engine != AUTO
+
+
+def _raised_engine(
+    present: Engine, error: float, predicted_error: float, runs: int, limit: float, light: Light
+) -> tuple[Engine, float]:
+    """Return an engine in place of the present one, with its predicted error.
+
+    It is the cheapest affordable engine that meets the error limit, or else the most accurate one.
+    """
+    scene, cost = present.scene, present.cost()
+    affordable = affordable_engines(
+        scene,
+        (error, min(2.0 * error, predicted_error)),
+        memory_gb=_free_gb(scene, limit),
+        seconds=min(LONGEST_SECONDS, MOST_SLOWDOWN * (cost.setup_seconds + runs * cost.seconds)),
+        runs=runs,
+        light=light,
+    )
+    if not affordable:
+        raise SamplingError("no other engine is affordable")
+    meeting = [one for one in affordable if one.relative_error <= error]
+    best = min(meeting, key=lambda one: one.total_seconds(runs)) if meeting else affordable[0]
+    return engine_for(scene, best.engine, **best.settings), best.relative_error
 
 
 def _arrays(

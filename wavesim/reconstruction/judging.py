@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import TransferLensError
 from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.windows import LEAST_DIVERSITY
@@ -252,7 +253,7 @@ def more_accurate_case(case: FramesCase, progress: Progress) -> FramesCase | Non
     if isinstance(case.engine, Tiled) or case.predicted_error <= FINEST:
         return None
     target = max(case.predicted_error / FINER, FINEST)
-    progress(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")
+    progress(f"more accurate engine: predicted errors (now {case.predicted_error:.2g}, aim {target:.2g})")
     try:
         engine, predicted = case.engine_of_error(target)
     except TransferLensError:
@@ -260,6 +261,25 @@ def more_accurate_case(case: FramesCase, progress: Progress) -> FramesCase | Non
     if predicted > case.predicted_error / LEAST_FINER:
         return None
     return case._replace(engine=engine, predicted_error=predicted)
+
+
+def engine_figures(case: FramesCase) -> dict[str, Any]:
+    """Return name and predicted error of the case's engine, ready for JSON."""
+    return {"name": case.engine.name, "predicted_error": finite_or_none(case.predicted_error)}
+
+
+def engine_replaced(before: dict[str, Any], case: FramesCase) -> dict[str, Any]:
+    """Return what is reported of an engine that the case's more accurate one has replaced.
+
+    `before` is what :func:`engine_figures` gives of the first engine.
+    """
+    after = engine_figures(case)
+    words = (
+        "the engine was replaced, because the misfit was as small as its own error: predicted error "
+        f"{before['predicted_error']:.2g} ({before['name']}) before, {after['predicted_error']:.2g} "
+        f"({after['name']}) now"
+    )
+    return {"words": words, "before": before, "after": after}
 
 
 def engine_errors(
