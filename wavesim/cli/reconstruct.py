@@ -351,6 +351,8 @@ def _figures(summary: dict[str, Any]) -> list[str]:
 
     words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])
     lines = [f"{words}, {STOP_ORIGINS[summary['field_stop_from']]}"]
+    if "engine_replaced" in summary:
+        lines.append(summary["engine_replaced"]["words"])
     if "source_deg" in summary:
         lines.append(f"source {summary['source_deg']:.3g} deg wide")
     if summary["region_mm"] is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -217,6 +217,32 @@ def predictions(
             ):
                 break
             previous = found.relative_error
+
+
+def affordable_engines(
+    scene: Scene,
+    errors: Sequence[float],
+    *,
+    memory_gb: float = 1e-9 * LARGEST_BYTES,
+    seconds: float = LONGEST_SECONDS,
+    runs: int = 2,
+    light: Light | None = None,
+) -> list[Prediction]:
+    """Return the predictions of all engines that memory and time allow, the most accurate first.
+
+    Parameters
+    ----------
+    scene
+        Lens, object grid and exit grid.
+    errors
+        Relative errors for which engines propose settings. The predicted errors need not be below them.
+    memory_gb, seconds, runs, light
+        Limits and light, as in :func:`choose`.
+    """
+    limits = _Limits(math.inf, 1e9 * memory_gb, seconds, runs)
+    considered = (one for error in errors for one in predictions(scene, error, light))
+    known = (p for p in considered if math.isfinite(p.relative_error) and limits.fault(p) is None)
+    return sorted(known, key=lambda p: (p.relative_error, p.total_seconds(runs)))
 
 
 def choose(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import TransferLensError
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import (
@@ -41,8 +42,9 @@ from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.windows import LEAST_DIVERSITY
 
-FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
-"""Factor by which a more accurate engine's error is smaller: aim, and least factor. Its error is never below
+FINER, LEAST_FINER, FINEST = 4.0, 1.25, 2e-3
+"""Factor by which a more accurate engine's error is smaller: aim, and least factor. The least factor is small
+because predicted errors are upper bounds, which fall by less than errors do. The error is never below
 `FINEST`, the error of pixels and free space.
 """
 
@@ -284,11 +286,11 @@ def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
 
 
 def more_accurate_case(case: ReconstructionProblem, progress: Progress) -> ReconstructionProblem | None:
-    """The case with a more accurate engine; None where there is none that is worth it."""
+    """Return the problem with a more accurate engine; None if no engine is accurate enough to be worth it."""
     if isinstance(case.engine, Tiled) or case.predicted_error <= FINEST:
         return None
     target = max(case.predicted_error / FINER, FINEST)
-    progress(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")
+    progress(f"more accurate engine: predicted errors (now {case.predicted_error:.2g}, aim {target:.2g})")
     try:
         engine, predicted = case.engine_of_error(target)
     except TransferLensError:
@@ -296,6 +298,25 @@ def more_accurate_case(case: ReconstructionProblem, progress: Progress) -> Recon
     if predicted > case.predicted_error / LEAST_FINER:
         return None
     return case._replace(engine=engine, predicted_error=predicted)
+
+
+def engine_figures(case: ReconstructionProblem) -> dict[str, Any]:
+    """Return name and predicted error of the problem's engine, ready for JSON."""
+    return {"name": case.engine.name, "predicted_error": finite_or_none(case.predicted_error)}
+
+
+def engine_replaced(before: dict[str, Any], case: ReconstructionProblem) -> dict[str, Any]:
+    """Return the report on an engine that the problem's more accurate one has replaced.
+
+    `before` is the result of :func:`engine_figures` for the first engine.
+    """
+    after = engine_figures(case)
+    words = (
+        "the engine was replaced, because the misfit was as small as its own error: predicted error "
+        f"{before['predicted_error']:.2g} ({before['name']}) before, {after['predicted_error']:.2g} "
+        f"({after['name']}) now"
+    )
+    return {"words": words, "before": before, "after": after}
 
 
 def engine_errors(

@@ -15,7 +15,6 @@ import numpy as np
 
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
-from wavesim.engines.registry import AUTO
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
@@ -25,6 +24,8 @@ from wavesim.reconstruction.assessment import (
     MethodResult,
     agreement_of_starts,
     engine_errors,
+    engine_figures,
+    engine_replaced,
     excess_of,
     is_engine_limited,
     judge_result,
@@ -38,7 +39,12 @@ from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
-from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem, validate_frames
+from wavesim.reconstruction.problem import (
+    ReconstructionProblem,
+    keeps_engine,
+    reconstruction_problem,
+    validate_frames,
+)
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
 from wavesim.reconstruction.source_width import find_source_width
@@ -338,13 +344,15 @@ def _find_object(
     """Return the object, and the problem with the engine that found it.
 
     If residuals exceed the noise by at most the engine's predicted error, a more accurate engine continues,
-    unless the error was stated.
+    unless engine or error was stated. If that engine leaves more than the noise, the engine was not the
+    cause, and the predicted error is not allowed as noise any more.
     """
     checkpoint: Checkpoint | None = case.checkpoint
     curve: tuple[float, ...] = ()
     model_error = MODEL_ERROR
     first: Field | Literal["amplitude"] | None = "amplitude" if settings.first == "amplitude" else start
     errors: tuple[Array, ...] = ()
+    replaced: dict[str, Any] = {}
     while True:
         with _prepared_engine(case.engine, hand_over, reporter) as engine:
             found = _solve(
@@ -366,10 +374,10 @@ def _find_object(
             curve += found.misfit
             is_limited = is_engine_limited(case, maps, found.misfit[-1])
             accurate = more_accurate_case(case, reporter.step) if is_limited else None
-            if accurate is None or settings.error is not None or settings.engine != AUTO:
+            if accurate is None or keeps_engine(settings):
                 if accurate is not None:
                     errors = engine_errors(accurate, case, settings, found, maps)
-                elif is_limited:
+                elif is_limited and not replaced:  # a wrong bench must not pass because the engine changed
                     model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
                 agreement = agreement_of_starts(
                     engine,
@@ -381,12 +389,16 @@ def _find_object(
                     case.modes,
                 )
                 break
+        replaced = engine_replaced(replaced.get("before") or engine_figures(case), accurate)
+        reporter.step(replaced["words"])
         case, first, checkpoint = accurate, found.transmission, None
     of_method: dict[str, Any] = {
         "scale": found.scale,
         "misfit": found.misfit[-1],
         "stopped_because": found.stopped_because,
     }
+    if replaced:
+        of_method["engine_replaced"] = replaced
     if settings.source_deg:
         of_method["source_deg"] = case.source.width_deg
     shown_part, field_behind = cut_field(found.transmission, case.refocus_grid), None

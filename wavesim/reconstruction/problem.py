@@ -18,9 +18,12 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import Section
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
+from wavesim.engines.choosing import affordable_engines, engine_for
+from wavesim.engines.registry import AUTO
+from wavesim.engines.surfaces.grids import LONGEST_SECONDS
 from wavesim.engines.whole_field.on_cluster import validate_tiled
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
@@ -66,6 +69,9 @@ SPREAD_FACTOR = 2.0
 """Margin around a region over the spread of light during refocusing, so that the region's rim does not
 show.
 """
+
+MOST_SLOWDOWN = 10.0
+"""Largest time of all iterations with an engine that replaces the first one, relative to the first one's."""
 
 KEY_SETTINGS = (
     "hold_out_plane",
@@ -223,8 +229,11 @@ def reconstruction_problem(
     stored_light = light.with_values(scratch.held(light.values, "the illumination"))
 
     def engine_of_error(error: float) -> tuple[Engine, float]:
-        made = _engine(scene, settings.replaced(error=error), runs, limit, Light(stored_light, even))
-        return made, made.predicted_error(Light(stored_light, even))
+        behind = Light(stored_light, even)
+        if keeps_engine(settings):
+            made = _engine(scene, settings.replaced(error=error), runs, limit, behind)
+            return made, made.predicted_error(behind)
+        return _more_accurate_engine(engine, error, predicted_error, runs, limit, behind)
 
     return ReconstructionProblem(
         patch=patch,
@@ -288,9 +297,41 @@ def _true_object(truth: Field | Path, patch: Patch) -> Field:
 
 
 def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float, light: Light) -> Engine:
+    return imaging_engine(scene, settings, runs=runs, memory_gb=_free_gb(scene, limit), light=light)
+
+
+def _free_gb(scene: Scene, limit: float) -> float:
+    """Return the memory (GB) that is left for an engine."""
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    free_gb = 1e-9 * (limit - BASE_BYTES - fields)
-    return imaging_engine(scene, settings, runs=runs, memory_gb=free_gb, light=light)
+    return 1e-9 * (limit - BASE_BYTES - fields)
+
+
+def keeps_engine(settings: ReconstructionSettings) -> bool:
+    """Return whether the engine or its error is stated, so that no other engine may replace it."""
+    return settings.error is not None or settings.engine != AUTO
+
+
+def _more_accurate_engine(
+    present: Engine, error: float, predicted_error: float, runs: int, limit: float, light: Light
+) -> tuple[Engine, float]:
+    """Return an engine in place of the present one, with its predicted error.
+
+    It is the cheapest affordable engine that meets the error limit, or else the most accurate one.
+    """
+    scene, cost = present.scene, present.cost()
+    affordable = affordable_engines(
+        scene,
+        (error, min(2.0 * error, predicted_error)),
+        memory_gb=_free_gb(scene, limit),
+        seconds=min(LONGEST_SECONDS, MOST_SLOWDOWN * (cost.setup_seconds + runs * cost.seconds)),
+        runs=runs,
+        light=light,
+    )
+    if not affordable:
+        raise SamplingError("no other engine is affordable")
+    meeting = [one for one in affordable if one.relative_error <= error]
+    best = min(meeting, key=lambda one: one.total_seconds(runs)) if meeting else affordable[0]
+    return engine_for(scene, best.engine, **best.settings), best.relative_error
 
 
 def _arrays(

@@ -11,7 +11,7 @@ from benchmarks.chooser import object_field
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.scaling import stopped_down
-from wavesim.engines.choosing import choose, engine_for, predict, predictions
+from wavesim.engines.choosing import affordable_engines, choose, engine_for, predict, predictions
 from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning
@@ -106,6 +106,17 @@ def test_the_whole_plane_of_the_lens_is_not_for_waves() -> None:
     assert choice.chosen.engine == "eikonal"
     with pytest.raises(SamplingError, match="wpm"):
         choose(scene, 1e-3)
+
+
+def test_affordable_engines_need_not_meet_the_error() -> None:
+    found = affordable_engines(SCENE, (1e-4,), seconds=10.0, runs=4)
+    errors = [one.relative_error for one in found]
+    assert errors == sorted(errors)
+    assert 1e-4 < errors[0] < 0.03
+    assert all(one.total_seconds(4) <= 10.0 and not one.refused for one in found)
+    assert all(np.isfinite(errors))
+    assert not affordable_engines(SCENE, (1e-4,), seconds=1e-9)
+    assert not affordable_engines(SCENE, (1e-4,), memory_gb=1e-5)
 
 
 def test_engine_auto() -> None:
