@@ -284,7 +284,7 @@ def _check_workers(client: Client, address: str) -> None:
             f"--cluster {address}: no worker has joined the scheduler within {CONNECT_SECONDS:g} s"
         ) from error
     try:
-        versions: dict[str, str] = client.run(toolkit_version)
+        versions: dict[str, str] = client.run(version, "transferlens")
     except Exception as error:
         raise InputError(f"--cluster {address}: its workers cannot use this toolkit: {error}") from error
     for worker, found in sorted(versions.items()):

@@ -114,7 +114,7 @@ def allocate_tolerances(
     smallest = search.count(lowest)
     if smallest < required:
         raise InputError(
-            f"required yield = {required:g}: out of span; even with the smallest scales the predicted yield "
+            f"required yield = {required:g}: cannot be reached; even with the smallest scales the predicted yield "
             f"is {smallest:.4g}"
         )
     return search.run()

@@ -135,7 +135,7 @@ def test_ranges_are_kept():
 
 def test_a_yield_out_of_reach_is_refused():
     model = linear(np.ones(2), normal_draws(2, 10))
-    with pytest.raises(InputError, match=r"out of reach.* 0\.\d+"):
+    with pytest.raises(InputError, match=r"required yield = .* 0\.\d+"):
         allocate_tolerances(model, [LIMIT], 0.99, low=np.full(2, 0.5), high=4.0)
 
 
