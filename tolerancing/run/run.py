@@ -96,9 +96,9 @@ def run_study(
     that is killed loses only the tasks that its workers were performing. Several runs may share one store
     and its work.
 
-    A trial whose Python merit raises an exception, or ends its worker process, is stored as failed. With
-    ``workers=1``, such a merit ends the process of the caller. Worker processes import the main module when
-    they start, so a script that calls this function needs ``if __name__ == "__main__":``.
+    A trial whose Python merit raises an exception, or ends its worker process, is stored as failed. Worker
+    processes import the main module when they start, so a script that calls this function needs
+    ``if __name__ == "__main__":``.
 
     Parameters
     ----------
@@ -148,7 +148,9 @@ def run_study(
     assumed_cluster_workers = 32  # Only the size of tasks depends on it.
     crew = processes or assumed_cluster_workers
     pool = LocalPool(loaded, processes)
-    with pool, Rehearsal(loaded, workers == 1, pool) as rehearsal:
+    # User code may end its process, and must not end this one.
+    in_own_process = workers == 1 and not any(merit.file_name for merit in loaded.study.all_merits)
+    with pool, Rehearsal(loaded, in_own_process, pool) as rehearsal:
         rehearsal.get_ready()
         store, is_new = _ready_store(Path(store_path), loaded, planned, crew, fresh, rehearsal)
         try:

@@ -100,7 +100,7 @@ def test_check_refuses_bad_designs(command: Command, paper_design: Path, tmp_pat
     bad.write_text(paper_design.read_text().replace("N-BK7", "N-BK77"))
     refused(command("check", bad), "bad.toml", "unknown material 'N-BK77'; did you mean N-BK7")
     bad.write_text(paper_design.read_text().replace("radius_mm = 42.3", "radius_mm = 0.0"))
-    refused(command("check", bad), "bad.toml", "surface 1, radius_mm", "no surface")
+    refused(command("check", bad), "bad.toml", "surface 1, radius_mm", "radius of 0")
     bad.write_text("no toml")
     refused(command("check", bad), "not valid TOML")
 

@@ -188,10 +188,11 @@ at_least = 0.0
 """
 
 
-def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tmp_path, capfd):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tmp_path, capfd, workers):
     (tmp_path / "mine.py").write_text(LEAVING)
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
-    assert run_study(study, tmp_path / "a.db", workers=2, trials=4).trials_run == 4
+    assert run_study(study, tmp_path / "a.db", workers=workers, trials=4).trials_run == 4
     with open_store(tmp_path / "a.db") as store:
         messages = store.trials().messages
     assert [bool(message) for message in messages] == [False, True, True, False]
@@ -199,7 +200,9 @@ def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tm
     assert "status 0 ended its process" in messages[2]
 
 
-@pytest.mark.parametrize(("workers", "statement"), [(1, "sys.exit(0)"), (2, "os._exit(0)")])
+@pytest.mark.parametrize(
+    ("workers", "statement"), [(1, "sys.exit(0)"), (1, "os._exit(0)"), (2, "os._exit(0)")]
+)
 @pytest.mark.parametrize("location", ["import", "nominal"])
 def test_a_merit_that_always_ends_the_program_is_reported_at_the_start(
     write_study, ray_study, tmp_path, workers, statement, location
