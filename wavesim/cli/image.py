@@ -76,10 +76,10 @@ def _recorded(
     from wavesim.sensor.imaging import image as record
     from wavesim.sensor.recording import drop_parts
 
-    before = None if as_json else memory_teller(output)
+    on_estimate = None if as_json else memory_teller(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        imaged = record(lens, object_, settings, folder=output, progress=tell, before=before)
+        imaged = record(lens, object_, settings, folder=output, progress=tell, on_estimate=on_estimate)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     summary = {"design": name} | _summary(imaged) | {"warnings": messages}

@@ -167,18 +167,18 @@ def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
     return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
 
 
-def _radiated(here: _Sheet, sources: ComplexArray, k: float, there: _Sheet, is_line: bool) -> ComplexArray:
-    """Kirchhoff's integral of what a sheet sends out, by its plane waves, on another."""
-    top, bottom = float(np.max(here.z_mm)), float(np.min(here.z_mm))
-    apart = math.hypot(np.max(here.r_mm) + np.max(there.r_mm), np.max(there.z_mm) - bottom)
+def _radiated(source: _Sheet, sources: ComplexArray, k: float, target: _Sheet, is_line: bool) -> ComplexArray:
+    """Return Kirchhoff's integral over a source sheet at a target sheet, as a sum of plane waves."""
+    top, bottom = float(np.max(source.z_mm)), float(np.min(source.z_mm))
+    apart = math.hypot(np.max(source.r_mm) + np.max(target.r_mm), np.max(target.z_mm) - bottom)
     angles, weights = _nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * apart))
-    found = np.zeros(len(there.r_mm), complex)
+    found = np.zeros(len(target.r_mm), complex)
     for part in np.array_split(np.arange(len(angles)), math.ceil(len(angles) / BLOCKS)):
         q, kz = k * np.sin(angles[part]), k * np.cos(angles[part])
-        across, lean = np.outer(q, here.r_mm), 1j * (q / kz)[:, None] * here.slope
+        across, lean = np.outer(q, source.r_mm), 1j * (q / kz)[:, None] * source.slope
         waves = 2.0 * (np.cos(across) + lean * np.sin(across)) if is_line else j0(across) + lean * j1(across)
-        sent = (waves * np.exp(-1j * np.outer(kz, here.z_mm - top))) @ sources * kz * weights[part]
-        on = np.exp(1j * np.outer(there.z_mm - top, kz))
-        across = np.outer(there.r_mm, q)
+        sent = (waves * np.exp(-1j * np.outer(kz, source.z_mm - top))) @ sources * kz * weights[part]
+        on = np.exp(1j * np.outer(target.z_mm - top, kz))
+        across = np.outer(target.r_mm, q)
         found += (np.cos(across) * on) @ (sent / math.pi) if is_line else (j0(across) * on) @ (sent * q)
     return found

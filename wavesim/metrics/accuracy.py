@@ -1,4 +1,4 @@
-"""How far an engine is from an exact solution, and what it took."""
+"""Error of engines relative to exact solutions, with the time and memory that they need."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ measured while it is timed."""
 
 @dataclass(frozen=True)
 class AnalyticResult:
-    """How far an engine is from an exact solution, and what it took.
+    """Error of an engine relative to an exact solution, and its cost.
 
     Attributes
     ----------
@@ -176,10 +176,10 @@ def peak_bytes(engine: str, case: AnalyticCase, settings: Mapping[str, Any]) -> 
 
 
 @contextmanager
-def _traced(wanted: bool = True) -> Iterator[list[int]]:
-    """Most bytes held at one time within, put into the list at its end."""
+def _traced(enabled: bool = True) -> Iterator[list[int]]:
+    """Append the peak memory, in bytes, of the code in the context to the list."""
     found: list[int] = []
-    if not wanted:
+    if not enabled:
         yield found
         return
     running = tracemalloc.is_tracing()

@@ -37,19 +37,19 @@ SEARCH_LINES, SEARCH_SAMPLES = 2.0, (16, 64)
 """Displacements that are tried: so many lines of the coarsest element, within these numbers of samples."""
 
 DETERMINED, CHANCE = 0.25, 6.0
-"""Correlation of chart and intensity from which on the place of the chart is determined, and how many times
-that of noise."""
+"""Least correlation of chart and intensity that determines the position of the chart, absolute and as a
+multiple of that of noise."""
 
 DEFORMED_SAMPLES, DEFORMED_GAIN, DEFORMED_ELEMENTS = 0.5, 0.1, 3
 """Scale and rotation count where they move the chart's corners by so many samples, and take away so much of
-what the correlation lacks to 1. They are sought where so many elements are shown."""
+what the correlation loss to 1. They are sought where so many elements are shown."""
 
 SMOOTHING = 1.0
 """Standard deviation in samples of what smooths chart and intensity before they are correlated: edges of bars
 between samples would else change the chart's variance, and with it the correlation."""
 
 FEW_SAMPLES = 3.0
-"""Lines of fewer samples may fail because of their place among the samples."""
+"""Lines of fewer samples may fail because of their position among the samples."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Registration:
 
 @dataclass(frozen=True, eq=False)
 class ChartResolution:
-    """What a result resolves of a chart.
+    """Resolution of a chart in a result.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class ChartResolution:
 
     @property
     def limit_in_words(self) -> str:
-        """What limits the finest element, for a reader."""
+        """Return the limit of the finest element in words."""
         if not self.contrasts and self.limits == ("region",):
             return "no element of the chart lies within what is shown"
         lines = "" if self.next_um is None else f" ({self.next_um:.3g} um)"
@@ -231,13 +231,13 @@ def chart_resolution(
     placed = [(one, one if found is None else found.moved(one)) for one in ordered]
     grid = transmission.grid
     sample_um = 1e3 * grid.pitch_mm
-    in_sight = [(one, place) for one, place in placed if holds(grid, place.outline)]
+    in_sight = [(one, position) for one, position in placed if holds(grid, position.outline)]
     contrasts = tuple(
-        _contrast(transmission, one, place, ground)
-        for one, place in in_sight
+        _contrast(transmission, one, position, ground)
+        for one, position in in_sight
         if one.line_width_um >= SAMPLES_PER_FEATURE * sample_um * ROUNDING
     )
-    # Where the chart was found displaced, an element in place may be cut off; either way it is not shown.
+    # Where the chart was found displaced, an element in position may be cut off; either way it is not shown.
     outside = len(ordered) - len(in_sight)
 
     def down_to(is_resolved: Callable[[ElementContrast], bool]) -> UsafElement | None:
@@ -268,11 +268,11 @@ def chart_resolution(
 
 
 def _contrast(
-    transmission: Field, element: UsafElement, place: UsafElement, ground: Polarity
+    transmission: Field, element: UsafElement, position: UsafElement, ground: Polarity
 ) -> ElementContrast:
-    """Contrast of an element at its place, from the samples about it alone."""
-    own = cut_field(transmission, around(place.outline, transmission.grid))
-    return replace(bar_contrast(own.values, own.grid, place, ground), element=element)
+    """Contrast of an element at its position, from the samples about it alone."""
+    own = cut_field(transmission, around(position.outline, transmission.grid))
+    return replace(bar_contrast(own.values, own.grid, position, ground), element=element)
 
 
 def _limits(
@@ -309,7 +309,7 @@ def _limits(
 
 
 def chart_end(elements: Sequence[UsafElement], sample_um: float) -> Literal["sampling", "chart"]:
-    """Whether samples or the series of elements end a chart at its finest element."""
+    """Return whether the sampling or the series of elements limits the finest element of a chart."""
     width = _next_finer_um(min(elements, key=lambda one: one.line_width_um))
     too_fine = width is not None and width < SAMPLES_PER_FEATURE * sample_um * ROUNDING
     return "sampling" if too_fine else "chart"
@@ -355,7 +355,7 @@ def register_chart(
     if window is None:
         return None
     own = cut_field(transmission, window)
-    seen = _Seen(own, elements, ground, None if inside is None else inside[part_of(window, grid)])
+    seen = _ChartCorrelation(own, elements, ground, None if inside is None else inside[part_of(window, grid)])
     with np.errstate(invalid="ignore", divide="ignore"):
         by_shift = seen.correlations(reach)
     if not np.isfinite(by_shift).any():
@@ -393,11 +393,11 @@ def _window(grid: Grid, chart: Rectangle, margin_mm: float) -> Grid | None:
     return around(wanted, grid)
 
 
-class _Seen:
-    """Intensity about a chart, and its correlation with the chart in places that are tried.
+class _ChartCorrelation:
+    """Intensity around a chart, and its correlation with the chart at trial positions.
 
-    A place is a vector in samples: displacement along x and y, and what scale and rotation move the corner
-    of the chart by.
+    A position is a vector in samples: displacement along x and y, and the shifts of the chart's corner
+    due to scale and rotation.
     """
 
     def __init__(
@@ -423,15 +423,15 @@ class _Seen:
         corner = math.hypot(chart.right_mm - chart.left_mm, chart.high_mm - chart.low_mm)
         self.corner_samples = 0.5 * corner / field.grid.pitch_mm
 
-    def registration(self, place: Array, correlation: float = 0.0, in_place: float = 0.0) -> Registration:
-        """A place as what it means."""
-        x, y = (float(one) * self.grid.pitch_mm for one in place[:2])
-        scale, rotation = 1.0 + place[2] / self.corner_samples, place[3] / self.corner_samples
+    def registration(self, position: Array, correlation: float = 0.0, in_place: float = 0.0) -> Registration:
+        """Return the registration that a position vector describes."""
+        x, y = (float(one) * self.grid.pitch_mm for one in position[:2])
+        scale, rotation = 1.0 + position[2] / self.corner_samples, position[3] / self.corner_samples
         return Registration((x, y), float(scale), float(rotation), correlation, in_place, self.middle)
 
-    def chart(self, place: Array, grid: Grid) -> Array:
-        """Part of each cell that bars cover, those that reach beyond the grid cut off."""
-        moved = self.registration(place).moved
+    def chart(self, position: Array, grid: Grid) -> Array:
+        """Return the fraction of each cell that bars cover; bars are cut off at the border of the grid."""
+        moved = self.registration(position).moved
         (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
         bars = []
         for element in self.elements:
@@ -466,50 +466,50 @@ class _Seen:
         spread[spread < 1e-6 * math.sqrt(self.count)] = np.nan
         return np.asarray(products / (spread * self.size)) if self.size > 0.0 else np.full_like(means, np.nan)
 
-    def correlation(self, place: Array) -> float:
-        """Correlation in one place."""
-        chart = self.weight * self.chart(place, self.grid)
+    def correlation(self, position: Array) -> float:
+        """Return the correlation at a position."""
+        chart = self.weight * self.chart(position, self.grid)
         chart -= self.weight * (chart.sum() / self.count)
         size = float(np.linalg.norm(chart)) * self.size
         return float(np.vdot(chart, self.intensity)) / size if size > 0.0 else -1.0
 
     @property
     def least_correlation(self) -> float:
-        """Correlation from which on the place is determined; chance gives more of it on few samples."""
+        """Least correlation that determines a position; fewer samples need more, because of chance."""
         return max(DETERMINED, CHANCE * math.sqrt(4.0 * math.pi * SMOOTHING**2 / self.count))
 
     def displaced(self, start: Array) -> tuple[Array, float]:
-        """The place of the largest correlation about another, x and y alone, by a parabola along each."""
+        """Return the displaced position with the largest correlation, from parabolas, and the correlation."""
         step = 0.5
-        middle, place = self.correlation(start), start.copy()
+        middle, position = self.correlation(start), start.copy()
         for axis in (0, 1):
             aside = step * np.eye(4)[axis]
-            place[axis] += step * _vertex(
+            position[axis] += step * _vertex(
                 self.correlation(start - aside), middle, self.correlation(start + aside)
             )
-        found = self.correlation(place)
-        return (place, found) if found > middle else (start, middle)
+        found = self.correlation(position)
+        return (position, found) if found > middle else (start, middle)
 
-    def may_be_deformed(self, place: Array, correlation: float) -> bool:
-        """Whether a little scale or rotation makes the correlation larger."""
+    def may_be_deformed(self, position: Array, correlation: float) -> bool:
+        """Return True if a small change of scale or rotation increases the correlation."""
         asides = (sign * DEFORMED_SAMPLES * np.eye(4)[axis] for axis in (2, 3) for sign in (-1.0, 1.0))
-        return any(self.correlation(place + aside) > correlation for aside in asides)
+        return any(self.correlation(position + aside) > correlation for aside in asides)
 
     def best(self, start: Array) -> tuple[Array, float]:
-        """The best place about another, scale and rotation included, and its correlation."""
+        """Return the best position near a start, including scale and rotation, and its correlation."""
         from scipy.optimize import minimize
 
-        def lacks(place: Any) -> float:
-            return 1.0 - self.correlation(place)
+        def loss(position: Any) -> float:
+            return 1.0 - self.correlation(position)
 
         simplex = start + np.vstack([np.zeros(4), 0.6 * np.eye(4)])
         options: Any = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-7, "maxfev": 300}
-        found = minimize(lacks, start, method="Nelder-Mead", options=options)
+        found = minimize(loss, start, method="Nelder-Mead", options=options)
         return np.asarray(found.x), 1.0 - float(found.fun)
 
 
 def _between(values: Array, row: int, column: int) -> Array:
-    """How far the peak lies from the sample of the largest value, along x and y, by parabolas."""
+    """Return the offset of the peak from the largest sample along x and y, from fitted parabolas."""
     found = np.zeros(4)
     if 0 < column < values.shape[1] - 1:
         found[0] = _vertex(*values[row, column - 1 : column + 2])

@@ -1,8 +1,8 @@
 """Engines side by side: error against seconds and memory, over a range of settings of each.
 
-Scenes are exact solutions and patches of the lens itself. There the wave propagation method with fine steps
-and much room stands for the truth on a line, and the sum over all plane waves
-(:mod:`wavesim.metrics.about_axis`) on a plane. Nothing is fitted.
+Scenes are exact solutions and patches of the lens itself. The reference solution on a line is the wave
+propagation method with fine steps and a wide window. On a plane it is the sum over all plane waves
+(:mod:`wavesim.metrics.about_axis`). Nothing is fitted.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SEED = 20260531
 
 @dataclass(frozen=True)
 class Measured:
-    """One engine with one setting on one scene.
+    """Measured error and cost of one engine with one setting on one scene.
 
     Attributes
     ----------

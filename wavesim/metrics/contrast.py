@@ -55,7 +55,7 @@ class ElementContrast:
         return float(np.minimum(self.x.contrast, self.y.contrast))
 
     def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
-        """Whether both sets reach a contrast, and every bar stands out from every gap.
+        """Return True if both sets reach a contrast and every bar is brighter than every gap.
 
         Reversed contrast is negative and two bars in place of three leave the weakest contrast negative:
         neither counts.
@@ -201,13 +201,13 @@ def object_correlation(found: Field, truth: Field, illumination: Field, support:
 
 
 def _lit(illumination: Field) -> Mask:
-    """Where its intensity is not next to nothing."""
+    """Return the mask of samples with significant intensity."""
     power = np.abs(illumination.values) ** 2
     return np.asarray(power > 1e-6 * power.max(initial=0.0))
 
 
 def _products(rows: slice, inside: Mask, fields: tuple[Field, ...]) -> NDArray:
-    """All inner products of some fields, in a part of the rows."""
+    """Return all inner products of fields over a range of rows."""
     chosen = inside[rows]
     parts = [np.asarray(one.values[rows][chosen], complex) for one in fields]
     return np.array([[np.vdot(one, other) for other in parts] for one in parts])

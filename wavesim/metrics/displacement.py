@@ -141,13 +141,13 @@ class _Overlap:
         def series(spectrum: Complex, down: Complex, across: Complex) -> complex:
             return complex(down @ (spectrum @ across))
 
-        def lacks(place: Any) -> float:
-            waves = [np.exp(2j * np.pi * f * p) for f, p in zip(cycles, place, strict=True)]
+        def loss(position: Any) -> float:
+            waves = [np.exp(2j * np.pi * f * p) for f, p in zip(cycles, position, strict=True)]
             sizes = [series(one, *waves).real for one in self.sizes]
             return -abs(series(self.products, *waves)) / math.sqrt(max(sizes[0] * sizes[1], 1e-300))
 
         start = np.array([row, column], float)
         simplex = start + np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]])
         options: Any = {"initial_simplex": simplex, "xatol": 2e-3, "fatol": 1e-8, "maxfev": 80}
-        y, x = (float(one) for one in minimize(lacks, start, method="Nelder-Mead", options=options).x)
+        y, x = (float(one) for one in minimize(loss, start, method="Nelder-Mead", options=options).x)
         return x, y

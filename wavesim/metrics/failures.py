@@ -38,7 +38,7 @@ PITCHES_UM = (0.3, 0.5, 0.8, 1.2, 2.0, 3.2)
 BEAM_SPREAD, BEAM_WINDOW_UM = 0.12, 150.0
 
 TILE_ERROR = 0.1
-"""What tiles are told to keep to; the guard warns beyond it, and refuses beyond three times as much."""
+"""Error limit of the tiles. The guard warns above it and raises an error above three times the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def _map(
 
 
 def failure_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
-    """All maps, one after the other; those of the lens are of a meridional patch.
+    """Yield all maps; those of the lens are of a meridional patch.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def _run(engine: Engine, case: AnalyticCase, unguarded: Engine | None = None) ->
 
 
 def map_rows(found: FailureMap) -> list[dict[str, Any]]:
-    """One row for each cell, for a table."""
+    """Return one table row for each cell."""
     words = ("silent", "warns", "refuses")
     return [
         {

@@ -17,7 +17,7 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 class GhostPlane(NamedTuple):
-    """One plane, on pixels.
+    """Measured data of one plane, on pixels.
 
     `residual` is the recorded amplitude less the modelled one, `sigma` its standard deviation (infinite in
     pixels that tell nothing), `amplitude` the modelled one; `product` is the mean over each pixel of the
@@ -51,7 +51,7 @@ class FoundGhost:
 
     @property
     def share(self) -> float:
-        """Of the light; too large by twice the squared standard deviation on average."""
+        """Estimated fraction of the light in the ghost; biased by twice the squared standard deviation."""
         return abs(self.amplitude) ** 2
 
     @property

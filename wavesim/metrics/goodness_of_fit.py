@@ -99,7 +99,7 @@ NOT_TRIED = "bandwidth of the light"
 
 
 class Trial(NamedTuple):
-    """One thing that was changed, and the misfit then over that without the change."""
+    """Trial explanation: one change of the model, and the ratio of the misfits with and without it."""
 
     cause: str
     told: str
@@ -141,12 +141,12 @@ class Undetected:
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """How well one plane is explained.
+    """Goodness of fit of one plane.
 
     Attributes
     ----------
     distance_mm : float
-        From the exit vertex.
+        Distance of the plane from the exit vertex.
     over_noise, held_out_over_noise : float or None
         Root mean square residual over that of the noise, of pixels that were used and of those that were not;
         None where there are none.
@@ -181,30 +181,30 @@ class PlaneFit:
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """Whether a result explains the frames.
+    """Goodness of fit of a result: tests, the most likely cause of a misfit, and the next step.
 
     Attributes
     ----------
     explained : bool
-        Within the noise, on each plane and on pixels that were held out, and nothing speaks against it.
+        True if residuals are within the noise on each plane and on held-out pixels, without other findings.
     over_noise, held_out_over_noise : float
-        Largest of all planes.
+        Largest values of all planes.
     worst_plane : int
         Index of the plane with the largest excess.
-    planes : tuple of PlaneVerdict
-        In the order of the planes.
+    planes : tuple of PlaneFit
+        Goodness of fit of each plane, in the order of the planes.
     cause, told, next_step : str
-        What most likely differs, how that was found, and what to do; empty where all is explained.
+        Most likely cause of the misfit, its evidence, and the next step; empty if the frames are explained.
     trials : tuple of Trial
-        What was tried.
+        Trial explanations.
     agreement : float or None
         Correlation of the objects of several starts.
     findings : tuple of Finding
-        What speaks against the result beside the size of its residuals.
+        Reasons not to trust the result other than the size of its residuals.
     noise : NoiseCheck or None
         Residuals over the stated noise alone; None where no pixel was held out.
     undetected : tuple of Undetected
-        What the frames cannot exclude; empty where that was not computed.
+        Displacements that the frames cannot exclude; empty if they were not computed.
     model_error : float
         Relative error of amplitudes that was allowed for engine and pixels.
     """
@@ -226,7 +226,7 @@ class GoodnessOfFit:
 
     @property
     def words(self) -> str:
-        """In a few sentences."""
+        """Verdict in a few sentences."""
         held = f"{self.held_out_over_noise:.3g} times on pixels that were held out"
         size = f"residuals {self.over_noise:.3g} times the noise, {held}"
         if self.explained:
@@ -243,7 +243,7 @@ class GoodnessOfFit:
 
     @property
     def within(self) -> bool:
-        """Whether residuals are within the noise on all planes."""
+        """True if residuals are within the noise on all planes."""
         return max(plane.excess for plane in self.planes) <= 1.0
 
     @property
@@ -343,13 +343,13 @@ def verdict(
     if noise is not None and noise.is_too_small:
         against.insert(0, Finding("noise parameters", noise.explanation))
     if agreement is not None and agreement < LEAST_AGREEMENT:
-        said = f"starts end at objects whose correlation is {agreement:.3g}"
-        against.append(Finding("several objects", said))
-    cause, told = "", ""
+        explanation = f"starts end at objects whose correlation is {agreement:.3g}"
+        against.append(Finding("several objects", explanation))
+    cause, evidence = "", ""
     if not within:
-        cause, told = _likeliest(trials, curve, max(excess))
+        cause, evidence = _likeliest(trials, curve, max(excess))
     elif against:
-        cause, told = against[0][:2]
+        cause, evidence = against[0][:2]
     step = ADVICE.get(cause, "")
     if calibrated and "wavesim calibrate" in step:
         step = CALIBRATED_ADVICE
@@ -360,7 +360,7 @@ def verdict(
         int(np.argmax(excess)),
         tuple(judged),
         cause,
-        told,
+        evidence,
         step,
         tuple(trials),
         agreement,
@@ -372,7 +372,7 @@ def verdict(
 
 
 def plane_verdicts(planes: Sequence[PlaneResidual], model_error: float = MODEL_ERROR) -> list[PlaneFit]:
-    """How well each plane is explained, without a judgement of the whole."""
+    """Return the goodness of fit of each plane."""
     judged = [_judged(plane, model_error) for plane in planes]
     total = sum(plane.contribution for plane in judged)
     if total <= 0.0:
@@ -381,34 +381,34 @@ def plane_verdicts(planes: Sequence[PlaneResidual], model_error: float = MODEL_E
 
 
 def wants_iterations(curve: Sequence[float], excess: float) -> bool:
-    """Whether more iterations would come to the noise.
+    """Return True if more iterations would reach the noise.
 
     Parameters
     ----------
     curve
         Misfit of each iteration.
     excess
-        Residuals over those that count as explained.
+        Ratio of the residuals to the largest ones that count as explained.
     """
     return bool(curve) and (len(curve) <= FEW or excess * (curve[-1] / curve[-2]) ** MORE < 1.0)
 
 
 def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -> tuple[str, str]:
-    """Cause, and how it was found; the excess is that over what counts as explained."""
+    """Return the most likely cause and its evidence."""
     best = min(trials, key=lambda trial: trial.misfit_ratio * FREER.get(trial.cause, 1.0), default=None)
     if best is not None and best.gain > LEAST_GAIN:
-        told = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        evidence = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
         if best.cause in BLURS:
             others = [
                 t.told for t in trials if t.cause in BLURS and t.cause != best.cause and t.gain > LEAST_GAIN
             ]
             also = f"helps, too: {others[0]}; " if others else ""
-            told = f"{told}; {also}not tried: {NOT_TRIED}"
-        return best.cause, told
+            evidence = f"{evidence}; {also}not tried: {NOT_TRIED}"
+        return best.cause, evidence
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
-    told = "nothing else that was tried explains it" if trials else "nothing was tried"
-    return "lens or light", f"{told}; not tried: {NOT_TRIED}"
+    evidence = "nothing else that was tried explains it" if trials else "nothing was tried"
+    return "lens or light", f"{evidence}; not tried: {NOT_TRIED}"
 
 
 def _judged(plane: PlaneResidual, model_error: float) -> PlaneFit:
@@ -449,16 +449,16 @@ def _judged(plane: PlaneResidual, model_error: float) -> PlaneFit:
     )
 
 
-def _expected(amplitude: Array, sigma: Array, plane: PlaneResidual, part: slice, model_error: float) -> Array:
-    """Squares of residuals to expect: of noise, and of engine and pixels."""
+def _expected(amplitude: Array, sigma: Array, plane: PlaneResidual, rows: slice, model_error: float) -> Array:
+    """Return the expected squares of residuals due to noise, engine and pixel model."""
     square = sigma.astype(float) ** 2 + (model_error * amplitude.astype(float)) ** 2
     if plane.engine_error is not None:
-        square += plane.engine_error[part].astype(float) ** 2
+        square += plane.engine_error[rows].astype(float) ** 2
     return np.asarray(square)
 
 
 def _edges(count: int) -> list[int]:
-    """Borders of blocks along a side."""
+    """Return the borders of blocks along a side."""
     return np.unique(np.linspace(0, count, min(BLOCKS, count) + 1).astype(int)).tolist()
 
 

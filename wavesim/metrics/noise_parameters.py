@@ -111,7 +111,7 @@ def _ratio(error: np.ndarray, sigma: np.ndarray, chosen: np.ndarray) -> float | 
 
 
 def _explanation(ratio: float, dark: float | None, bright: float | None) -> str:
-    """Which parameter would explain residuals that are too small."""
+    """Return the noise parameter whose error would explain residuals that are too small."""
     said = f"residuals on held-out pixels are {ratio:.2g} times the stated noise, and cannot be below 1"
     smoothed = "pictures that were smoothed, averaged or compressed"
     if bright is None:

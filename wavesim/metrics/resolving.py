@@ -1,8 +1,8 @@
-"""The resolving test: what one engine's reconstruction leaves of lines that another has carried.
+"""Resolution test: contrast of lines that one engine reconstructs from the field of a reference engine.
 
-Bars on a dark ground, lit along the axis, are carried from a field point through the lens by a reference
-engine, and brought back by the engine under test, on a meridional line. The model's own shift and defocus
-are not held against it: the result is refocused and registered, as a reconstruction of a real picture is.
+A reference engine propagates the field of bright bars from a field point through the lens. The engine under
+test propagates it back to the object, on a meridional line. The test ignores shift and defocus of the model:
+the result is refocused and registered, as is a reconstruction of a recorded picture.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LineLimit = Literal["engine", "reference", "aperture", "widths"]
 
 @dataclass(frozen=True)
 class LineContrast:
-    """What is left of lines of one width.
+    """Contrast of reconstructed lines of one width.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class LineContrast:
     profile: Array = field(repr=False, compare=False)
 
     def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
-        """Whether lines reach a contrast, and every bar is brighter than every gap."""
+        """True if the lines reach a contrast and every bar is brighter than every gap."""
         return self.contrast >= threshold and self.weakest_contrast > 0.0
 
 
@@ -210,7 +210,7 @@ def resolving_seconds(
     bars: int = 5,
     **settings: Any,
 ) -> float:
-    """What :func:`resolve` takes on this machine with the same arguments, told before it runs.
+    """Return the estimated cost of :func:`resolve` with the same arguments on this machine.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def meridional_scene(
     plane_distance_mm: float = 0.0,
     margin_mm: float = MARGIN_MM,
 ) -> Scene:
-    """A line scene that holds the bars at a field point, and the lens's footprint on the exit plane."""
+    """Return a line scene of the bars at a field point, and the lens's footprint on the exit plane."""
     wavelength = wavelength_of(lens, wavelength_um)
     half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + margin_mm
     pitch = OBJECT_PITCH_WAVES * 1e-3 * wavelength
@@ -304,7 +304,7 @@ def _profile(values: ComplexArray, grid: Grid, line_width_um: float, bars: int) 
 def contrasts_of(
     grid: Grid, line_width_um: float, bars: int
 ) -> Callable[[ComplexArray], tuple[float, float]]:
-    """What tells a field's contrast: that of the means of bars and gaps, and that of the weakest pair."""
+    """Return the contrasts of a field: that of the means of bars and gaps, and that of the weakest pair."""
     y = grid.y_mm - grid.centre_mm[1]
     width = 1e-3 * line_width_um
     middles = width * (2.0 * np.arange(bars) - (bars - 1))
@@ -360,7 +360,7 @@ def register(
 
 
 def _registering_seconds(grid: Grid) -> float:
-    """What :func:`register` takes: a wave factor and a transform for every distance."""
+    """Return the cost of :func:`register`: a phasor and a transform for every distance."""
     count = scipy.fft.next_fast_len(2 * grid.size)
     each = fft_seconds(count, line=True) + exponential_seconds(count) + 3.0 * pass_seconds(count)
     return 2.0 * REFOCUS_RANGE_MM / REFOCUS_STEP_MM * each

@@ -42,7 +42,7 @@ def polynomial_terms(x: Array, p: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ChainDraws:
-    """One meridian, through lenses whose changes of path are known by their coefficients, in waves.
+    """One meridian through lenses whose path changes are given as coefficients, in waves.
 
     Coefficients of all planes follow each other, `TERMS` for each plane.
 
@@ -119,7 +119,7 @@ class ChainDraws:
 
     @cached_property
     def _passed(self) -> ComplexArray:
-        """What the lens passes where objects are compared, less its mean; shape (judged, samples)."""
+        """Transmitted objects where they are compared, minus the mean; shape (judged, samples)."""
         meridian = self.chain.meridian
         judged = np.abs(meridian.coordinates_mm) <= 0.5 * JUDGED * meridian.length_mm
         passed = self.chain.passed[judged]
@@ -132,7 +132,7 @@ class ChainDraws:
 
     @cached_property
     def _finding(self) -> ComplexArray:
-        """What changes of amplitude add to each object that is found; shape (objects, judged, pixels)."""
+        """Change of each reconstructed object due to amplitude changes; shape (objects, judged, pixels)."""
         return np.stack([(self._passed @ one).astype(np.complex64) for one in self.chain.solutions])
 
     def _visible(self, plane: MeridianPlane, noise: float) -> Array:
@@ -204,7 +204,7 @@ class _Field:
 
 
 class _SinglePlane:
-    """One plane in single precision."""
+    """Model of one plane in single precision."""
 
     def __init__(self, plane: MeridianPlane, chain: LinearisedChain) -> None:
         meridian = chain.meridian

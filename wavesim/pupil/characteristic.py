@@ -108,7 +108,7 @@ class PointCharacteristic:
         return float(np.max(np.linalg.norm(hessian, axis=(1, 2))))
 
     def aiming_map(self) -> AimingMap:
-        """What perturbed rays are aimed from; FoldError if the map of rays folds."""
+        """Starting values for the aiming of perturbed rays; FoldError if the map of rays folds."""
         return AimingMap(
             cosines=np.ascontiguousarray(self.grid.cosines.T),
             points_mm=np.ascontiguousarray(self.sensor_points_mm.T),

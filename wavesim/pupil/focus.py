@@ -61,12 +61,12 @@ def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil]
 
 
 def reach_um(grid: PupilGrid) -> float:
-    """How far the best focus is sought to either side."""
+    """Return the largest distance from the nominal focus at which the best focus is searched."""
     return FOCUS_RANGE * grid.wavelength_um / grid.half_width**2
 
 
 def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
-    """What a plane that lies 1 farther along the axis adds to the path, without piston and shift.
+    """Return the path change for a unit shift of the plane along the axis, without piston and shift.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
 
 
 def sought(score: Callable[[float], float], reach: float) -> tuple[float, float]:
-    """Where within a reach of 0 a score is highest, and how high.
+    """Return the position within a reach of 0 at which a score is highest, and the score.
 
     `STEPS` points to either side tell about where, a parabola through the best and its neighbours where.
     """

@@ -71,7 +71,7 @@ def line_pair_contrast(
 def line_pair_displacement_um(
     pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation = "x", bars: int = 5
 ) -> float:
-    """How far the lines of a target show displaced across themselves.
+    """Displacement of the imaged lines of a target perpendicular to them.
 
     From the least-squares slope of the phase, weighted with the target's power spectrum over its orders
     0 and +-1.
@@ -189,7 +189,7 @@ def smallest_resolved_line_width_um(
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """What does not depend on the pupil's phase.
+    """Quantities that do not depend on the phase of the pupil.
 
     `bar_spectrum` and `length_spectrum` are the bars' and their whole length's spectrum over the cosines
     along the two axes, times spacing / wavelength; `kernel` (2 bars - 1, samples) leads from the pupil

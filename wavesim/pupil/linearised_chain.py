@@ -119,13 +119,13 @@ class LinearisedChain:
 
     @cached_property
     def passed(self) -> ComplexArray:
-        """What the lens passes of an object, shape (samples, samples)."""
+        """Part of an object that the lens transmits, shape (samples, samples)."""
         planes = self.meridian.planes
         return np.asarray(sum(p.matrix.conj().T @ p.matrix for p in planes) / len(planes))
 
     @cached_property
     def solutions(self) -> list[Array | ComplexArray]:
-        """For each object, the change found for a change of amplitudes; shape (samples, pixels)."""
+        """Change of each reconstructed object for a change of amplitudes; shape (samples, pixels)."""
         planes = self.meridian.planes
         matrix = np.concatenate([plane.matrix for plane in planes])
         counts = [len(plane.matrix) for plane in planes]
@@ -145,7 +145,7 @@ class LinearisedChain:
         return found
 
     def visible(self, waves: Sequence[Array]) -> Array:
-        """What intensities see of a change of path: less its mean over the object at each pixel, weighted.
+        """Change of path that affects intensities: minus its mean over the object at each pixel, weighted.
 
         Returns
         -------

@@ -52,7 +52,7 @@ FEWEST_RAYS = 3
 
 @dataclass(frozen=True, eq=False)
 class MeridianPlane:
-    """One plane of the sensor.
+    """Model of one recording plane.
 
     Attributes
     ----------
@@ -127,18 +127,18 @@ class Meridian:
 
     @cached_property
     def wavelength(self) -> float:
-        """In um."""
+        """Pitch of the samples, in um."""
         return self.wavelength_um or self.lens.wavelengths_um[0]
 
     @cached_property
     def direction(self) -> Array:
-        """Of the line, shape (2,)."""
+        """Direction of the line, shape (2,)."""
         angle = math.radians(self.azimuth_deg)
         return np.array([math.cos(angle), math.sin(angle)])
 
     @cached_property
     def coordinates_mm(self) -> Array:
-        """Of the object's samples, from the line's middle."""
+        """Positions of the object's samples relative to the centre of the line."""
         pitch = FINENESS * 0.5e-3 * self.wavelength / self.lens.object.numerical_aperture
         count = max(math.ceil(self.length_mm / pitch), 8)
         return np.asarray((np.arange(count) - 0.5 * (count - 1)) * self.length_mm / count)
@@ -226,7 +226,7 @@ class Meridian:
         return np.asarray(np.exp(2j * np.pi * np.remainder(path_mm / (1e-3 * self.wavelength), 1.0)))
 
     def _fan(self, x_mm: float, z_mm: float) -> tuple[Array, Array, Array, Array]:
-        """Where rays from a sample meet the plane, and their cosine there, path, and cosine here."""
+        """Return positions, cosines and paths on the plane for rays of a sample, and initial cosines."""
         cosines = np.linspace(-1.02, 1.02, FAN) * self._aperture
         rays, _ = shoot(self._system, self._point(x_mm), np.outer(self.direction, cosines), z_mm, clip=True)
         passed = rays.ok

@@ -165,14 +165,14 @@ class PatchChain:
         return PerturbedPatch(self.patch, self.rays, aimed, pupil, 1e-3 * self.lens.sensor.pixel_pitch_um)
 
     def carried(self, object_values: ArrayLike, placement: Placement | Pose = NOMINAL) -> ComplexArray:
-        """What the nominal lens brings back on the patch, neither shifted nor refocused.
+        """Return the field that the nominal lens reconstructs on the patch, neither shifted nor refocused.
 
         Raises as :meth:`perturbed` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
         """
         return self.perturbed(placement).returned(object_values).values
 
     def error_terms(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
-        """What is left out, with estimates of the returned field's relative error.
+        """Neglected effects, with estimates of the relative error of the returned field.
 
         Parameters
         ----------
@@ -242,12 +242,12 @@ def chain_contrast(
     return sought(contrast, reach_um(back.rays.base.grid))[1] if best else contrast(0.0)
 
 
-def _contrast_of(back: ReturnedPatch, line_width_um: float, orientation: Orientation, bars: int) -> float:
-    moved = back.displacement_um(orientation, 0.75 * back.patch.wavelength_um / line_width_um)
+def _contrast_of(returned: ReturnedPatch, line_width_um: float, orientation: Orientation, bars: int) -> float:
+    moved = returned.displacement_um(orientation, 0.75 * returned.patch.wavelength_um / line_width_um)
     count = 2 * bars - 1
     across = np.asarray(line_width_um * (np.arange(count) - 0.5 * (count - 1)) + moved, float)
     centre = np.zeros(1)
-    field = back.at(across, centre) if axis_of(orientation) == 0 else back.at(centre, across)
+    field = returned.at(across, centre) if axis_of(orientation) == 0 else returned.at(centre, across)
     rows = np.abs(field.reshape(count)) ** 2
     bright, dark = rows[0::2].mean(), rows[1::2].mean()
     return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0

@@ -77,7 +77,7 @@ class NominalRays:
 
     @cached_property
     def map(self) -> AimingMap:
-        """What perturbed rays are aimed from; FoldError if the map of rays folds."""
+        """Starting values for the aiming of perturbed rays; FoldError if the map of rays folds."""
         return self.base.aiming_map()
 
     @property
@@ -117,7 +117,7 @@ class NominalRays:
 
     @cached_property
     def bend_deviation_per_mm(self) -> Array:
-        """What `bend_per_mm` differs from its mean over the stop by, shape (n, d, d)."""
+        """Deviation of `bend_per_mm` from its mean over the stop, shape (n, d, d)."""
         return np.asarray(self.bend_per_mm - self.bend_per_mm.mean(axis=0))
 
     def aimed(self, system: CompiledSystem, placement: Placement) -> AimedRays:

@@ -46,18 +46,18 @@ class PatchGrid:
 
     @cached_property
     def coordinates_um(self) -> Array:
-        """Of the samples along each axis; an odd number, in the middles of cells."""
+        """Coordinates of the samples along each axis: an odd number, at the centres of cells."""
         count = math.ceil(self.side_um / (PITCH_WAVES * self.wavelength_um)) | 1
         return np.asarray((np.arange(count) - count // 2) * (self.side_um / count))
 
     @property
     def pitch_um(self) -> float:
-        """Between neighbouring samples."""
+        """Distance of neighbouring samples."""
         return self.side_um / len(self.coordinates_um)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of values on the patch: (ny,) or (ny, nx)."""
+        """Shape of values on the patch: (ny,) or (ny, nx)."""
         return (len(self.coordinates_um),) * (1 if self.line else 2)
 
     def bars(self, line_width_um: float, orientation: Orientation, bars: int) -> ComplexArray:
@@ -88,7 +88,7 @@ class PatchGrid:
 
 @dataclass(frozen=True, eq=False)
 class PerturbedPatch:
-    """One perturbed lens between the patch and what comes back.
+    """Map from the patch to the field reconstructed through one perturbed lens.
 
     Attributes
     ----------
@@ -139,22 +139,22 @@ class PerturbedPatch:
         electrons: float | None = None,
         rng: np.random.Generator | None = None,
     ) -> ReturnedPatch:
-        """What the nominal lens brings back of an object.
+        """Return the reconstruction of an object through the nominal lens.
 
         Parameters
         ----------
         object_values
             Complex transmission on the patch, of the patch's shape.
         registration
-            "shift" takes piston and lateral displacement out, "focus" defocus as well, by least squares on
-            the pupil's phase as :func:`wavesim.refocus` does; both exactly, as free space would.
+            "shift" removes piston and lateral displacement; "focus" removes defocus as well. Both use a least
+            squares fit to the pupil's phase, see :func:`wavesim.refocus`.
         electrons
-            Left out, there is no noise. Else what the brightest pixel collects, of the patch alone on a dark
-            ground: each sample of the field gets the photon noise of the pixels that it stands for, 0.5 per
-            quadrature on a pixel's amplitude in roots of electrons. That is the noise of an ideal retrieval,
-            which a real one does not go below.
+            Electrons in the brightest pixel, for the patch alone on a dark ground; default: no noise. Each
+            sample of the field gets the photon noise of the pixels that it represents: 0.5 per quadrature on
+            a pixel's amplitude in square roots of electrons. This is the noise of an ideal retrieval, a lower
+            bound for a real one.
         rng
-            Source of the noise; needed with `electrons`.
+            Random generator of the noise; required with `electrons`.
 
         Raises
         ------
@@ -206,7 +206,7 @@ class PerturbedPatch:
         return left, np.array([0.0, move_um[0]]), float(move_um[1]) if len(move_um) > 1 else 0.0
 
     def _noise(self, light: ComplexArray, electrons: float, rng: np.random.Generator | None) -> ComplexArray:
-        """Circular complex noise: that of a pixel, averaged over the pixels that each sample stands for."""
+        """Return circular complex noise, averaged over the pixels that a sample represents."""
         validate_positive("electrons", electrons)
         if rng is None:
             raise InputError("electrons are given: noise needs an rng, as of numpy.random.default_rng(seed)")
@@ -219,7 +219,7 @@ class PerturbedPatch:
 
 @dataclass(frozen=True, eq=False)
 class ReturnedPatch:
-    """What the nominal lens has brought back.
+    """Field that the nominal lens reconstructs.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class ReturnedPatch:
         return axial_path(self.pupil)
 
     def displacement_um(self, orientation: Orientation, cosine_limit: float) -> float:
-        """How far the object shows displaced along an axis, by light that left it below a direction cosine.
+        """Return the displacement of the imaged object along an axis, for light below a direction cosine.
 
         From the least-squares slope of the pupil's phase, weighted with the light's power; as
         :func:`wavesim.pupil.line_pair_displacement_um`.

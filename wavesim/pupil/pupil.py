@@ -88,7 +88,7 @@ class PupilGrid:
 
     @cached_property
     def basis(self) -> Array:
-        """What registration takes out: 1, and L, M, N less their means over all samples, shape (4, n)."""
+        """Return the terms that registration removes: 1, and L, M, N minus their means; shape (4, n)."""
         rows = np.vstack([self.cosines.T, self.axial_cosine])
         return np.vstack([np.ones(len(self.index)), rows - rows.mean(axis=1, keepdims=True)])
 

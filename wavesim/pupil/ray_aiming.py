@@ -123,7 +123,7 @@ class AimingMap:
 
 
 def reach_for(wavelength_um: float, curvature_per_mm: float) -> float:
-    """How near, in mm, a ray must come for its path to err by no more than `PATH_TOLERANCE_WAVES`."""
+    """Return the ray aiming tolerance, in mm, for a path error of at most `PATH_TOLERANCE_WAVES`."""
     return float(np.sqrt(2e-3 * PATH_TOLERANCE_WAVES * wavelength_um / max(curvature_per_mm, 1e-12)))
 
 

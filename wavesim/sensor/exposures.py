@@ -1,8 +1,8 @@
-"""Exposures: from intensity to the counts of a sensor and back, of one exposure or of several of one plane.
+"""Conversion between intensity and the counts of a sensor, for one exposure or several of one plane.
 
-Electrons scatter as a Poisson law says, are clipped at full well, gain the amplifier's noise, and are rounded
-to counts: the linear camera model of EMVA standard 1288. Of several exposures the long ones tell the faint
-light and the short ones the bright light, in which the long ones are clipped.
+The linear camera model of EMVA standard 1288 applies. Electrons have a Poisson distribution and are clipped
+at full well; the amplifier adds noise; counts are rounded. With several exposures, the long ones measure
+faint light, and the short ones measure bright light that clips the long ones.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from wavesim.sensor.pixels.errors import PixelPattern
 Seed = int | np.random.SeedSequence
 
 CLEAR = 5.0
-"""Standard deviations of read noise by which a pixel must stay below full well to count as not clipped. Of a
-bright spot in a long exposure, next to none of the clipped pixels may pass for a thousandth of its light."""
+"""Standard deviations of read noise that separate the clipping threshold from full well, so that read noise
+hardly ever hides a clipped pixel."""
 
 
 class SaturationWarning(UserWarning):
-    """A stated number of pixels is clipped, so that their intensity is only known to be larger."""
+    """Warning that pixels are clipped, so that only a lower bound of their intensity is known."""
 
 
 class Electronics(Section):
-    """How a sensor turns light into counts.
+    """Conversion of light into counts by a sensor.
 
     Attributes
     ----------
     full_well_electrons
-        Most electrons that a pixel holds.
+        Largest number of electrons in a pixel.
     read_noise_electrons
-        Standard deviation of the amplifier's noise.
+        Standard deviation of the amplifier's noise, in electrons.
     bits
-        Of a count.
+        Bits of a count.
     offset_counts
-        Added to all counts, so that read noise of dark pixels is not clipped at 0.
+        Offset of all counts, which prevents clipping of dark noise at 0.
     gain_electrons_per_count
-        Electrons that raise a pixel by one count; if left out, full well reaches the top count.
+        Electrons that raise a pixel by one count; default: full well corresponds to the largest count.
     fill_factor
-        Linear fill factor of a pixel: side of its photosensitive square over the pitch. 0 is a point. Files
-        may also call it `active_width`.
+        Linear fill factor of a pixel: side of its photosensitive square over the pitch; 0 is a point.
+        Files may also use the key `active_width`.
     """
 
     full_well_electrons: Positive = 10_000.0
@@ -76,25 +76,25 @@ class Electronics(Section):
         """
         if self.gain_electrons_per_count is not None:
             return self.gain_electrons_per_count
-        room = 2**self.bits - 1 - self.offset_counts
-        if room <= 0.0:
+        available_counts = 2**self.bits - 1 - self.offset_counts
+        if available_counts <= 0.0:
             raise InputError(f"offset_counts = {self.offset_counts:g}: {self.bits} bits leave none for light")
-        return self.full_well_electrons / room
+        return self.full_well_electrons / available_counts
 
     @property
     def saturation_counts(self) -> int:
-        """From which count on a pixel may have been clipped, at full well or at the top count."""
+        """Lowest count of a pixel that may be clipped, at full well or at the largest count."""
         clear = self.full_well_electrons - CLEAR * self.read_noise_electrons
         return int(min(max(math.floor(self.offset_counts + clear / self.gain), 1), 2**self.bits - 1))
 
 
 def exposure_for(intensity: Array, brightest_electrons: float) -> float:
-    """Electrons per unit of intensity at which the brightest pixel is to hold a given number.
+    """Return the exposure, in electrons per unit of intensity, for a given number in the brightest pixel.
 
     Raises
     ------
     InputError
-        If there is no light, or the number is not usable.
+        If there is no light, or `brightest_electrons` is not positive.
     """
     validate_positive("brightest_electrons", brightest_electrons)
     brightest = float(np.max(intensity, initial=0.0))
@@ -111,24 +111,30 @@ def expose(
     seed: Seed | None,
     pattern: PixelPattern | None = None,
 ) -> Counts:
-    """Counts of pixels on which a mean intensity falls.
+    """Return the counts of pixels for a mean intensity.
 
     Parameters
     ----------
     intensity
-        Not negative.
+        Mean intensity on each pixel, not negative.
     exposure
         Electrons per unit of intensity.
     electronics
         Full well, noise and quantisation.
     seed
-        Of the noise; None gives the counts of the mean, rounded, without noise.
+        Seed of the noise; None gives the rounded mean counts without noise.
     pattern
-        Of pixels that are not alike.
+        Gain and dark signal of each pixel; default: identical pixels.
 
     Returns
     -------
-    ndarray of uint16, of the shape of `intensity`
+    ndarray of uint16
+        Counts, in the shape of `intensity`.
+
+    Raises
+    ------
+    InputError
+        If the electrons are negative or not finite, or the seed is invalid.
 
     Warns
     -----
@@ -140,12 +146,14 @@ def expose(
     counts = np.empty(intensity.shape, np.uint16)
     clipped = 0
     for rows in row_blocks(len(intensity)):
-        held, dark = (intensity[rows], 0.0) if pattern is None else pattern.of(intensity, rows)
-        counts[rows], number = _exposed(held, dark, exposure, electronics, random)
-        clipped += number
+        effective, dark = (intensity[rows], 0.0) if pattern is None else pattern.of(intensity, rows)
+        counts[rows], clipped_in_rows = _exposed(effective, dark, exposure, electronics, random)
+        clipped += clipped_in_rows
     if clipped:
         warnings.warn(
-            f"{clipped} of {counts.size} pixels are saturated: expose less", SaturationWarning, stacklevel=2
+            f"{clipped} of {counts.size} pixels are saturated: reduce the exposure",
+            SaturationWarning,
+            stacklevel=2,
         )
     return counts
 
@@ -157,13 +165,13 @@ def _exposed(
     electronics: Electronics,
     random: np.random.Generator | None,
 ) -> tuple[Counts, int]:
-    """Counts, and how many of them are clipped."""
+    """Return counts and the number of clipped pixels."""
     electrons = intensity.astype(float) * exposure
     if not (np.all(np.isfinite(electrons)) and np.all(electrons >= 0.0)):
-        raise InputError("the electrons to expect must be finite and not negative in all pixels")
+        raise InputError("the expected electrons must be finite and not negative in all pixels")
     full, top = electronics.full_well_electrons, 2**electronics.bits - 1
     if random is not None:
-        # Beyond twice full well all is clipped, and Poisson numbers have no upper end.
+        # Above twice full well every pixel clips; the limit keeps Poisson numbers in range.
         electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)
     electrons = electrons + dark_electrons
     clipped = electrons > full
@@ -171,8 +179,8 @@ def _exposed(
     if random is not None:
         electrons += electronics.read_noise_electrons * random.standard_normal(electrons.shape)
     counts = np.rint(electrons / electronics.gain + electronics.offset_counts)
-    number = int(np.count_nonzero(clipped | (counts > top)))
-    return np.clip(counts, 0, top).astype(np.uint16), number
+    clipped_pixels = int(np.count_nonzero(clipped | (counts > top)))
+    return np.clip(counts, 0, top).astype(np.uint16), clipped_pixels
 
 
 def _generator(seed: Seed) -> np.random.Generator:
@@ -183,19 +191,19 @@ def _generator(seed: Seed) -> np.random.Generator:
 
 
 def plane_seeds(seed: Seed | None, planes: int) -> Sequence[Seed | None]:
-    """Independent seeds for frames of several planes: one seed for all would repeat the noise."""
+    """Return independent seeds for the frames of several planes, so that their noise does not repeat."""
     if seed is None:
         return [None] * planes
     return (seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)).spawn(planes)
 
 
 def exposure_seeds(seed: Seed | None, exposures: int) -> Sequence[Seed | None]:
-    """Independent seeds for several exposures of a plane, from the plane's; a single one takes that itself.
+    """Return independent seeds for the exposures of a plane; a single exposure uses the plane's seed.
 
     Raises
     ------
     InputError
-        If the seed is not usable.
+        If the seed is invalid.
     """
     if seed is None or exposures == 1:
         return [seed] * exposures
@@ -205,21 +213,21 @@ def exposure_seeds(seed: Seed | None, exposures: int) -> Sequence[Seed | None]:
 
 
 def estimate_intensity(frame: Frame) -> tuple[Array, Array]:
-    """Intensity on each pixel and the variance of its error, from a frame.
+    """Return the intensity on each pixel and its variance, from one frame.
 
-    The variance is that of shot noise, read noise and rounding (one twelfth of a count squared). The
-    estimate may be negative where it is dark, so that means are not biased.
+    The variance includes shot noise, read noise and rounding (one twelfth of a count squared). The estimate
+    can be negative in dark pixels, so that means are unbiased.
 
     Returns
     -------
     intensity, variance : ndarray, shape (ny, nx)
-        The variance is infinite in pixels that may have been clipped.
+        The variance is infinite in pixels that may be clipped.
     """
     return merged_intensity((frame,))
 
 
 def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tuple[Array, Array]:
-    """Intensity on each pixel and the variance of its error, from one frame or several of one plane.
+    """Return the intensity on each pixel and its variance, merged from one or more frames of one plane.
 
     Each frame in which a pixel is not clipped counts by the inverse of its variance there. That variance is
     taken from all of them, electrons over exposures, and not from each frame's own count: where few electrons
@@ -231,15 +239,15 @@ def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tupl
     Parameters
     ----------
     frames
-        Of one size and plane; exposures, electronics and settings may differ.
+        Frames of one size and plane; exposures and electronics may differ.
     rows
-        That are wanted.
+        Rows to return; default: all.
 
     Returns
     -------
     intensity, variance : ndarray, shape (ny, nx)
-        The variance is infinite in pixels that may have been clipped in all frames; the intensity there is
-        that of the shortest exposure, which the true one exceeds.
+        The variance is infinite in pixels that may be clipped in all frames. Their intensity is that of the
+        shortest exposure, a lower bound of the true one.
 
     Raises
     ------
@@ -252,62 +260,64 @@ def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tupl
 
 
 class Stack(NamedTuple):
-    """Rows of frames of one plane, the shortest exposure first.
+    """Pixels of all frames of one plane, ordered by exposure, shortest first.
 
     Attributes
     ----------
     electrons : ndarray, shape (n, ny, nx)
+        Electrons without offset and dark signal.
     known : ndarray of bool, shape (n, ny, nx)
-        Neither clipped nor bad.
-    shares : ndarray, shape (n, ny, nx)
-        Exposure times gain in units of the longest exposure, so that squares of exposures of any unit stay
-        finite.
+        True in pixels that are neither clipped nor bad.
+    relative_exposures : ndarray, shape (n, ny, nx)
+        Exposure times relative gain, in units of the longest exposure. This keeps squares finite.
     fixed : ndarray, shape (n,)
-        Variance of electrons without light.
+        Variance of the electrons of a dark pixel in each frame.
     longest : float
-        Exposure.
+        Longest exposure.
     """
 
     electrons: Array
     known: NDArray[np.bool_]
-    shares: Array
+    relative_exposures: Array
     fixed: Array
     longest: float
 
     def merged(self) -> tuple[Array, Array]:
-        """As :func:`merged_intensity`."""
+        """Return intensity and variance, see :func:`merged_intensity`."""
         intensity, variance = np.empty((2, *self.electrons.shape[1:]))
-        kernel.merged(self.electrons, self.known, self.shares, self.fixed, intensity, variance)
+        kernel.merged(self.electrons, self.known, self.relative_exposures, self.fixed, intensity, variance)
         return intensity / self.longest, variance / self.longest / self.longest
 
     def contradicting(self, far: float, unlike: float) -> NDArray[np.bool_]:
-        """Pixels whose intensity in an exposure and the next longer one differs too far.
+        """Return the mask of pixels whose intensities in two consecutive exposures contradict each other.
 
         Parameters
         ----------
         far
-            Standard deviations by which two may differ.
+            Allowed difference in standard deviations of the noise.
         unlike
-            Share of the larger one by which they may differ beside that.
+            Additional allowed difference, as a fraction of the larger intensity.
         """
-        found = kernel.contradicting(self.electrons, self.known, self.shares, self.fixed, far, unlike)
+        found = kernel.contradicting(
+            self.electrons, self.known, self.relative_exposures, self.fixed, far, unlike
+        )
         return np.asarray(found)
 
 
 def stacked(frames: Sequence[Frame], rows: slice = slice(None)) -> Stack:
-    """Frames of one plane and size, pixel by pixel."""
+    """Return the stacked pixels of frames of one plane and size."""
     ordered = sorted(frames, key=lambda frame: frame.settings.exposure)
     longest = ordered[-1].settings.exposure
     electrons = np.stack([electrons_of(frame, rows) for frame in ordered])
-    shares = np.empty_like(electrons)
-    for share, frame in zip(shares, ordered, strict=True):
-        share[...] = frame.settings.exposure / longest * gain_of(frame, rows)
+    relative = np.empty_like(electrons)
+    for values, frame in zip(relative, ordered, strict=True):
+        values[...] = frame.settings.exposure / longest * gain_of(frame, rows)
     known = np.stack([known_in(frame, rows) for frame in ordered])
-    return Stack(electrons, known, shares, np.array([fixed_variance(frame) for frame in ordered]), longest)
+    return Stack(electrons, known, relative, np.array([fixed_variance(frame) for frame in ordered]), longest)
 
 
 def electrons_of(frame: Frame, rows: slice = slice(None)) -> Array:
-    """Electrons that a frame's counts stand for, less the dark signal; below 0 where noise is."""
+    """Return the electrons of a frame's pixels without dark signal; noise can make them negative."""
     settings = frame.settings
     electrons = (
         frame.counts[rows].astype(float) - settings.offset_counts
@@ -318,27 +328,27 @@ def electrons_of(frame: Frame, rows: slice = slice(None)) -> Array:
 
 
 def gain_of(frame: Frame, rows: slice = slice(None)) -> Array | float:
-    """Gain of a frame's pixels over that of their mean."""
+    """Return the gain of a frame's pixels relative to their mean."""
     return 1.0 if frame.maps is None or frame.maps.gain is None else frame.maps.gain[rows]
 
 
 def known_in(frame: Frame, rows: slice = slice(None)) -> NDArray[np.bool_]:
-    """Pixels of a frame that are not clipped, nor bad."""
+    """Return the mask of pixels that are neither clipped nor bad."""
     known = frame.counts[rows] < frame.settings.clipped_counts
     return np.asarray(known if frame.bad is None else known & ~frame.bad[rows])
 
 
 def fixed_variance(frame: Frame) -> float:
-    """Variance of a dark pixel's electrons: of read noise and of rounding."""
+    """Return the variance of a dark pixel's electrons: read noise and rounding."""
     settings = frame.settings
     return settings.read_noise_electrons**2 + settings.gain_electrons_per_count**2 / 12.0
 
 
 def rounding_fraction(frame: Frame) -> float:
-    """Fraction of a dark pixel's variance that comes from rounding to counts."""
+    """Return the fraction of a dark pixel's variance that is due to rounding."""
     return frame.settings.gain_electrons_per_count**2 / 12.0 / fixed_variance(frame)
 
 
 def clipped_in_all(frames: Sequence[Frame]) -> NDArray[np.bool_]:
-    """Pixels that may have been clipped in every one of some frames, shape (ny, nx)."""
+    """Return the mask of pixels that may be clipped in all frames, shape (ny, nx)."""
     return np.asarray(np.logical_and.reduce([frame.saturated for frame in frames]))

@@ -1,6 +1,6 @@
-"""Frames of one object on several planes: read together, and refused or told of where they do not do.
+"""Frames of one object on several planes: reading, consistency checks, and merging of exposures.
 
-Several frames of one plane, exposures of different length or repeats, become one intensity.
+Several frames of one plane (different exposures, or repeats) are merged into one intensity.
 """
 
 from __future__ import annotations
@@ -33,54 +33,55 @@ from wavesim.sensor.measurement import Measurement, recorded_intensity
 from wavesim.sensor.pixels.bad import find_bad_pixels
 from wavesim.sensor.pixels.maps import PixelMaps, read_pixel_maps
 
-SATURATED_TOLD, SATURATED_REFUSED = 1e-5, 0.02
-"""Share of a plane's pixels that may be clipped in all of its frames: from the first on it is told, beyond
-the second refused."""
+SATURATED_WARNING, SATURATED_ERROR = 1e-5, 0.02
+"""Fractions of a plane's pixels that are clipped in all of its frames: the first causes a warning, the
+second an error."""
 
 LEAST_SIGNAL = 6.0
-"""Standard deviations of a dark pixel by which the brightest exceeds the dark count, or there is no light."""
+"""Least excess of the brightest pixel over the dark count, in standard deviations of a dark pixel."""
 
 SAME_PITCH = 1e-3
-"""Relative difference up to which pixel pitches are the same."""
+"""Relative difference up to which two pixel pitches count as equal."""
 
 OTHER_PICTURE, SURE = 0.05, 6.0
-"""Mean square difference of two frames of one plane, less what is noise, over the mean square intensity, from
-which on they are different pictures; and the standard deviations of that noise by which it must show."""
+"""Two frames of one plane show different pictures if their mean square difference, less that of the noise,
+exceeds this fraction of the mean square intensity and this number of standard deviations."""
 
-SAME_EXPOSURE, MOST_OFF = 3e-3, 0.3
-"""Relative error of an exposure from which on it is told and taken out, and up to which it can be: beyond,
-frames state something else than what they are."""
+SAME_EXPOSURE, LARGEST_EXPOSURE_ERROR = 3e-3, 0.3
+"""Range of relative exposure errors that are corrected with a warning. Above it, the frames are not exposures
+of the same light."""
 
-SEEN, NOT_CLIPPED = 20.0, 0.9
-"""Pixels that tell it: standard deviations of a dark one that they show, and share of the counts at most."""
+LEAST_VISIBLE, NOT_CLIPPED = 20.0, 0.9
+"""Pixels that determine an exposure ratio: least signal in standard deviations of a dark pixel, and largest
+fraction of the clipping level."""
 
 COMPARED = 4_000_000
-"""Pixels, about, that two frames of one plane are compared in: of larger ones, some rows."""
+"""Approximate number of pixels compared between two frames of one plane; larger frames are subsampled."""
 
 ROWS = 64
-"""Of a plane, for a thread at a time."""
+"""Rows of a plane that a thread merges at a time."""
 
 
 class BadPixelWarning(UserWarning):
-    """A stated number of pixels is hot or dead, and left out."""
+    """Warning that hot or dead pixels were found and are ignored."""
 
 
 class ExposureWarning(UserWarning):
-    """A frame's light is not what its exposure says, which is taken out."""
+    """Warning that the light of a frame contradicts its stated exposure, which is corrected."""
 
 
 @dataclass(frozen=True)
 class PlaneFrames:
-    """What the frames of one plane say of how they were recorded.
+    """Recording conditions of the frames of one plane.
 
     Attributes
     ----------
     distance_mm : float
-        From the exit vertex.
+        Distance of the plane from the exit vertex.
     exposures : tuple of float
-        Of its frames, increasing.
+        Exposures of the frames, increasing.
     saturated_share : float
-        Part of the pixels that are clipped in all of them.
+        Fraction of the pixels that are clipped in all frames.
     """
 
     distance_mm: float
@@ -96,22 +97,26 @@ def read_frames(
     assumed: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> tuple[Frame, ...]:
-    """Frames in the order of their planes, those of one plane by exposure, checked to belong together.
+    """Read frames and check that they belong together; return them by plane distance, then by exposure.
 
     Parameters
     ----------
     paths
         TIFF or PNG files.
     settings
-        What stands in for what they do not say.
+        Settings of the recording that override those in the files.
     lens
-        The design, whose pixel pitch, wavelength and planes are taken where neither files nor settings say
-        them: the wavelength of a design that has one, its planes in the order of the files if there are as
-        many.
+        Design that supplies missing values: the pixel pitch; the wavelength, if the design has one; and the
+        plane distances in the order of the files, if their numbers agree.
     assumed
-        What is taken, told by a warning, where neither these nor files nor settings say it.
+        Values, by setting, that are used with a warning if no other source states them.
     **changes
-        Settings by name, in place of those of `settings`.
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    tuple of Frame
+        The frames, with pixel maps and corrected exposures.
 
     Raises
     ------
@@ -125,40 +130,40 @@ def read_frames(
     SaturationWarning
         If a few pixels are clipped in all frames of a plane.
     BadPixelWarning, ExposureWarning
-        If pixels are hot or dead, or exposures other than stated.
+        If pixels are hot or dead, or exposures differ from the stated ones.
     AssumedWarning
-        For each frame, what was taken of the design.
+        For each frame with values that the design or `assumed` supplied.
     """
     settings = (settings or FrameSetSettings()).replaced(**changes)
     if lens is not None:
         validate_lengths(lens, settings)
     given = _given(len(paths), settings)
-    for number, path in enumerate(paths):
-        if path in paths[:number]:
-            raise InputError(f"{path}: is named twice: a frame counts once")
-    taken = [dict(assumed or {}) | own for own in _assumed(len(paths), lens)]
-    read = [read_frame(path, known, **own) for path, known, own in zip(paths, taken, given, strict=True)]
-    _refuse_unlike(paths, read)
+    for index, path in enumerate(paths):
+        if path in paths[:index]:
+            raise InputError(f"{path}: is named twice: name each frame once")
+    defaults = [dict(assumed or {}) | values for values in _assumed(len(paths), lens)]
+    read = [read_frame(path, known, **own) for path, known, own in zip(paths, defaults, given, strict=True)]
+    _check_consistent(paths, read)
     order = sorted(
         zip(paths, read, strict=True),
-        key=lambda one: (one[1].settings.plane_distance_mm, one[1].settings.exposure),
+        key=lambda pair: (pair[1].settings.plane_distance_mm, pair[1].settings.exposure),
     )
-    named = [path for path, _ in order]
-    frames = _without_bad(_with_maps(named, [frame for _, frame in order], settings))
+    ordered_paths = [path for path, _ in order]
+    frames = _without_bad(_with_maps(ordered_paths, [frame for _, frame in order], settings))
     checked = []
     for _, group in groupby(
-        zip(named, frames, strict=True), key=lambda one: one[1].settings.plane_distance_mm
+        zip(ordered_paths, frames, strict=True), key=lambda pair: pair[1].settings.plane_distance_mm
     ):
         plane = _with_true_exposures(list(group))
         for shorter, longer in pairwise(plane):
-            _refuse_other_picture(shorter, longer)
+            _check_same_picture(shorter, longer)
         _check_saturation(plane)
         checked += [frame for _, frame in plane]
     return tuple(checked)
 
 
 def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSetSettings) -> list[Frame]:
-    """Frames with what is known of their pixels."""
+    """Return the frames with the pixel maps that the settings name."""
     own = frames[0].settings
     maps = read_pixel_maps(
         frames[0].counts.shape,
@@ -182,7 +187,7 @@ def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSe
 
 
 def _without_bad(frames: Sequence[Frame]) -> list[Frame]:
-    """Frames whose hot and dead pixels are marked, too."""
+    """Return the frames with hot and dead pixels marked as bad."""
     planes = frames_by_plane(frames)
     result = list[Frame]()
     for plane, found in zip(planes, find_bad_pixels(planes), strict=True):
@@ -193,7 +198,7 @@ def _without_bad(frames: Sequence[Frame]) -> list[Frame]:
             continue
         warnings.warn(
             f"plane at {plane[0].settings.plane_distance_mm:g} mm: {np.count_nonzero(new)} pixels are hot or "
-            "dead; they are left out",
+            "dead; they are ignored",
             BadPixelWarning,
             stacklevel=3,
         )
@@ -203,15 +208,15 @@ def _without_bad(frames: Sequence[Frame]) -> list[Frame]:
 
 
 def _with_true_exposures(plane: Sequence[tuple[Path, Frame]]) -> list[tuple[Path, Frame]]:
-    """Frames of one plane whose exposures are those of their light, from the shortest's on."""
+    """Return frames of one plane with exposures corrected to their light, relative to the shortest."""
     result = [plane[0]]
     for path, frame in plane[1:]:
         factor, deviation = _exposure_ratio(result[-1][1], frame)
-        off = abs(factor - 1.0)
-        if max(SAME_EXPOSURE, SURE * deviation) < off <= MOST_OFF:
+        error = abs(factor - 1.0)
+        if max(SAME_EXPOSURE, SURE * deviation) < error <= LARGEST_EXPOSURE_ERROR:
             warnings.warn(
-                f"{path}: is {100.0 * (factor - 1.0):+.2g} % brighter than its exposure says, against "
-                f"{result[-1][0]}: that is taken out",
+                f"{path}: is {100.0 * (factor - 1.0):+.2g} % brighter than its exposure states, relative to "
+                f"{result[-1][0]}: the exposure is corrected",
                 ExposureWarning,
                 stacklevel=3,
             )
@@ -222,60 +227,63 @@ def _with_true_exposures(plane: Sequence[tuple[Path, Frame]]) -> list[tuple[Path
 
 
 def _exposure_ratio(short: Frame, long: Frame) -> tuple[float, float]:
-    """Light of a longer exposure over what a shorter one and both exposures say, and its deviation."""
+    """Return the light ratio of two frames over their stated exposure ratio, and its standard deviation."""
     ratio = long.settings.exposure / short.settings.exposure
-    clear = NOT_CLIPPED * (long.settings.clipped_counts - long.settings.offset_counts)
-    most = clear * long.settings.gain_electrons_per_count
-    least = SEEN * math.sqrt(fixed_variance(short) + 1.0)
+    highest_counts = NOT_CLIPPED * (long.settings.clipped_counts - long.settings.offset_counts)
+    most = highest_counts * long.settings.gain_electrons_per_count
+    least = LEAST_VISIBLE * math.sqrt(fixed_variance(short) + 1.0)
     shorter = longer = scatter = 0.0
     every = 1 + short.counts.size // COMPARED
     for block in row_blocks(len(short.counts)):
         rows = slice(block.start, block.stop, every)
-        two = electrons_of(long, rows)
-        # Chosen by the frame whose noise is less: chosen by both, the noise of the other would choose, too.
-        chosen = known_in(short, rows) & known_in(long, rows) & (two > least * ratio) & (two < most)
-        one = electrons_of(short, rows)[chosen]
-        shorter += float(one.sum())
-        longer += float(two[chosen].sum()) / ratio
-        scatter += float(np.sum(np.maximum(one, 0.0) * (1.0 + 1.0 / ratio) + fixed_variance(short)))
+        long_electrons = electrons_of(long, rows)
+        # The frame with less noise selects the pixels: a selection by the noisier one would bias the ratio.
+        selected = known_in(short, rows) & known_in(long, rows)
+        selected &= (long_electrons > least * ratio) & (long_electrons < most)
+        short_electrons = electrons_of(short, rows)[selected]
+        shorter += float(short_electrons.sum())
+        longer += float(long_electrons[selected].sum()) / ratio
+        scatter += float(
+            np.sum(np.maximum(short_electrons, 0.0) * (1.0 + 1.0 / ratio) + fixed_variance(short))
+        )
     return (longer / shorter, math.sqrt(scatter) / shorter) if shorter > 0.0 else (1.0, math.inf)
 
 
 def _given(count: int, settings: FrameSetSettings) -> list[dict[str, Any]]:
-    """For each frame, the settings that stand in for what it does not say."""
-    told = settings.model_dump(exclude_none=True, exclude={"flat", "dark", "bad_pixels"})
+    """Return, for each frame, the values that the settings state for it."""
+    stated = settings.model_dump(exclude_none=True, exclude={"flat", "dark", "bad_pixels"})
     for name in ("plane_distance_mm", "exposure"):
-        if name in told and len(told[name]) != count:
-            said = ",".join(f"{number:g}" for number in told[name])
-            raise SettingError(f"{{{name}}} = {said!r}: must be {count} numbers, one of each frame")
+        if name in stated and len(stated[name]) != count:
+            values = ",".join(f"{value:g}" for value in stated[name])
+            raise SettingError(f"{{{name}}} = {values!r}: must be {count} numbers, one of each frame")
     return [
-        {name: value[frame] if isinstance(value, tuple) else value for name, value in told.items()}
+        {name: value[frame] if isinstance(value, tuple) else value for name, value in stated.items()}
         for frame in range(count)
     ]
 
 
 def _assumed(count: int, lens: Lens | None) -> list[dict[str, Any]]:
-    """For each frame, what a design says of it."""
+    """Return, for each frame, the values that the design supplies."""
     if lens is None:
         return [{}] * count
-    told: dict[str, Any] = {"pixel_pitch_um": lens.sensor.pixel_pitch_um}
+    values: dict[str, Any] = {"pixel_pitch_um": lens.sensor.pixel_pitch_um}
     if len(lens.wavelengths_um) == 1:
-        told["wavelength_um"] = lens.wavelengths_um[0]
+        values["wavelength_um"] = lens.wavelengths_um[0]
     planes = lens.sensor.plane_distances_mm
     if len(planes) != count:
-        return [told] * count
-    return [told | {"plane_distance_mm": distance} for distance in planes]
+        return [values] * count
+    return [values | {"plane_distance_mm": distance} for distance in planes]
 
 
-def _refuse_unlike(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
-    """Refuse frames of different sensors or light, and such without light."""
+def _check_consistent(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
+    """Raise InputError for frames of different size, pitch or wavelength, and for frames without light."""
     first = frames[0]
     for path, frame in zip(paths, frames, strict=True):
-        here, there = frame.counts.shape[::-1], first.counts.shape[::-1]
-        if here != there:
+        size, first_size = frame.counts.shape[::-1], first.counts.shape[::-1]
+        if size != first_size:
             raise InputError(
-                f"{path}: {here[0]} x {here[1]} pixels; {paths[0]} has {there[0]} x {there[1]}: frames that "
-                "are used together must have the same size"
+                f"{path}: {size[0]} x {size[1]} pixels; {paths[0]} has {first_size[0]} x {first_size[1]}: "
+                "frames that are used together must have the same size"
             )
         for name in ("pixel_pitch_um", "wavelength_um"):
             one, other = getattr(frame.settings, name), getattr(first.settings, name)
@@ -292,23 +300,23 @@ def _refuse_unlike(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
             )
 
 
-def _refuse_other_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame]) -> None:
-    """Refuse frames that state one plane and cannot be exposures of one intensity.
+def _check_same_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame]) -> None:
+    """Raise InputError if two frames that state one plane cannot be exposures of one intensity.
 
-    Compared are pixels that neither clips, in electrons of the shorter exposure.
+    The comparison uses pixels that are not clipped in either, in electrons of the shorter exposure.
     """
     (path, short), (other, long) = shorter, longer
     ratio = long.settings.exposure / short.settings.exposure
     excess = scatter = size = 0.0
-    seen = LEAST_SIGNAL * math.sqrt(fixed_variance(short))
+    threshold = LEAST_SIGNAL * math.sqrt(fixed_variance(short))
     every = 1 + short.counts.size // COMPARED
     for block in row_blocks(len(short.counts)):
         rows = slice(block.start, block.stop, every)
         known = known_in(short, rows) & known_in(long, rows)
         one, two = electrons_of(short, rows), electrons_of(long, rows) / ratio
-        # Dark signals of pixels differ, and of a faint picture they are most of what is seen. The longer
-        # exposure chooses: where the shorter one does, its noise would.
-        known &= (two > seen) | (one > 5.0 * seen)
+        # Dark signals differ between pixels and dominate a faint picture. The longer exposure selects the
+        # pixels, because a selection by the shorter one would be biased by its noise.
+        known &= (two > threshold) | (one > 5.0 * threshold)
         one, two = one[known], two[known]
         noise = np.maximum(two, 0.0) * (1.0 + 1.0 / ratio)
         noise += fixed_variance(short) + fixed_variance(long) / ratio**2
@@ -324,20 +332,22 @@ def _refuse_other_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame
 
 
 def _check_saturation(plane: Sequence[tuple[Path, Frame]]) -> None:
+    """Warn of pixels that are clipped in all frames of a plane; raise InputError if there are too many."""
     frames = [frame for _, frame in plane]
-    share = float(np.mean(clipped_in_all(frames)))
+    fraction = float(np.mean(clipped_in_all(frames)))
     clipped = frames[0].settings.clipped_counts
     named = ", ".join(str(path) for path, _ in plane)
-    where = "" if len(plane) == 1 else " in each of these frames of one plane"
-    said = f"{named}: {100.0 * share:.2g} % of the pixels are saturated{where}, at {clipped} counts or more"
-    if share > SATURATED_REFUSED:
-        raise InputError(f"{said}; at most {100.0 * SATURATED_REFUSED:g} % may be: expose less")
-    if share > SATURATED_TOLD:
-        warnings.warn(f"{said}; they are left out: expose less", SaturationWarning, stacklevel=3)
+    frames_named = "" if len(plane) == 1 else " in each of these frames of one plane"
+    message = f"{named}: {100.0 * fraction:.2g} % of the pixels are saturated{frames_named}"
+    message += f", at {clipped} counts or more"
+    if fraction > SATURATED_ERROR:
+        raise InputError(f"{message}; at most {100.0 * SATURATED_ERROR:g} % may be: reduce the exposure")
+    if fraction > SATURATED_WARNING:
+        warnings.warn(f"{message}; they are ignored: reduce the exposure", SaturationWarning, stacklevel=3)
 
 
 def validate_same_pitch(frames: Sequence[Frame], lens: Lens) -> None:
-    """Refuse frames whose pixels are not those of the design's sensor.
+    """Check that the pixels of frames are those of the design's sensor.
 
     Raises
     ------
@@ -360,7 +370,7 @@ def validate_same_pitch(frames: Sequence[Frame], lens: Lens) -> None:
 
 
 def frames_by_plane(frames: Sequence[Frame]) -> list[tuple[Frame, ...]]:
-    """Frames of one plane together, in the order of the planes' distances."""
+    """Return the frames of each plane, ordered by plane distance."""
 
     def distance(frame: Frame) -> float:
         return frame.settings.plane_distance_mm
@@ -369,7 +379,7 @@ def frames_by_plane(frames: Sequence[Frame]) -> list[tuple[Frame, ...]]:
 
 
 def planes_of_frames(frames: Sequence[Frame]) -> tuple[PlaneFrames, ...]:
-    """What is told of each plane beside its intensity, in the order of the planes' distances."""
+    """Return the recording conditions of each plane, ordered by plane distance."""
     return tuple(
         PlaneFrames(
             plane[0].settings.plane_distance_mm,
@@ -381,10 +391,10 @@ def planes_of_frames(frames: Sequence[Frame]) -> tuple[PlaneFrames, ...]:
 
 
 def recorded_planes(frames: Sequence[Frame]) -> list[Measurement]:
-    """Amplitudes and what noise leaves of them, at distances from the nearest plane; in single precision.
+    """Return amplitude and standard deviation on each plane, in single precision, ordered by plane distance.
 
-    Frames of one plane become one intensity, each pixel of which takes from every frame what it tells
-    (:func:`wavesim.sensor.exposures.merged_intensity`).
+    Distances count from the nearest plane. :func:`wavesim.sensor.exposures.merged_intensity` merges the
+    frames of one plane.
     """
     by_plane = frames_by_plane(frames)
     first = by_plane[0][0].settings.plane_distance_mm
@@ -395,9 +405,9 @@ def _recorded(plane: Sequence[Frame], distance_mm: float) -> Measurement:
     shape = plane[0].counts.shape
     amplitude, sigma = np.empty(shape, np.float32), np.empty(shape, np.float32)
 
-    def rows(start: int, stop: int) -> None:
-        part = recorded_intensity(distance_mm, *merged_intensity(plane, slice(start, stop)))
-        amplitude[start:stop], sigma[start:stop] = part.amplitude, part.sigma
+    def merge_rows(start: int, stop: int) -> None:
+        block = recorded_intensity(distance_mm, *merged_intensity(plane, slice(start, stop)))
+        amplitude[start:stop], sigma[start:stop] = block.amplitude, block.sigma
 
-    for_blocks(rows, len(amplitude), ROWS)
+    for_blocks(merge_rows, len(amplitude), ROWS)
     return Measurement(distance_mm, amplitude, sigma)

@@ -1,7 +1,7 @@
-"""Recorded frames: an intensity picture as counts, with all that is needed to turn it back into intensity.
+"""Recorded frames: counts of an intensity picture, with the settings that convert them to intensity.
 
-On disk a frame is a 16-bit grey TIFF whose ImageDescription holds the settings as JSON. A camera's own files,
-TIFF or PNG, come in at the same door, their settings given by hand.
+A frame file is a 16-bit grey TIFF whose ImageDescription contains the settings as JSON. TIFF and PNG files of
+a camera can be read as well if the caller supplies their settings.
 """
 
 from __future__ import annotations
@@ -32,41 +32,41 @@ Offset = Annotated[float, Setting(ge=0.0, le=65535.0)]
 NotNegative = Annotated[float, Setting(ge=0.0, le=1e9, allow_inf_nan=False)]
 
 KEY = "transferlens_frame"
-"""Under which the settings stand in a file's ImageDescription."""
+"""JSON key of the settings in the ImageDescription of a file."""
 DESCRIPTION = 270
-"""TIFF tag."""
+"""Number of the TIFF tag ImageDescription."""
 LEAST_BITS = 8
-"""Bits of a stored count; readers scale those of fewer bits."""
+"""Least number of bits of a stored count; readers rescale counts of fewer bits."""
 
 
 class AssumedWarning(UserWarning):
-    """A frame does not say how it was recorded, and what its design says was taken."""
+    """Warning that a frame does not state how it was recorded, so that values of the design are used."""
 
 
 class FrameSettings(Section):
-    """How a frame was recorded.
+    """Recording conditions of a frame.
 
     Attributes
     ----------
     pixel_pitch_um
         Pixel pitch.
     plane_distance_mm
-        From the exit vertex to the plane of the frame, as the stage states it.
+        Distance from the exit vertex to the plane of the frame, as the stage states it.
     wavelength_um
         Vacuum wavelength.
     exposure
-        Electrons in a pixel for an intensity of 1; of a real camera, any number proportional to the exposure
-        time, the same measure for all frames that are used together.
+        Electrons in a pixel for an intensity of 1. For a real camera, any number proportional to the exposure
+        time, in the same unit for all frames that are used together.
     bits
-        Of a count; counts run to 2**bits - 1.
+        Bits of a count; the largest count is 2**bits - 1.
     offset_counts
         Count of a dark pixel.
     gain_electrons_per_count
         Electrons that raise a pixel by one count.
     read_noise_electrons
-        Standard deviation of the noise of a dark pixel, quantisation not included.
+        Standard deviation of a dark pixel in electrons, without quantisation noise.
     saturation_counts
-        From which count on a pixel may have been clipped; the top count if left out.
+        Lowest count of a pixel that may be clipped; default: the largest count.
     title
         Free text.
     """
@@ -98,7 +98,7 @@ class FrameSettings(Section):
 
     @property
     def clipped_counts(self) -> int:
-        """From which count on a pixel may have been clipped."""
+        """Lowest count of a pixel that may be clipped."""
         return self.saturation_counts or self.top_counts
 
 
@@ -111,14 +111,14 @@ class Frame:
     counts : ndarray of uint16, shape (ny, nx)
         Rows along y and columns along x, both increasing, as in a :class:`~wavesim.fields.field.Grid`.
     settings : FrameSettings
-        How it was recorded.
+        Recording conditions.
     maps : PixelMaps, optional
-        What is known of its pixels; a file does not hold it.
+        Known gain, dark signal and bad pixels. They are not stored in the file.
 
     Raises
     ------
     InputError
-        If the counts are no picture, or do not fit into the bits.
+        If the counts are not a 2D array of uint16, or exceed the largest count.
     """
 
     counts: Counts
@@ -144,24 +144,24 @@ class Frame:
 
     @property
     def bad(self) -> NDArray[np.bool_] | None:
-        """Pixels that tell nothing, shape (ny, nx); None where none are known."""
+        """Mask of bad pixels, shape (ny, nx); None if none are known."""
         return None if self.maps is None else self.maps.bad
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
-        """Pixels that may have been clipped, shape (ny, nx)."""
+        """Mask of pixels that may be clipped, shape (ny, nx)."""
         return np.asarray(self.counts >= self.settings.clipped_counts)
 
 
 def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
-    """Write a frame as a 16-bit grey TIFF; reading it back gives the same counts and settings.
+    """Write a frame as a 16-bit grey TIFF, without loss of counts or settings.
 
-    The first row of the file, which viewers show on top, is that of the smallest y.
+    The first row of the file, which viewers show at the top, has the smallest y.
 
     Raises
     ------
     InputError
-        If the file cannot be written; whatever stood there stays.
+        If the file cannot be written; an existing file is then unchanged.
     """
     from PIL import Image
 
@@ -179,30 +179,34 @@ def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
 
 
 def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None = None, **given: Any) -> Frame:
-    """Read a frame from a grey TIFF or PNG of 8, 12 or 16 bits that holds one picture.
+    """Read a frame from a grey TIFF or PNG of 8, 12 or 16 bits with a single picture.
 
-    The picture is turned upright by the orientation that its file states.
+    The orientation that the file states is applied.
 
     Parameters
     ----------
     path
         The file.
     assumed
-        Settings of the design, for what neither the file nor `given` says.
+        Settings of the design, used where neither the file nor `given` states a required setting.
     given
-        Settings by their names in :class:`FrameSettings`. They stand in for what the file does not say, and
-        come before what it says.
+        Settings by their names in :class:`FrameSettings`. They override the settings in the file.
+
+    Returns
+    -------
+    Frame
+        Counts and settings of the frame.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is damaged or no grey picture of whole numbers, or if settings are
-        lacking or not allowed.
+        If the file cannot be read, is damaged or not a grey picture of whole numbers, or if settings are
+        missing or invalid.
 
     Warns
     -----
     AssumedWarning
-        Naming what was assumed.
+        If values of `assumed` are used; the warning names them.
     """
     path = Path(path)
     counts, description = _read_picture(path)
@@ -210,25 +214,25 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
     fields = FrameSettings.model_fields
     for name in given:
         if name not in fields:
-            raise InputError(f"{path}: {name}: no setting of a frame{did_you_mean(name, fields)}")
-    lacking = [name for name, field in fields.items() if field.is_required() and name not in settings]
-    taken = {name: assumed[name] for name in lacking if name in assumed} if assumed else {}
-    asked = ", ".join(f"{{{name}}}" for name in lacking if name not in taken)
-    if asked:
-        raise SettingError(f"{path} does not say how it was recorded; to be given: {asked}")
-    if taken:
-        said = ", ".join(f"{name} = {value:g}" for name, value in taken.items())
-        warnings.warn(f"{path} does not say how it was recorded; of the design: {said}", AssumedWarning, 3)
-        settings |= taken
+            raise InputError(f"{path}: {name}: not a setting of a frame{did_you_mean(name, fields)}")
+    missing = [name for name, field in fields.items() if field.is_required() and name not in settings]
+    defaults = {name: assumed[name] for name in missing if name in assumed} if assumed else {}
+    required = ", ".join(f"{{{name}}}" for name in missing if name not in defaults)
+    if required:
+        raise SettingError(f"{path} does not say how it was recorded; to be given: {required}")
+    if defaults:
+        values = ", ".join(f"{name} = {value:g}" for name, value in defaults.items())
+        warnings.warn(f"{path} does not say how it was recorded; of the design: {values}", AssumedWarning, 3)
+        settings |= defaults
     try:
         return Frame(counts, validate(FrameSettings, settings, path))
     except InputError as error:
-        said = str(error)
-        raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+        message = str(error)
+        raise InputError(message if message.startswith(str(path)) else f"{path}: {message}") from None
 
 
 def _read_picture(path: Path) -> tuple[Counts, str]:
-    """Counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
+    """Return the counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
     file = PictureFile(path, formats=FRAME_FORMATS)
     picture = file.only()
     if picture.mode not in COUNT_MODES or picture.bits < LEAST_BITS or picture.states_alpha:
@@ -244,7 +248,7 @@ def _read_picture(path: Path) -> tuple[Counts, str]:
 
 
 def _written_settings(description: str, path: Path) -> dict[str, Any]:
-    """Settings that a file holds; none if it was not written by :func:`write_frame`."""
+    """Return the settings in a file; an empty dict if :func:`write_frame` did not write the file."""
     if KEY not in description:
         return {}
     try:
@@ -253,4 +257,4 @@ def _written_settings(description: str, path: Path) -> dict[str, Any]:
             return settings
     except (ValueError, LookupError, TypeError, RecursionError):
         pass
-    raise InputError(f"{path}: damaged: its ImageDescription is no JSON object with {KEY!r}")
+    raise InputError(f"{path}: damaged: its ImageDescription is not a JSON object with {KEY!r}")

@@ -1,4 +1,4 @@
-"""An object through the lens: from a design and what is to be set, in one call, to recorded frames."""
+"""Simulated imaging of an object through a lens: from design and settings to recorded frames."""
 
 from __future__ import annotations
 
@@ -43,32 +43,32 @@ from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target
 
 @dataclass(frozen=True, eq=False)
 class Imaged:
-    """Frames of an object, and how they came about.
+    """Simulated frames of an object, with the settings and models that produced them.
 
     Attributes
     ----------
     settings : ImageSettings
-        With which it was imaged.
+        Settings of the simulation.
     patch : Patch
-        The object's samples and its field stop.
+        Samples of the object plane and the field stop.
     target : Target
-        The object.
+        Object with its transmission.
     sensor : Sensor
-        The window whose pixels recorded.
+        Sensor window that records.
     recording : Recording
-        Planes, electronics, noise and errors.
+        Recording planes, electronics, noise and errors of the setup.
     engine : Engine
-        That carried the light to the first plane.
+        Engine that propagates the light to the first plane.
     frames : tuple of Frame
-        As recorded: plane by plane, and of each plane its exposures.
+        Frames ordered by plane, then by exposure.
     share_beyond_pixels : float
-        Share of the light's energy on the first plane at frequencies beyond those that pixels resolve.
+        Fraction of the energy on the first plane at frequencies beyond the Nyquist limit of the pixels.
     diversity : float
-        What the planes tell of the phase (:func:`wavesim.sensor.windows.diversity`).
+        Phase diversity of the planes (:func:`wavesim.sensor.windows.diversity`).
     memory : Memory
-        What was said to be taken.
+        Estimated memory of the run.
     predicted_error : float
-        Upper bound of the field's relative L2 error on the first plane, of this object's light.
+        Upper bound of the relative L2 error of this object's field on the first plane.
     """
 
     settings: ImageSettings
@@ -102,108 +102,132 @@ class Imaged:
 
 def image(
     lens: Lens,
-    thing: str | Field = "usaf",
+    object_: str | Field = "usaf",
     settings: ImageSettings | None = None,
     *,
     placement: Placement | Pose | Bench | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
-    before: Callable[[Memory], None] | None = None,
+    on_estimate: Callable[[Memory], None] | None = None,
     **changes: Any,
 ) -> Imaged:
-    """Record an object through a lens: frames, as the design's sensor would give them.
+    """Simulate the frames that the sensor of a design records of an object.
 
     Parameters
     ----------
     lens
         The nominal lens.
-    thing
-        "usaf", "star", "phase", "tissue", "empty", the file of a picture, or a transmission, whose samples
-        then are those of the patch.
+    object_
+        Name of a built-in object ("usaf", "star", "phase", "tissue", "empty"), path of a picture, or the
+        complex transmission of an object. The samples of a transmission are used as the patch.
     settings
-        All that may be set; defaults if left out.
+        All settings; default: `ImageSettings()`.
     placement
-        How lens, object, sensor and light are not as designed, in place of what settings say of it. Frames
-        say of their planes what the stage says, and of the light its own wavelength.
+        Deviations of lens, object, sensor and light from the design. They replace the deviations in
+        `settings`. Frames state the plane distances of the stage and the true wavelength of the light.
     folder
-        Where finished parts of a whole field are kept, so that a run which was cut off goes on
-        (:func:`wavesim.sensor.recording.drop_parts` removes them), and arrays that memory does not hold.
+        Folder of intermediate results of a whole field and of arrays that do not fit in memory. The same
+        call continues an interrupted run. :func:`wavesim.sensor.recording.drop_parts` removes the results.
     progress
-        Told what is done, how many parts of it are, and of how many.
-    before
-        Told what the run will take, when nothing can be refused any more.
+        Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
+    on_estimate
+        Callback `on_estimate(memory)` with the estimate of the memory, called after all checks.
     **changes
-        Settings by name, in place of those of `settings`.
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    Imaged
+        The frames, and the models that produced them.
 
     Raises
     ------
     InputError, SamplingError, MemoryLimitError
-        If a setting is not usable, or samples or memory do not hold what is asked for.
+        If a setting is invalid, the sampling is too coarse, or the arrays do not fit in memory.
+    KeyboardInterrupt
+        If the run is interrupted; the message says what was saved.
     """
     settings = (settings or ImageSettings()).replaced(**changes)
     validate_lengths(lens, settings)
     recording = _recording(lens, settings, placement)
-    place, planes = recording.bench.placement, recording.plane_distances_mm
-    patch, light = _patch_and_light(lens, thing, settings)
+    true_placement, planes = recording.bench.placement, recording.plane_distances_mm
+    patch, light = _patch_and_light(lens, object_, settings)
     light = recording.bench.light.on(light)
-    target = _target(lens, patch, thing, settings)
+    target = _target(lens, patch, object_, settings)
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
-    sensor = sensor_window(lens, patch, planes, pixels, place)
-    check_footprint(lens, patch, sensor, planes, place)
+    sensor = sensor_window(lens, patch, planes, pixels, true_placement)
+    check_footprint(lens, patch, sensor, planes, true_placement)
     windows = [
-        light_window(lens, patch, sensor, plane, recording.bench.at_plane(number))
-        for number, plane in enumerate(planes)
+        light_window(lens, patch, sensor, plane, recording.bench.at_plane(index))
+        for index, plane in enumerate(planes)
     ]
-    behind = light_on(light.with_values(light.values * target.transmission.values), place)
-    del light
+    behind_object = light_on(light.with_values(light.values * target.transmission.values), true_placement)
+    del light  # as large as the object field, which is kept
     limit = memory_limit(settings.memory_gb)
-    with tiles_in(settings.cluster) as take:
+    with tiles_in(settings.cluster) as hand_over_tiles:
 
         def make(scene: Scene) -> Engine:
             engine = imaging_engine(
-                scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind).on(scene)
+                scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind_object).on(scene)
             )
-            return take(WithGhost(engine, settings.ghost) if settings.ghost else engine)
+            return hand_over_tiles(WithGhost(engine, settings.ghost) if settings.ghost else engine)
 
         engine = make(recorded_scene(lens, patch, windows[0], recording))
         memory = Memory(need_of(imaging_arrays(engine, sensor, windows, recording)), limit)
-        predicted_error = engine.predicted_error(Light(behind))
+        predicted_error = engine.predicted_error(Light(behind_object))
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
-        if before is not None:
-            before(memory)
+        if on_estimate is not None:
+            on_estimate(memory)
         if progress is not None:
             progress(f"engine {engine.name}", 0, 0)
         try:
-            frames, share = image_patch(
-                engine, behind, sensor, windows, recording, make, progress, folder=folder, scratch=scratch
+            frames, fraction_beyond = image_patch(
+                engine,
+                behind_object,
+                sensor,
+                windows,
+                recording,
+                make,
+                progress,
+                folder=folder,
+                scratch=scratch,
             )
         except KeyboardInterrupt:
-            kept = folder is not None and (folder / PARTS).exists()
-            where = f"the same command goes on from what is kept in {folder}/{PARTS}"
-            raise KeyboardInterrupt(f"interrupted; {where if kept else 'nothing is kept'}") from None
-    told = diversity(lens, patch, planes)
+            saved = folder is not None and (folder / PARTS).exists()
+            hint = f"the same command continues from what is kept in {folder}/{PARTS}"
+            raise KeyboardInterrupt(f"interrupted; {hint if saved else 'nothing is kept'}") from None
     return Imaged(
-        settings, patch, target, sensor, recording, engine, frames, share, told, memory, predicted_error
+        settings=settings,
+        patch=patch,
+        target=target,
+        sensor=sensor,
+        recording=recording,
+        engine=engine,
+        frames=frames,
+        share_beyond_pixels=fraction_beyond,
+        diversity=diversity(lens, patch, planes),
+        memory=memory,
+        predicted_error=predicted_error,
     )
 
 
-def _patch_and_light(lens: Lens, thing: str | Field, settings: ImageSettings) -> tuple[Patch, Field]:
-    if isinstance(thing, str):
+def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) -> tuple[Patch, Field]:
+    if isinstance(object_, str):
         return lit_patch(lens, settings, settings.wavelength_um)
     if settings.patch_mm is not None or settings.object_pitch_um is not None:
-        raise InputError("patch_mm, object_pitch_um: are those of the transmission given: leave them out")
-    side_mm = 2.0 * min(thing.grid.half_widths_mm)
+        raise InputError("patch_mm, object_pitch_um: the given transmission defines them: leave them out")
+    side_mm = 2.0 * min(object_.grid.half_widths_mm)
     at_mm = settings.field_stop_at_mm or (0.0, 0.0)
-    patch = Patch(thing.grid, settings.field_stop_mm or side_mm, thing.wavelength_um, at_mm)
+    patch = Patch(object_.grid, settings.field_stop_mm or side_mm, object_.wavelength_um, at_mm)
     return patch, lit(patch, settings)
 
 
-def _target(lens: Lens, patch: Patch, thing: str | Field, settings: ImageSettings) -> Target:
-    if isinstance(thing, Field):
-        return Target("transmission", thing, (), "bright")
+def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSettings) -> Target:
+    if isinstance(object_, Field):
+        return Target("transmission", object_, (), "bright")
     return make_target(
         patch,
-        thing,
+        object_,
         settings.ground,
         numerical_aperture=lens.object.numerical_aperture,
         seed=settings.seed,
@@ -220,22 +244,22 @@ def _bench(
         return settings.bench(lens, settings.pose, planes)
     if settings.pose != Pose() or settings.differs:
         raise SettingError(
-            "{placement} says how the lens is mounted, and how light and sensor are: give no decenter, tilt "
+            "{placement} says how the lens is mounted and describes light and sensor: give no decenter, tilt "
             "or despace, and no errors of light, lens or sensor"
         )
     return bench_of(placement)
 
 
 def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose | Bench | None) -> Recording:
-    """Planes, electronics, noise and errors of bench and pixels."""
+    """Return the recording model that the settings describe."""
     planes, errors = settings.planes_mm or lens.sensor.plane_distances_mm, settings.stage_error_mm
     if len(errors) not in (1, len(planes)):
-        said = ",".join(f"{error:g}" for error in errors)
-        raise SettingError(f"{{stage_error_mm}} = {said!r}: must be 1 or {len(planes)} numbers")
-    exposures, longer = settings.exposures, settings.exposure_error
-    if len(longer) not in (1, len(exposures)):
-        said = ",".join(f"{error:g}" for error in longer)
-        raise SettingError(f"{{exposure_error}} = {said!r}: must be 1 or {len(exposures)} numbers")
+        given = ",".join(f"{error:g}" for error in errors)
+        raise SettingError(f"{{stage_error_mm}} = {given!r}: must be 1 or {len(planes)} numbers")
+    exposures, exposure_errors = settings.exposures, settings.exposure_error
+    if len(exposure_errors) not in (1, len(exposures)):
+        given = ",".join(f"{error:g}" for error in exposure_errors)
+        raise SettingError(f"{{exposure_error}} = {given!r}: must be 1 or {len(exposures)} numbers")
     pixels = PixelErrors(
         settings.prnu, settings.dsnu_electrons, settings.hot_pixels, settings.dead_pixels, settings.seed
     )
@@ -244,7 +268,7 @@ def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose 
         "read_noise_electrons": settings.read_noise_electrons,
         "bits": settings.bits,
         "fill_factor": settings.fill_factor,
-        # Keeps the noise of dark pixels, and leaves counts for light where there are few.
+        # Prevents clipping of dark noise at 0 and still leaves counts for light at few bits.
         "offset_counts": min(64.0, 2.0**settings.bits / 16.0),
     }
     return Recording(
@@ -257,5 +281,5 @@ def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose 
         exposures,
         _bench(lens, settings, placement, len(planes)),
         pixels,
-        longer * len(exposures) if len(longer) == 1 else longer,
+        exposure_errors * len(exposures) if len(exposure_errors) == 1 else exposure_errors,
     )

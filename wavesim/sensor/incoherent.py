@@ -1,4 +1,4 @@
-"""Light of a source that is wide or coloured: modes that do not interfere, whose intensities add up."""
+"""Partially coherent light of extended or polychromatic sources: a sum over mutually incoherent modes."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from wavesim.scene.source import SourceMode
 def of_mode(
     engine: Engine, behind_object: Field, mode: SourceMode, make: Callable[[Scene], Engine] | None
 ) -> tuple[Engine, Field]:
-    """Engine and light of one direction and wavelength of the source; the object is the same to all."""
+    """Return engine and field behind the object for one direction and wavelength of the source."""
     lit = LightErrors(mode.tilt_deg).on(behind_object)
     if mode.wavelength_um == behind_object.wavelength_um:
         return engine, lit
     if make is None:
         raise InputError("make: light of several wavelengths needs an engine for each")
-    own = make(replace(engine.scene, wavelength_um=mode.wavelength_um))
-    return own, replace(lit, wavelength_um=mode.wavelength_um)
+    mode_engine = make(replace(engine.scene, wavelength_um=mode.wavelength_um))
+    return mode_engine, replace(lit, wavelength_um=mode.wavelength_um)
 
 
 def added_modes(
-    modes: Sequence[SourceMode], through: Callable[[SourceMode, str], Iterator[tuple[Array, float]]]
+    modes: Sequence[SourceMode], light_of_mode: Callable[[SourceMode, str], Iterator[tuple[Array, float]]]
 ) -> list[tuple[Array, float]]:
-    """Light of modes that do not interfere, on each plane: their intensities add up."""
+    """Return the summed intensity of all modes on each plane, and its fraction beyond the Nyquist limit."""
     total: list[tuple[Array, float]] = []
-    for number, mode in enumerate(modes):
-        parts = [(mode.weight * one, mode.weight * beyond) for one, beyond in through(mode, f"mode_{number}")]
+    for index, mode in enumerate(modes):
+        planes = light_of_mode(mode, f"mode_{index}")
+        weighted = [(mode.weight * intensity, mode.weight * beyond) for intensity, beyond in planes]
         if total:
-            parts = [(a + b, c + d) for (a, c), (b, d) in zip(total, parts, strict=True)]
-        total = parts
+            weighted = [(a + b, c + d) for (a, c), (b, d) in zip(total, weighted, strict=True)]
+        total = weighted
     return total

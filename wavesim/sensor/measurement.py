@@ -1,4 +1,4 @@
-"""Amplitudes as they were recorded, what noise leaves of them, and how much each pixel weighs."""
+"""Recorded amplitudes, their standard deviations, and the weights of pixels in a fit."""
 
 from __future__ import annotations
 
@@ -16,36 +16,35 @@ from wavesim.runtime.threads import row_blocks
 Array = NDArray[np.floating[Any]]
 
 
-HELD = 1e9
-"""Largest amplitude, and inverse of the smallest, of whose squares single precision holds the sum."""
+LARGEST_AMPLITUDE = 1e9
+"""Largest amplitude, and inverse of the smallest, whose sum of squares single precision can represent."""
 
-APART = 1e9
-"""Ratio of two planes' largest amplitudes that none of one light can have."""
-
+LARGEST_RATIO = 1e9
+"""Largest ratio of two planes' largest amplitudes; above it, the planes have different units."""
 
 DARK = 0.25 * math.sqrt(2.0 * math.pi)
-"""Intensity over its standard deviation, below which an amplitude's stated deviation no longer grows."""
+"""Ratio of intensity to its standard deviation below which an amplitude's deviation is constant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """An amplitude recorded on one plane.
+    """Amplitude recorded on one plane.
 
     Attributes
     ----------
     distance_mm : float
-        From the plane in which the field is sought.
+        Distance from the plane in which the field is reconstructed.
     amplitude : ndarray
-        Root of the intensity, of the grid's shape. Two planes are in the same units.
+        Square root of the intensity, in the shape of the grid. All planes have the same unit.
     sigma : ndarray, optional
-        Standard deviation of each amplitude, in its units; infinite in pixels of which nothing is known, such
-        as saturated or dead ones. Left out: all pixels are alike.
+        Standard deviation of each amplitude, in its unit; infinite in unknown pixels, such as saturated or
+        dead ones. Default: equal deviations in all pixels.
     shift_mm : (x, y)
-        How far the sensor's middle is from where it should be.
+        Lateral displacement of the sensor's centre from its nominal position.
     background : ndarray, optional
-        Intensity on each pixel that is none of the object's light, in units of the squared amplitude.
+        Background intensity on each pixel, in units of the squared amplitude.
     tilt_deg : (x, y)
-        Of the sensor about its middle, as of :class:`wavesim.scene.Placement`.
+        Tilt of the sensor about its centre, see :class:`wavesim.scene.Placement`.
     """
 
     distance_mm: float
@@ -57,25 +56,26 @@ class Measurement:
 
     @property
     def known(self) -> NDArray[np.bool_] | None:
-        """Pixels that tell something; None where all do."""
+        """Mask of pixels with a finite standard deviation; None if all have one."""
         if self.sigma is None or np.all(np.isfinite(self.sigma)):
             return None
         return np.asarray(np.isfinite(self.sigma))
 
 
 def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) -> Measurement:
-    """Amplitude and its standard deviation from an estimated intensity, as of `estimate_intensity`.
+    """Return amplitude and standard deviation from an intensity and its variance.
 
-    The amplitude is the root of the intensity, 0 where that is negative; its standard deviation is that of
-    the intensity over twice the amplitude. Where it is dark, that ends at the root mean square of the root of
-    normal noise, clipped at 0: 0.63 times the root of the intensity's standard deviation.
+    The amplitude is the square root of the intensity, or 0 where the intensity is negative. Its standard
+    deviation is that of the intensity over twice the amplitude. In dark pixels it is limited to 0.63 times
+    the square root of the intensity's standard deviation: the root mean square amplitude of normal noise
+    that is clipped at 0.
 
     Parameters
     ----------
     distance_mm
-        As of :class:`Measurement`.
+        See :class:`Measurement`.
     intensity, variance
-        Of one shape; a pixel of infinite variance tells nothing.
+        Intensity and its variance, of equal shape; an infinite variance marks an unknown pixel.
 
     Raises
     ------
@@ -95,31 +95,35 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
 
 
 def amplitude_unit(recorded: Sequence[Measurement]) -> float:
-    """Power of two by which amplitudes are divided, so that single precision holds their squares; often 1.
+    """Return the power of two (often 1) as unit of amplitude, so that squares fit in single precision.
 
     Raises
     ------
     InputError
-        If planes differ by more than any unit can hold.
+        If the largest amplitudes of two planes differ by more than the factor `LARGEST_RATIO`.
     """
     largest = [float(plane.amplitude.max()) for plane in recorded]
     dimmest, brightest = (largest.index(pick(largest)) for pick in (min, max))
-    if largest[brightest] > APART * largest[dimmest]:
+    if largest[brightest] > LARGEST_RATIO * largest[dimmest]:
         ratio = largest[brightest] / largest[dimmest]
         raise InputError(
             f"plane {brightest + 1}: amplitudes reach {ratio:.3g} times those of plane {dimmest + 1}: all "
-            "planes must be in one unit"
+            "planes must have the same unit"
         )
     return power_of_two(largest[brightest])
 
 
 def power_of_two(largest: float) -> float:
-    """The power of two below a value; 1 for values of whose squares single precision holds the sum."""
-    return 1.0 if 1.0 / HELD <= largest <= HELD else 2.0 ** math.floor(math.log2(largest))
+    """Return the power of two below a value, or 1 if single precision can represent the sum of squares."""
+    return (
+        1.0
+        if 1.0 / LARGEST_AMPLITUDE <= largest <= LARGEST_AMPLITUDE
+        else 2.0 ** math.floor(math.log2(largest))
+    )
 
 
 def in_unit(recorded: Sequence[Measurement], unit: float) -> list[Measurement]:
-    """Amplitudes and their standard deviations, divided by a unit; as they are if it is 1."""
+    """Return the measurements with amplitudes and standard deviations divided by a unit."""
     if unit == 1.0:
         return list(recorded)
     return [
@@ -134,10 +138,11 @@ def in_unit(recorded: Sequence[Measurement], unit: float) -> list[Measurement]:
 
 
 def full_weight_sigma(recorded: Sequence[Measurement]) -> float:
-    """Standard deviation up to which a pixel weighs 1: that of a plane's brightest known pixel, the smallest.
+    """Return the standard deviation up to which a pixel has weight 1.
 
-    Where long exposures know faint light better than that, weights by the smallest of all would leave the
-    bright pixels, which hold most of the light, next to none: a descent would not come to them.
+    It is the smallest standard deviation among the brightest known pixels of all planes. Long exposures can
+    measure faint light more precisely. Weights relative to the smallest deviation of all pixels would make
+    the bright pixels, which contain most of the light, irrelevant, and an iteration would not fit them.
     """
     at_brightest = []
     for plane in recorded:
@@ -148,9 +153,9 @@ def full_weight_sigma(recorded: Sequence[Measurement]) -> float:
 
 
 def noise_misfit(recorded: Sequence[Measurement]) -> float | None:
-    """Misfit that the stated noise alone would leave; None where a plane has no standard deviations.
+    """Return the misfit expected from the stated noise alone; None if a plane has no standard deviations.
 
-    The misfit is the weighted relative L2 difference of all planes' amplitudes and the recorded ones.
+    The misfit is the weighted relative L2 difference between computed and recorded amplitudes of all planes.
     """
     full = full_weight_sigma(recorded)
     missed = size = 0.0
@@ -167,9 +172,9 @@ def noise_misfit(recorded: Sequence[Measurement]) -> float | None:
 
 
 def weights_of(recorded: Sequence[Measurement]) -> list[Array | None]:
-    """Weights of all planes' pixels: (:func:`full_weight_sigma` / standard deviation) squared, 1 at most.
+    """Return the pixel weights of each plane: (:func:`full_weight_sigma` / standard deviation)^2, at most 1.
 
-    None for a plane without standard deviations, whose pixels all weigh 1.
+    A plane without standard deviations has None: all of its pixels have weight 1.
     """
     full = full_weight_sigma(recorded)
     return [None if p.sigma is None else np.asarray(np.minimum(full / p.sigma, 1.0) ** 2) for p in recorded]

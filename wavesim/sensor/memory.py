@@ -1,4 +1,4 @@
-"""Arrays that imaging holds, and when: each listed once, and told before it runs what they take."""
+"""Memory estimate of a simulated imaging run: the arrays that it allocates, and the phases that need them."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from wavesim.sensor.windows import OVERSAMPLING
 from wavesim.targets.patch import LIGHT_BYTES
 
 PROCESS_BYTES = 300_000_000
-"""Of the process itself while it images, its libraries and compiled loops."""
+"""Memory of the process itself: libraries and compiled loops."""
 
 
 def imaging_arrays(
     engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording
 ) -> Inventory:
-    """What :func:`image_patch` and the writing of its frames and object hold.
+    """Return the arrays that :func:`image_patch` and the writing of its results allocate.
 
     Parameters
     ----------
     engine
-        For the first plane.
+        Engine for the first plane.
     sensor, windows, recording
-        As of :func:`image_patch`.
+        See :func:`image_patch`.
     """
     across, down = sensor.pixels
     frames = len(windows) * len(recording.exposures)
@@ -46,9 +46,9 @@ def imaging_arrays(
     )
     if not isinstance(engine, Tiled):
         window = max(w.pixels[0] * w.pixels[1] for w in windows) * OVERSAMPLING**2
-        # The first plane's field, another one's, and free space between them.
-        held = 1 if len(windows) == 1 else 4
-        return (*common, ArrayGroup("fields on planes", (window,), np.complex128, carrying, held))
+        # With several planes: two fields and the work arrays of the free-space propagation between them.
+        fields = 1 if len(windows) == 1 else 4
+        return (*common, ArrayGroup("fields on planes", (window,), np.complex128, carrying, fields))
     row = max(window.pixels[0] for window in windows) * OVERSAMPLING
     band = (min(BAND_ROWS, down * OVERSAMPLING), row)
     tiles = len(windows) * modes

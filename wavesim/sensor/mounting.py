@@ -1,4 +1,4 @@
-"""How a lens sits between object and sensor."""
+"""Mounting of a lens between object and sensor: file format, calibration parameters, effect on the planes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PLANE_DISTANCE = "plane_distance_{}_mm"
 
 
 class _Table(Section):
-    """A mounting as files have it; `working_distance_mm` is how much farther from the lens the object is."""
+    """File format of a mounting; `working_distance_mm` is the true minus the nominal object distance."""
 
     decenter_x_mm: Finite = 0.0
     decenter_y_mm: Finite = 0.0
@@ -46,7 +46,7 @@ class _Table(Section):
 
 
 def mounting_table(mounting: Placement) -> dict[str, Any]:
-    """A mounting as :func:`mounting_of` takes it, ready for JSON."""
+    """Return a mounting as a JSON-ready dict, the inverse of :func:`mounting_of`."""
     table = _Table(
         **{name: getattr(mounting.pose, name) for name in (*DECENTERS, *TILTS, "pivot_z_mm")},
         working_distance_mm=0.0 - mounting.object_shift_mm[2],
@@ -56,30 +56,37 @@ def mounting_table(mounting: Placement) -> dict[str, Any]:
 
 
 def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The file that `wavesim calibrate` writes.
+    """Read the file that `wavesim calibrate` writes.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no mounting.
+        If the file cannot be read, or contains no mounting.
     """
     content = read_input(path, TABLE_BYTES)
     try:
         data = json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: no JSON: {error}") from None
+        raise InputError(f"{path}: not a JSON file: {error}") from None
     if not isinstance(data, dict) or not isinstance(data.get("mounting"), dict):
-        raise InputError(f"{path}: holds no mounting; must be the calibration.json of `wavesim calibrate`")
+        raise InputError(f"{path}: contains no mounting; must be the calibration.json of `wavesim calibrate`")
     return data
 
 
 def mounting_of(mounting: dict[str, Any], path: str | os.PathLike[str]) -> Placement:
-    """What :func:`mounting_table` made a table of, which stands in a file.
+    """Return the mounting that a dict of :func:`mounting_table` describes.
+
+    Parameters
+    ----------
+    mounting
+        The dict, as read from a file.
+    path
+        Path of that file, for error messages.
 
     Raises
     ------
     InputError
-        If a value is not usable.
+        If a value is invalid.
     """
     table = validate(_Table, mounting, Path(path)).model_dump()
     planes, farther = table.pop("plane_distances_mm"), table.pop(WORKING_DISTANCE)
@@ -87,7 +94,7 @@ def mounting_of(mounting: dict[str, Any], path: str | os.PathLike[str]) -> Place
 
 
 def light_on(nominal: Field, bench: Placement | Bench) -> Field:
-    """The light on the object where it is; the object takes its light with it."""
+    """Return the illumination on the displaced object; it moves with the object."""
     bench = bench_of(bench)
     mounting, nominal = bench.placement, bench.light.on(nominal)
     wavelength = mounting.wavelength_um or nominal.wavelength_um
@@ -95,28 +102,28 @@ def light_on(nominal: Field, bench: Placement | Bench) -> Field:
 
 
 def planes_at(nominal: Sequence[Measurement], bench: Placement | Bench) -> list[Measurement]:
-    """The recorded planes where they are, with what is on them beside the object's light."""
-    return [_plane_at(plane, bench_of(bench), number) for number, plane in enumerate(nominal)]
+    """Return the recorded planes at their true positions, with their backgrounds."""
+    return [_plane_at(plane, bench_of(bench), index) for index, plane in enumerate(nominal)]
 
 
-def _plane_at(plane: Measurement, bench: Bench, number: int) -> Measurement:
-    share = bench.background(number)
-    behind = None
-    if share:
+def _plane_at(plane: Measurement, bench: Bench, index: int) -> Measurement:
+    fraction = bench.background(index)
+    background = None
+    if fraction:
         mean = np.mean(np.square(plane.amplitude), dtype=float)
-        behind = np.full_like(plane.amplitude, share * mean)
-    distance_mm = plane.distance_mm + bench.placement.plane_distance_mm(number)
+        background = np.full_like(plane.amplitude, fraction * mean)
+    distance_mm = plane.distance_mm + bench.placement.plane_distance_mm(index)
     return replace(
         plane,
         distance_mm=distance_mm,
-        shift_mm=bench.shift_mm(number),
+        shift_mm=bench.shift_mm(index),
         tilt_deg=bench.placement.sensor_tilt_deg,
-        background=behind,
+        background=background,
     )
 
 
 def values_of(mounting: Placement, parameters: Sequence[str]) -> NDArray[np.float64]:
-    """Values by the names of :func:`parameter_names`."""
+    """Return the values of named parameters (:func:`parameter_names`) of a mounting."""
 
     def value(name: str) -> float:
         plane = plane_of(name)
@@ -130,25 +137,25 @@ def values_of(mounting: Placement, parameters: Sequence[str]) -> NDArray[np.floa
 
 
 def with_values(mounting: Placement, parameters: Sequence[str], values: Sequence[float]) -> Placement:
-    """The same but for values by the names of :func:`parameter_names`."""
+    """Return the mounting with new values of named parameters (:func:`parameter_names`)."""
     given = dict(zip(parameters, map(float, values), strict=True))
     x, y, z = mounting.object_shift_mm
     planes = {plane_of(name): value for name, value in given.items()}
     count = max((n + 1 for n in planes if n is not None), default=0)
-    before = values_of(mounting, [PLANE_DISTANCE.format(n + 1) for n in range(count)]).tolist()
+    current = values_of(mounting, [PLANE_DISTANCE.format(n + 1) for n in range(count)]).tolist()
     return replace(
         mounting,
         pose=replace(mounting.pose, **{n: v for n, v in given.items() if n in (*DECENTERS, *TILTS)}),
         object_shift_mm=(x, y, 0.0 - given.get(WORKING_DISTANCE, 0.0 - z)),
         plane_distances_mm=(
-            *(planes.get(n, own) for n, own in enumerate(before)),
+            *(planes.get(n, own) for n, own in enumerate(current)),
             *mounting.plane_distances_mm[count:],
         ),
     )
 
 
 def parameter_names(planes: int) -> tuple[str, ...]:
-    """What may be unknown of a mounting with so many recorded planes."""
+    """Return the names of the calibration parameters of a mounting with this number of planes."""
     return (
         *DECENTERS,
         *TILTS,
@@ -158,12 +165,12 @@ def parameter_names(planes: int) -> tuple[str, ...]:
 
 
 def validate_parameters(parameters: Sequence[str], planes: int) -> None:
-    """Refuse names that are none of :func:`parameter_names`, or stand twice.
+    """Check that names of parameters are known and unique.
 
     Raises
     ------
     InputError
-        Naming the parameter.
+        If a name is not one of :func:`parameter_names`, is given twice, or none is given.
     """
     allowed = parameter_names(planes)
     for name in parameters:
@@ -176,7 +183,7 @@ def validate_parameters(parameters: Sequence[str], planes: int) -> None:
 
 
 def plane_of(name: str) -> int | None:
-    """Number, from 0, of the recorded plane whose distance a parameter is; None if it is none."""
+    """Return the index of the plane whose distance a parameter is, or None for other parameters."""
     head, tail = PLANE_DISTANCE.split("{}")
     if name.startswith(head) and name.endswith(tail):
         return int(name[len(head) : -len(tail)]) - 1

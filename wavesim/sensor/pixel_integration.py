@@ -1,9 +1,8 @@
 """Mean intensity on the pixels of a sensor, from a field whose rows come band by band.
 
-Exact for light that its samples hold. The reconstruction's square
-(:mod:`wavesim.reconstruction.recording.pixel_means`) is another on purpose: what is reconstructed from
-simulated frames shall not rest on the very model that made them. On a frame of the 1/32 twin the two differ
-by 0.05 %.
+The integration is exact for light that is sampled adequately. The reconstruction deliberately uses another
+model (:mod:`wavesim.reconstruction.recording.pixel_means`), so that a reconstruction of simulated frames does
+not rely on the model that simulated them.
 """
 
 from __future__ import annotations
@@ -23,29 +22,29 @@ from wavesim.runtime.threads import row_blocks
 
 
 class Phase(Flag):
-    """What imaging does at one time: make the light, or carry it through the lens and record it."""
+    """Phase of a simulated imaging run: illumination of the object, or propagation and recording."""
 
     LIGHTING = auto()
     CARRYING = auto()
 
 
 class PixelLight:
-    """Adds up a field's intensity over the squares of pixels: along rows as they come, along columns at last.
+    """Integrator of intensity over pixels: along rows as they arrive, and along columns at the end.
 
-    Light of a field in single precision is kept so: of a whole sensor, all else would take gigabytes.
+    Light of a single-precision field stays in single precision, which saves gigabytes for a whole sensor.
 
     Parameters
     ----------
     sensor : Sensor
         Pitch and number of pixels.
     dtype : numpy dtype
-        Of the field.
+        Type of the field.
     oversampling : int
         Samples per pixel along each axis.
     fill_factor : float
-        Side of a pixel's photosensitive square, as a share of the pitch.
+        Linear fill factor of a pixel (0 to 1).
     scratch : Scratch, optional
-        Where the light lies.
+        Storage of the light; default: memory.
 
     Attributes
     ----------
@@ -65,19 +64,19 @@ class PixelLight:
         across, down = sensor.pixels
         self._shape = (down, across)
         light = light_across(sensor, dtype, oversampling)
-        self._kept = light.dtype
+        self._dtype = light.dtype
         self._across = (scratch or Scratch()).make(light)
         self.caught = 0.0
 
     def add(self, rows: slice, values: NDArray[np.complexfloating[Any, Any]]) -> None:
-        """Take some rows of samples.
+        """Add rows of samples.
 
         Parameters
         ----------
         rows
-            Of the sensor's samples.
+            Range of rows among the sensor's samples.
         values
-            The field there, over the sensor's width.
+            Field on these rows, over the sensor's width.
         """
         for block in row_blocks(len(values)):
             intensity = np.abs(values[block]).astype(float) ** 2
@@ -86,27 +85,27 @@ class PixelLight:
             self._across[rows.start + block.start : rows.start + block.stop] = means
 
     def means(self) -> Array:
-        """Mean intensity on each pixel's square, shape (ny, nx), once all rows are there."""
-        means = np.empty(self._shape, self._kept)
+        """Return the mean intensity on each pixel's square, shape (ny, nx), after all rows were added."""
+        means = np.empty(self._shape, self._dtype)
         for columns in row_blocks(self._shape[1]):
             lines = self._across[:, columns].T.astype(float)
             means[:, columns] = means_over_pixels(lines, self._oversampling, self._fill_factor).T
-        # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
+        # Rounding and clipped edges can make means of a non-negative function slightly negative.
         return np.maximum(means, 0.0, out=means)
 
 
 def light_across(sensor: Sensor, dtype: DTypeLike, oversampling: int) -> ArrayGroup:
-    """Light of a field of a type, summed along rows alone."""
+    """Return the array for light that is integrated along rows only, for a field of this type."""
     (across, down), single = sensor.pixels, np.dtype(dtype) == np.complex64
-    shape, kept = (down * oversampling, across), np.float32 if single else np.float64
-    return ArrayGroup("light on rows of pixels", shape, kept, Phase.CARRYING, lies="scratch")
+    shape, stored = (down * oversampling, across), np.float32 if single else np.float64
+    return ArrayGroup("light on rows of pixels", shape, stored, Phase.CARRYING, lies="scratch")
 
 
 def means_over_pixels(fine: Array, oversampling: int, fill_factor: float) -> Array:
-    """Means over pixels along the last axis, by the pixel's transfer on a cosine series.
+    """Return means over pixels along the last axis: a cosine series times the transfer function of a pixel.
 
-    The series continues the light mirrored at the window's borders, so that nothing wraps around. At the
-    pixels' middles cosines of higher order than there are pixels look like lower ones: these are summed.
+    The cosine series continues the light by reflection at the window's borders, so that nothing wraps around.
+    Sampled at the pixel centres, orders above the number of pixels are aliases of lower ones and are added.
     """
     if oversampling == 1:
         return fine

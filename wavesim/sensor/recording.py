@@ -1,9 +1,8 @@
-"""From light behind the object to frames: through the lens, onto the pixels, plane by plane.
+"""Recording of frames: the light behind the object propagates through the lens to the pixels of each plane.
 
-Where an engine carries light to any plane alike, it does so for each, true to where the stage and the sensor
-stand, and the plane is made in bands of rows: the light of a whole field on a plane need not fit into memory,
-and what a run that was cut off has done is not done again. Other engines carry light to the first plane, and
-free space from there.
+A tiled engine propagates to every plane directly, at the true position of stage and sensor. It computes a
+plane in bands of rows, so that the field of a plane need not fit in memory, and an interrupted run can
+continue. Other engines propagate to the first plane; free-space propagation leads from there to the others.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,42 +47,41 @@ from wavesim.sensor.windows import OVERSAMPLING
 from wavesim.targets.patch import Patch
 
 BAND_ROWS = 1024
-"""Of a plane's samples, made at one time."""
+"""Rows of samples of a plane that are computed at a time."""
 
 PARTS = ".parts"
-"""Folder within the results' in which finished parts of an unfinished run lie."""
+"""Name of the subfolder that holds the intermediate results of an unfinished run."""
 
 Progress = Callable[[str, int, int], None]
-"""Told what is done, how many parts of it are, and of how many."""
+"""Progress callback `progress(stage, completed, total)`; the total is 0 where it is unknown."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """How the sensor records.
+    """Recording planes, sensor model and true state of the setup.
 
     Attributes
     ----------
     plane_distances_mm : tuple of float
-        From the exit vertex, as the stage states them, increasing.
+        Distances from the exit vertex as the stage states them, increasing.
     electronics : Electronics
         Full well, noise and quantisation.
     seed : int, numpy.random.SeedSequence or None
-        Of the noise; None for none.
-    peak_fill
-        Of full well, in the brightest pixel of a frame with an exposure of 1.
+        Seed of the noise; None for frames without noise.
+    peak_fill : float
+        Expected electrons in the brightest pixel at an exposure of 1, as a fraction of full well.
     stage_errors_mm : tuple of float
-        How much farther from the lens each plane is than stated.
+        True minus stated distance of each plane from the lens.
     shift_um : (x, y)
-        By how much the sensor moves from one plane to the next.
+        Lateral shift of the sensor from one plane to the next.
     exposures : tuple of float
-        Of the frames of each plane, in units of the one that puts `peak_fill` into the brightest pixel.
+        Exposures of the frames of each plane, relative to the exposure that reaches `peak_fill`.
     bench : Bench
-        How far the planes and the sensor's middle are from where they should be, beside all this, the
-        sensor's tilt, the light's source, and the backgrounds.
+        Further position errors of planes and sensor, tilt of the sensor, light source, and backgrounds.
     pixel_errors : PixelErrors
-        How unlike the pixels are.
+        Non-uniformity of the pixels.
     exposure_errors : tuple of float
-        How much longer each exposure is than frames say, as a share; none if left out.
+        Relative errors (true over stated exposure, minus 1) of each exposure; default: no errors.
     """
 
     plane_distances_mm: tuple[float, ...]
@@ -96,15 +95,15 @@ class Recording:
     pixel_errors: PixelErrors = ALIKE
     exposure_errors: tuple[float, ...] = ()
 
-    def error_mm(self, number: int) -> float:
-        """How much farther from the lens a plane is than stated."""
-        of_stage = self.stage_errors_mm[number] if self.stage_errors_mm else 0.0
-        return of_stage + self.bench.placement.plane_distance_mm(number)
+    def error_mm(self, index: int) -> float:
+        """Return the true minus the stated distance of a plane from the lens."""
+        stage_error = self.stage_errors_mm[index] if self.stage_errors_mm else 0.0
+        return stage_error + self.bench.placement.plane_distance_mm(index)
 
-    def place_um(self, number: int) -> tuple[float, float]:
-        """Where the sensor's middle is on a plane (x, y)."""
-        x_mm, y_mm = self.bench.shift_mm(number)
-        return number * self.shift_um[0] + 1e3 * x_mm, number * self.shift_um[1] + 1e3 * y_mm
+    def sensor_centre_um(self, index: int) -> tuple[float, float]:
+        """Return the position (x, y) of the sensor's centre on a plane."""
+        x_mm, y_mm = self.bench.shift_mm(index)
+        return index * self.shift_um[0] + 1e3 * x_mm, index * self.shift_um[1] + 1e3 * y_mm
 
 
 def image_patch(
@@ -119,67 +118,77 @@ def image_patch(
     folder: Path | None = None,
     scratch: Scratch | None = None,
 ) -> tuple[tuple[Frame, ...], float]:
-    """Carry light from behind the object to the sensor, and record it on every plane.
+    """Propagate the light behind the object to the sensor, and record frames on every plane.
 
     Parameters
     ----------
     engine
-        From the patch to the first plane's window (:func:`recorded_scene`).
+        Engine from the patch to the window of the first plane (:func:`recorded_scene`).
     behind_object
-        Illumination times transmission.
+        Field behind the object: illumination times transmission.
     sensor
-        Whose pixels record.
+        Sensor window that records.
     windows
-        For each plane, a window that holds all light (:func:`light_window`).
+        One window for each plane that covers all of its light (:func:`light_window`).
     recording
         Planes, noise and errors.
     make
-        Makes engines for other planes, where that is better than free space; needed with such an engine.
+        Function that returns the engine for another plane or wavelength; required with a tiled engine.
     progress
-        Told what is done.
+        Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
     folder
-        Where finished parts of a whole field are kept (in a folder `PARTS`) until :func:`drop_parts`, so that
-        a run which was cut off goes on; left out, they stay in memory.
+        Folder whose subfolder `PARTS` holds intermediate results of a tiled engine until :func:`drop_parts`.
+        The same call continues an interrupted run. Default: the results stay in memory.
     scratch
-        Where large arrays lie.
+        Storage of large arrays; default: memory.
 
     Returns
     -------
     frames : tuple of Frame
-        As recorded: plane by plane, and of each plane its exposures.
-    share_beyond_pixels : float
-        Share of the light's energy on the first plane at frequencies beyond those that pixels resolve.
+        Frames ordered by plane, then by exposure.
+    fraction_beyond_pixels : float
+        Fraction of the energy on the first plane at frequencies beyond the Nyquist limit of the pixels.
 
     Raises
     ------
     InputError, SamplingError
-        If a setting is not usable, samples cannot hold the light on its way, or the folder's disk is full.
+        If a setting is invalid, the sampling is too coarse for the propagation, or the disk is full.
     """
     if isinstance(engine, Tiled) and make is None:
         raise InputError(f"make: engine {engine.name} needs one for each plane")
     if isinstance(engine, Tiled) and any(recording.bench.placement.sensor_tilt_deg):
         raise InputError(f"sensor_tilt_deg: engine {engine.name} records on upright planes alone")
-    tell = progress or (lambda what, done, count: None)
+    report_progress = progress or (lambda stage, completed, total: None)
 
-    def through(mode: SourceMode, prefix: str) -> Iterator[tuple[Array, float]]:
-        own, lit = of_mode(engine, behind_object, mode, make)
-        if not isinstance(own, Tiled):
-            return _light_through_free_space(own, lit, sensor, windows, recording, tell)
+    def light_of_mode(mode: SourceMode, prefix: str) -> Iterator[tuple[Array, float]]:
+        mode_engine, lit = of_mode(engine, behind_object, mode, make)
+        if not isinstance(mode_engine, Tiled):
+            return _light_through_free_space(mode_engine, lit, sensor, windows, recording, report_progress)
         assert make is not None
-        kept = None if folder is None else folder / PARTS / prefix
-        return _light_of_tiles(own, lit, sensor, windows, recording, make, tell, folder=kept, scratch=scratch)
+        mode_folder = None if folder is None else folder / PARTS / prefix
+        return _light_of_tiles(
+            mode_engine,
+            lit,
+            sensor,
+            windows,
+            recording,
+            make,
+            report_progress,
+            folder=mode_folder,
+            scratch=scratch,
+        )
 
     modes = recording.bench.source.modes(behind_object.wavelength_um)
-    light = through(modes[0], "") if len(modes) == 1 else added_modes(modes, through)
-    frames, share = list[Frame](), 0.0
+    light = light_of_mode(modes[0], "") if len(modes) == 1 else added_modes(modes, light_of_mode)
+    frames, fraction_beyond = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
     pattern = recording.pixel_errors.pattern(sensor.pixels[::-1], recording.electronics.full_well_electrons)
-    for number, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
-        share = beyond if number == 0 else share
+    for index, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
+        fraction_beyond = beyond if index == 0 else fraction_beyond
         frames += frames_of_light(
-            _with_background(intensity, recording.bench.background(number)),
+            _with_background(intensity, recording.bench.background(index)),
             sensor,
-            recording.plane_distances_mm[number],
+            recording.plane_distances_mm[index],
             behind_object.wavelength_um,
             recording.electronics,
             seed,
@@ -188,14 +197,14 @@ def image_patch(
             pattern=pattern,
             exposure_errors=recording.exposure_errors,
         )
-    return tuple(frames), share
+    return tuple(frames), fraction_beyond
 
 
-def _with_background(intensity: Array, share: float) -> Array:
-    """Intensity with even light that is a share of the whole."""
-    if not share:
+def _with_background(intensity: Array, fraction: float) -> Array:
+    """Add a uniform background that makes up a fraction of the total light."""
+    if not fraction:
         return intensity
-    return np.asarray(intensity + float(intensity.mean()) * share / (1.0 - share))
+    return np.asarray(intensity + float(intensity.mean()) * fraction / (1.0 - fraction))
 
 
 def _light_through_free_space(
@@ -204,19 +213,19 @@ def _light_through_free_space(
     sensor: Sensor,
     windows: Sequence[Sensor],
     recording: Recording,
-    tell: Progress,
+    report_progress: Progress,
 ) -> Iterator[tuple[Array, float]]:
-    """Light on the pixels of each plane, and of the first its share beyond what they resolve."""
-    tell("through the lens", 0, len(windows))
-    width, share = recording.electronics.fill_factor, 0.0
-    for number, field in enumerate(fields_on_sensor(engine, behind_object, windows, recording)):
-        tell(f"plane {number + 1}", number, len(windows))
-        if number == 0:
+    """Yield light on the pixels of each plane, and the first plane's fraction beyond the Nyquist limit."""
+    report_progress("through the lens", 0, len(windows))
+    fill_factor, fraction_beyond = recording.electronics.fill_factor, 0.0
+    for index, field in enumerate(fields_on_sensor(engine, behind_object, windows, recording)):
+        report_progress(f"plane {index + 1}", index, len(windows))
+        if index == 0:
             limit = 500.0 / sensor.pixel_pitch_um
-            share = spectrum_support(field.values, field.grid.pitch_mm, limit).fraction_beyond
-        intensity = light_on_pixels(field, sensor, fill_factor=width, oversampling=OVERSAMPLING)
-        del field  # the next plane's takes as much
-        yield intensity, share
+            fraction_beyond = spectrum_support(field.values, field.grid.pitch_mm, limit).fraction_beyond
+        intensity = light_on_pixels(field, sensor, fill_factor=fill_factor, oversampling=OVERSAMPLING)
+        del field  # frees memory for the field of the next plane
+        yield intensity, fraction_beyond
 
 
 def _light_of_tiles(
@@ -226,41 +235,41 @@ def _light_of_tiles(
     windows: Sequence[Sensor],
     recording: Recording,
     make: Callable[[Scene], Engine],
-    tell: Progress,
+    report_progress: Progress,
     *,
     folder: Path | None,
     scratch: Scratch | None,
 ) -> Iterator[tuple[Array, float]]:
-    """Light on the pixels of each plane, and its share beyond what they resolve, by an engine for each."""
-    scene, width = engine.scene, recording.electronics.fill_factor
-    for number, window in enumerate(windows):
-        here = replace(scene, exit_grid=_plane_grid(scene.lens, window, number, recording))
-        own = engine if here.exit_grid == scene.exit_grid else make(here)
-        assert isinstance(own, Tiled)
+    """Yield light and fraction beyond the Nyquist limit for each plane, with one tiled engine per plane."""
+    scene, fill_factor = engine.scene, recording.electronics.fill_factor
+    for index, window in enumerate(windows):
+        plane_scene = replace(scene, exit_grid=_plane_grid(scene.lens, window, index, recording))
+        plane_engine = engine if plane_scene.exit_grid == scene.exit_grid else make(plane_scene)
+        assert isinstance(plane_engine, Tiled)
         yield _light_in_bands(
-            own,
+            plane_engine,
             behind_object,
             sensor,
-            PixelLight(sensor, np.complex64, OVERSAMPLING, width, scratch),
-            _parts(folder, number, own, behind_object),
-            lambda *told, n=number: tell(f"plane {n + 1}", *told),
+            PixelLight(sensor, np.complex64, OVERSAMPLING, fill_factor, scratch),
+            _tile_results(folder, index, plane_engine, behind_object),
+            partial(report_progress, f"plane {index + 1}"),
         )
 
 
 def drop_parts(folder: Path) -> None:
-    """Remove what was kept of a run whose results are written."""
+    """Remove the intermediate results of a run from its output folder."""
     shutil.rmtree(folder / PARTS, ignore_errors=True)
 
 
-def _plane_grid(lens: Lens, window: Sensor, number: int, recording: Recording) -> Grid:
-    """Samples of a window on a plane where the stage and the sensor truly stand, the sensor's tilt aside."""
-    z_mm = lens.exit_vertex_z_mm + recording.plane_distances_mm[number] + recording.error_mm(number)
-    x_um, y_um = recording.place_um(number)
+def _plane_grid(lens: Lens, window: Sensor, index: int, recording: Recording) -> Grid:
+    """Return the grid of a window at the true position of stage and sensor, without the sensor's tilt."""
+    z_mm = lens.exit_vertex_z_mm + recording.plane_distances_mm[index] + recording.error_mm(index)
+    x_um, y_um = recording.sensor_centre_um(index)
     return replace(sensor_grid(window, z_mm, OVERSAMPLING), centre_mm=(1e-3 * x_um, 1e-3 * y_um))
 
 
 def recorded_scene(lens: Lens, patch: Patch, window: Sensor, recording: Recording) -> Scene:
-    """The scene between a patch and a window on the first plane, all where they truly are."""
+    """Return the scene between a patch and a window on the first plane, at their true positions."""
     nominal = Scene(lens, patch.grid, _plane_grid(lens, window, 0, recording), patch.wavelength_um)
     return placed_scene(nominal, recording.bench.placement)
 
@@ -268,28 +277,28 @@ def recorded_scene(lens: Lens, patch: Patch, window: Sensor, recording: Recordin
 def fields_on_sensor(
     engine: Engine, behind_object: Field, windows: Sequence[Sensor], recording: Recording
 ) -> Iterator[Field]:
-    """Carry light from behind the object to each plane, through free space from the engine's exit grid.
+    """Propagate the light behind the object to each plane, through free space from the engine's exit grid.
 
     Parameters
     ----------
     engine
-        To the first plane's window (:func:`recorded_scene`).
+        Engine to the window of the first plane (:func:`recorded_scene`).
     behind_object, windows, recording
-        As of :func:`image_patch`.
+        See :func:`image_patch`.
 
     Yields
     ------
     Field
-        On the window, in the frame of the sensor.
+        Field on the window of each plane, in the coordinates of the sensor.
 
     Raises
     ------
     InputError, SamplingError
-        If samples cannot hold the light on its way.
+        If the sampling is too coarse for the propagation.
     """
     first = engine.forward(behind_object)
-    for number, window in enumerate(windows):
-        grid = _plane_grid(engine.scene.lens, window, number, recording)
+    for index, window in enumerate(windows):
+        grid = _plane_grid(engine.scene.lens, window, index, recording)
         tilt_deg = recording.bench.placement.sensor_tilt_deg
         yield on_sensor(first if grid == first.grid else propagate(first, grid), tilt_deg)
 
@@ -300,21 +309,21 @@ def _light_in_bands(
     sensor: Sensor,
     light: PixelLight,
     sums: MutableMapping[int, NDArray],
-    tell: Callable[[int, int], None],
+    report_progress: Callable[[int, int], None],
 ) -> tuple[Array, float]:
-    """A whole field's light on the pixels of one plane, and its share beyond what they resolve."""
+    """Return the light on the pixels of one plane, and its fraction beyond the Nyquist limit."""
     grid = engine.scene.exit_grid
-    own = replace(sensor_grid(sensor, grid.z_mm, OVERSAMPLING), centre_mm=grid.centre_mm)
-    part = own.samples_among(grid)
-    assert part is not None  # windows are as wide as the sensor at least
-    rows, columns = part
+    sensor_samples = replace(sensor_grid(sensor, grid.z_mm, OVERSAMPLING), centre_mm=grid.centre_mm)
+    window_slices = sensor_samples.samples_among(grid)
+    assert window_slices is not None  # windows are at least as wide as the sensor
+    rows, columns = window_slices
     spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
     steps = engine.parts + math.ceil(grid.shape[0] / BAND_ROWS)
-    engine.progress = lambda done, _: tell(done, steps)
+    engine.progress = lambda done, _: report_progress(done, steps)
     try:
         bands = engine.forward_in_bands(behind_object, BAND_ROWS, sums)
         for step, (band, values) in enumerate(bands, start=engine.parts + 1):
-            tell(step, steps)
+            report_progress(step, steps)
             total += float(np.vdot(values, values).real)
             spectrum.add(values)
             start, stop = max(band.start, rows.start), min(band.stop, rows.stop)
@@ -327,18 +336,18 @@ def _light_in_bands(
     return light.means(), spectrum.fraction_beyond(500.0 / sensor.pixel_pitch_um)
 
 
-def _parts(
-    folder: Path | None, number: int, engine: Tiled, field: Field
+def _tile_results(
+    folder: Path | None, index: int, engine: Tiled, field: Field
 ) -> MutableMapping[int, NDArray[Any]]:
-    """Where super-tiles' fields of one plane are kept."""
+    """Return the store of the super-tiles' fields of one plane: a folder, or a dict in memory."""
     if folder is None:
         return {}
     lit = digest_of(field.values)
-    kept = TileStore(folder / f"plane_{number + 1}", key_of(engine.key(), lit))
+    store = TileStore(folder / f"plane_{index + 1}", key_of(engine.key(), lit))
     try:
-        kept.check_free_space(engine.sums_bytes)
+        store.check_free_space(engine.sums_bytes)
     except InputError:
-        if not kept:
-            kept.drop()
+        if not store:
+            store.drop()
         raise
-    return kept
+    return store

@@ -1,7 +1,7 @@
-"""Pictures of different planes that are the same: a plane was recorded or copied twice.
+"""Detection of planes with the same picture: one plane was recorded or copied twice.
 
-Light that travels from one plane to another changes its picture by far more than noise, where the distance is
-long enough for the planes to determine a phase. Two pictures that differ by noise alone belong to one plane.
+If two planes are far enough apart to determine a phase, propagation changes the picture by far more than the
+noise. Two pictures that differ only by noise therefore belong to the same plane.
 """
 
 from __future__ import annotations
@@ -17,43 +17,44 @@ from wavesim.sensor.exposures import merged_intensity
 from wavesim.sensor.frames import Frame
 
 ROWS = 1000
-"""Rows of a frame that are compared, at most."""
+"""Largest number of rows of a frame that are compared."""
 
 NOISE, RELATIVE = 1.15, 0.01
-"""Mean square difference of two pictures over that of their noise, up to which they are the same; and
-relative difference of their intensities beyond the noise, which drift of light brings."""
+"""Two pictures are the same up to this mean square difference over that of their noise, or up to this
+relative difference beyond the noise, which a drift of the light causes."""
 
 STRUCTURE = 3.0
-"""Mean square intensity about the mean, over that of the noise, from which on a picture is not noise."""
+"""Variance of the intensity over that of the noise, above which a picture shows more than noise."""
 
 
 def validate_distinct_pictures(by_plane: Sequence[Sequence[Frame]], *, diverse: bool) -> None:
-    """Refuse frames of different planes that hold one picture.
+    """Check that frames of different planes do not show the same picture.
 
     Parameters
     ----------
     by_plane
-        Frames of each plane.
+        Frames of each plane, one sequence per plane.
     diverse
-        Whether the planes are so far from each other that propagation changes pictures by more than noise.
-        Where they are not, only bit-identical pictures are refused.
+        Whether propagation between the planes changes the picture by more than the noise. If not, only
+        bit-identical pictures are an error.
 
     Raises
     ------
     InputError
-        Naming the planes.
+        If two planes show the same picture; the message names them.
     """
     for one, other in combinations(by_plane, 2):
         planes = " and ".join(f"{frames[0].settings.plane_distance_mm:g} mm" for frames in (one, other))
         if any(_identical(a, b) for a in one for b in other):
             raise InputError(
-                f"planes at {planes}: frames of both hold the same picture, bit by bit: each plane must have "
-                "been recorded by itself"
+                f"planes at {planes}: frames of both contain the same picture, bit by bit: each plane must "
+                "be recorded separately"
             )
         if diverse and one[0].counts.shape == other[0].counts.shape and _alike(one, other):
             raise InputError(
-                f"planes at {planes}: their pictures are the same within the noise, which light that travels "
-                "so far cannot be: one of them was recorded or copied twice, or the sensor was not moved"
+                f"planes at {planes}: their pictures are the same within the noise, although propagation "
+                "over this distance changes a picture: one of them was recorded or copied twice, or the "
+                "sensor was not moved"
             )
 
 
@@ -62,13 +63,13 @@ def _identical(one: Frame, other: Frame) -> bool:
 
 
 def _alike(one: Sequence[Frame], other: Sequence[Frame]) -> bool:
-    """Whether two pictures differ by a factor and noise alone, and show more than noise."""
+    """Return True if two pictures differ only by a factor and noise, and show more than noise."""
     rows = len(one[0].counts)
     every = 1 + rows // ROWS
     pairs = []
     for block in row_blocks(rows):
-        part = slice(block.start, block.stop, every)
-        (a, a_variance), (b, b_variance) = merged_intensity(one, part), merged_intensity(other, part)
+        sampled = slice(block.start, block.stop, every)
+        (a, a_variance), (b, b_variance) = merged_intensity(one, sampled), merged_intensity(other, sampled)
         known = np.isfinite(a_variance) & np.isfinite(b_variance)
         pairs.append(np.stack([values[known] for values in (a, a_variance, b, b_variance)]))
     a, a_variance, b, b_variance = np.concatenate(pairs, axis=1)

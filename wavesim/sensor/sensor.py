@@ -1,7 +1,7 @@
 """The image sensor: from a field on a recording plane to the light on its pixels, and to frames of counts.
 
-Electrons are the mean intensity over a pixel's photosensitive square times the exposure; what becomes of them
-is in :mod:`wavesim.sensor.exposures`.
+The expected electrons of a pixel are the mean intensity over its photosensitive square times the exposure.
+:mod:`wavesim.sensor.exposures` describes noise, clipping and quantisation.
 """
 
 from __future__ import annotations
@@ -33,45 +33,42 @@ from wavesim.sensor.pixel_integration import PixelLight
 from wavesim.sensor.pixels.errors import PixelPattern
 
 LOST = 1e-3
-"""Share of the light beside the sensor from which on it is told."""
+"""Fraction of the light outside the sensor above which a warning is issued."""
 NO_LIGHT = 1e-9
-"""Share of the light on the sensor up to which it is taken for rounding."""
+"""Fraction of the light on the sensor up to which it counts as rounding error."""
 
 
 class FootprintWarning(UserWarning):
-    """A stated share of the light does not fall on the sensor."""
+    """Warning that a fraction of the light falls outside the sensor."""
 
 
 def sensor_grid(sensor: Sensor, z_mm: float, oversampling: int = 1) -> Grid:
-    """Samples of a plane such that `oversampling` x `oversampling` of them fill each pixel.
-
-    The sensor's middle is on the axis.
-    """
+    """Return a grid with `oversampling` x `oversampling` samples in each pixel, centred on the axis."""
     validate_whole_number("oversampling", oversampling, 1)
     shape = (sensor.pixels[1] * oversampling, sensor.pixels[0] * oversampling)
     return Grid(shape, 1e-3 * sensor.pixel_pitch_um / oversampling, z_mm)
 
 
 def on_sensor(field: Field, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Field:
-    """A field in the frame of a sensor whose middle is that of the field's grid.
+    """Return a field in the coordinates of a sensor that is centred on the field's grid.
 
     Parameters
     ----------
     field
-        On an upright plane.
+        Field on a plane perpendicular to the axis.
     tilt_deg : (x, y)
-        Of the sensor, as of :class:`wavesim.scene.Placement`.
+        Tilt of the sensor, see :class:`wavesim.scene.Placement`.
 
     Raises
     ------
     SamplingError
-        If the field's samples cannot hold it on a plane so tilted.
+        If the sampling is too coarse for a plane with this tilt.
     """
-    own = replace(field.grid, centre_mm=(0.0, 0.0))
+    centred = replace(field.grid, centre_mm=(0.0, 0.0))
     if not any(tilt_deg):
-        return replace(field, grid=own)
-    tilted = propagate(field, own.at(0.0), target_tilt_deg=tilt_deg, coarse_output=True)
-    return replace(tilted, grid=own)
+        return replace(field, grid=centred)
+    tilted = propagate(field, centred.at(0.0), target_tilt_deg=tilt_deg, coarse_output=True)
+    return replace(tilted, grid=centred)
 
 
 def light_on_pixels(
@@ -83,56 +80,56 @@ def light_on_pixels(
     stage_error_mm: float = 0.0,
     shift_um: tuple[float, float] = (0.0, 0.0),
 ) -> Array:
-    """Mean intensity |u|^2 on each pixel's photosensitive square.
+    """Return the mean intensity |u|^2 on each pixel's photosensitive square.
 
-    The field is taken to :func:`sensor_grid` as a band-limited function: by a chirp-z transform, shifts of
-    parts of a pixel included, unless it already lies there.
+    A chirp-z transform resamples the field to :func:`sensor_grid` as a band-limited function, including
+    shifts by fractions of a pixel, unless the field already has these samples.
 
     Parameters
     ----------
     field
-        On a plane.
+        Field on a plane.
     sensor
         Pitch and number of pixels.
     fill_factor
-        Side of the square, as a share of the pitch.
+        Linear fill factor of a pixel (0 to 1): side of the photosensitive square over the pitch.
     oversampling
-        Samples per pixel along each axis. Intensity has twice the field's band: 2 hold it when the field
-        keeps to spread angles that the pixels resolve (asin(wavelength / (2 pitch))).
+        Samples per pixel along each axis. The intensity has twice the bandwidth of the field: 2 samples
+        suffice if the angles of the field do not exceed asin(wavelength / (2 pitch)).
     stage_error_mm
-        How much farther from the lens than the field's plane the sensor stands.
+        Distance of the sensor from the field's plane, positive away from the lens.
     shift_um : (x, y)
-        How far the sensor's middle is off the axis.
+        Position of the sensor's centre relative to the axis.
 
     Returns
     -------
     ndarray, shape (ny, nx)
-        In single precision if the field is.
+        Mean intensity, in single precision if the field is.
 
     Raises
     ------
     InputError
-        If the field is no plane or holds values that are not finite, if none of its light falls on the
-        sensor, or a setting is not usable.
+        If the field lies on a line or has values that are not finite, if no light falls on the sensor, or
+        if a setting is invalid.
     SamplingError
-        If the field's samples cannot hold it over the stage error.
+        If the sampling is too coarse for propagation over the stage error.
 
     Warns
     -----
     FootprintWarning
-        If more than `LOST` of the light falls beside the sensor.
+        If more than the fraction `LOST` of the light falls outside the sensor.
     """
     if field.grid.is_line:
         raise InputError("a sensor records a plane: the field lies on a meridional line")
     if not 0.0 <= fill_factor <= 1.0:
         raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 1")
     if fill_factor > 0.0 and oversampling < 2:
-        raise InputError(f"oversampling = {oversampling!r}: pixels that are no points take 2 or more")
+        raise InputError(f"oversampling = {oversampling!r}: must be 2 or more for pixels that are not points")
     if not all(math.isfinite(value) for value in (stage_error_mm, *shift_um)):
         raise InputError(f"stage_error_mm = {stage_error_mm!r}, shift_um = {shift_um!r}: must be finite")
     total = field.energy
     if not math.isfinite(total):
-        raise InputError("the field holds values that are not finite")
+        raise InputError("the field has values that are not finite")
     grid = replace(
         sensor_grid(sensor, field.grid.z_mm + stage_error_mm, oversampling),
         centre_mm=(1e-3 * shift_um[0], 1e-3 * shift_um[1]),
@@ -148,9 +145,9 @@ def light_on_pixels(
 
 
 def interference_on_pixels(direct: Field, other: Field, sensor: Sensor, *, fill_factor: float = 1.0) -> Any:
-    """Mean of conj(direct) other on each pixel's photosensitive square, shape (ny, nx), complex.
+    """Return the complex mean of conj(direct) other on each pixel's photosensitive square, shape (ny, nx).
 
-    By the light of their sums, as :func:`light_on_pixels` has it, whose errors are those raised.
+    Four intensities of sums of the fields give it; for errors see :func:`light_on_pixels`.
     """
 
     def light(factor: complex) -> Array:
@@ -166,26 +163,26 @@ def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, fill_factor: float = 1.0) -
 
 
 def warn_of_footprint(caught: float, total: float, sensor: Sensor) -> None:
-    """Tell how much of the energy falls beside the sensor.
+    """Warn if a fraction of the energy falls outside the sensor.
 
     Raises
     ------
     InputError
-        If all of it does.
+        If no light falls on the sensor.
 
     Warns
     -----
     FootprintWarning
-        If more than `LOST` of it does.
+        If more than the fraction `LOST` falls outside.
     """
     if caught <= NO_LIGHT * total:
-        raise InputError("no light falls on the sensor: the field is dark, or lies beside it")
+        raise InputError("no light falls on the sensor: the field is dark or outside the sensor")
     lost = 1.0 - caught / total
     if lost > LOST:
         width, height = sensor.size_mm
         warnings.warn(
-            f"{100.0 * lost:.2g} % of the light falls beside the sensor of {width:.4g} mm x {height:.4g} mm: "
-            "move the plane nearer, centre the sensor, or take a larger one",
+            f"{100.0 * lost:.2g} % of the light falls outside the sensor of {width:.4g} mm x {height:.4g} mm"
+            ": move the plane nearer, centre the sensor, or use a larger one",
             FootprintWarning,
             stacklevel=3,
         )
@@ -205,32 +202,32 @@ def record(
     shift_um: tuple[float, float] = (0.0, 0.0),
     title: str = "",
 ) -> Frame:
-    """Record a field as a frame.
+    """Return the frame that a sensor records of a field.
 
     Parameters
     ----------
     field, sensor, oversampling, stage_error_mm, shift_um
-        As of :func:`light_on_pixels`.
+        See :func:`light_on_pixels`.
     plane_distance_mm
-        Of the field's plane from the exit vertex: what the frame will say, whatever the stage error.
+        Distance of the field's plane from the exit vertex. The frame states it, without the stage error.
     electronics, seed
-        As of :func:`wavesim.sensor.exposures.expose`.
+        See :func:`wavesim.sensor.exposures.expose`.
     peak_fill
-        Electrons to expect in the brightest pixel, as a share of full well.
+        Expected electrons in the brightest pixel, as a fraction of full well.
     exposure
-        Electrons per unit of intensity, in place of that share.
+        Electrons per unit of intensity; replaces `peak_fill`.
     title
         Free text for the frame.
 
     Raises
     ------
     InputError, SamplingError
-        As of :func:`light_on_pixels`, or if there is no light, or a setting of the frame is not allowed.
+        If :func:`light_on_pixels` fails, there is no light, or a setting of the frame is invalid.
 
     Warns
     -----
     FootprintWarning, SaturationWarning
-        If light falls beside the sensor, or pixels are clipped.
+        If light falls outside the sensor, or pixels are clipped.
     """
     intensity = light_on_pixels(
         field,
@@ -259,45 +256,45 @@ def frames_of_light(
     pattern: PixelPattern | None = None,
     exposure_errors: Sequence[float] = (),
 ) -> tuple[Frame, ...]:
-    """Record light several times, each time with another exposure.
+    """Return the frames that a sensor records of one intensity with several exposures.
 
     Parameters
     ----------
     intensity
-        Mean on each pixel, as :func:`light_on_pixels` gives it.
+        Mean intensity on each pixel, from :func:`light_on_pixels`.
     sensor, plane_distance_mm, electronics, seed, peak_fill
-        As of :func:`record`. With one exposure the noise is that of :func:`record`.
+        See :func:`record`. With one exposure the noise is that of :func:`record`.
     wavelength_um
-        Of the light, in vacuum.
+        Vacuum wavelength.
     times
-        Exposures, as multiples of the one that puts `peak_fill` into the brightest pixel.
+        Exposures relative to the exposure that reaches `peak_fill` in the brightest pixel.
     pattern
-        Of pixels that are not alike.
+        Gain and dark signal of each pixel; default: identical pixels.
     exposure_errors
-        How much longer each exposure is than its frame says, as a share; left out, they are what frames say.
+        Relative errors (true over stated exposure, minus 1); default: no errors.
 
     Raises
     ------
     InputError
-        If there is no light, there are no exposures, or one, or a setting of a frame, is not allowed.
+        If there is no light, `times` is empty, or an exposure or a setting of a frame is invalid.
 
     Warns
     -----
     SaturationWarning
-        If pixels are clipped by an exposure of 1 or less; longer ones are meant to clip.
+        If pixels are clipped at an exposure of 1 or less; longer exposures are expected to clip.
     """
     if not times or not all(math.isfinite(time) and time > 0.0 for time in times):
         raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
-    least = exposure_for(intensity, peak_fill * electronics.full_well_electrons)
+    unit_exposure = exposure_for(intensity, peak_fill * electronics.full_well_electrons)
     frames = []
     errors = exposure_errors or [0.0] * len(times)
-    for time, error, own in zip(times, errors, exposure_seeds(seed, len(times)), strict=True):
-        exposure = time * least
+    for time, error, frame_seed in zip(times, errors, exposure_seeds(seed, len(times)), strict=True):
+        exposure = time * unit_exposure
         settings = _settings(sensor, plane_distance_mm, wavelength_um, electronics, exposure)
         with warnings.catch_warnings():
             if time > 1.0:
                 warnings.simplefilter("ignore", SaturationWarning)
-            counts = expose(intensity, (1.0 + error) * exposure, electronics, own, pattern)
+            counts = expose(intensity, (1.0 + error) * exposure, electronics, frame_seed, pattern)
             frames.append(Frame(counts, settings))
     return tuple(frames)
 

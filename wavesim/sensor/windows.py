@@ -1,4 +1,4 @@
-"""From a patch of the object to frames: engine, sensor window, recording planes, and what they can tell."""
+"""Sensor windows, footprints and phase diversity of recording planes, and the engine for imaging."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from wavesim.sensor.sensor import FootprintWarning, sensor_grid
 from wavesim.targets.patch import Patch
 
 WINDOW_MARGIN, OVERSAMPLING = 1.02, 2
-"""Sensor windows are wider than the footprint by this factor; samples per pixel of what falls on them."""
+"""Width of a sensor window over the footprint, and samples per pixel of the field on it."""
 
 LARGEST_CUT = 0.2
-"""Share of the footprint that may lie beside the sensor; a larger one is refused."""
+"""Largest fraction of the footprint's area that may lie outside the sensor."""
 
 LEAST_DIVERSITY = 10.0
-"""Below which planes tell too little of the phase; see :func:`diversity`."""
+"""Phase diversity below which a warning is issued; see :func:`diversity`."""
 
 TILE_ERROR = 0.05
-"""Relative error that tiles of an engine named may leave, if nothing else is said."""
+"""Default of the allowed relative error of a tiled engine that is selected by name."""
 
 
 class DiversityWarning(UserWarning):
-    """Recording planes are so near each other that their intensities tell little of the phase."""
+    """Warning that the recording planes are too close to each other to determine the phase."""
 
 
 def imaging_engine(
@@ -50,21 +50,21 @@ def imaging_engine(
     light: Light,
     memory_gb: float = 1e-9 * LARGEST_BYTES,
 ) -> Engine:
-    """The engine that settings ask for; where they allow no error, with the one that does for imaging.
+    """Return the engine that the settings select; the default of the allowed error is that of imaging.
 
     Parameters
     ----------
     scene
-        What is to be carried where.
+        Object grid, lens and exit grid.
     settings
-        Engine, error, and details.
+        Engine, allowed error, and further settings of the engine.
     runs, light, memory_gb
-        As of :func:`wavesim.engine_for`.
+        See :func:`wavesim.engine_for`.
 
     Raises
     ------
     InputError, SamplingError
-        As :func:`wavesim.engine_for`.
+        If a setting is invalid or no engine meets the error limit; see :func:`wavesim.engine_for`.
     """
     name, error = settings.engine, settings.error
     if error is None and name != AUTO and "error" in settings_of(name):
@@ -77,24 +77,24 @@ def imaging_engine(
 def footprint_mm(
     lens: Lens, patch: Patch, plane_distance_mm: float, placement: Placement | Pose = NOMINAL
 ) -> float:
-    """Diameter of a disc about the sensor's middle that holds a patch's light on a plane, by rays.
+    """Return the diameter, in mm, of a disc about the sensor's centre that contains a patch's light.
 
-    The smallest one where object and sensor stand in their places.
+    Rays determine the disc on the plane. It is the smallest one if object and sensor are not displaced.
 
     Raises
     ------
     DesignError
         If no ray passes the lens.
     """
-    place = placed(placement)
-    x, y, z = place.object_shift_mm
-    # Light of a displaced object crosses the design's object plane so much beside the field stop.
-    beside = math.hypot(x, y) + abs(z) * math.tan(math.asin(min(lens.object.numerical_aperture, 0.99)))
-    beside += math.hypot(*patch.field_stop_at_mm)
-    space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm + 2.0 * beside)
+    state = placed(placement)
+    x, y, z = state.object_shift_mm
+    # Light of a displaced object crosses the nominal object plane outside the field stop by this margin.
+    margin = math.hypot(x, y) + abs(z) * math.tan(math.asin(min(lens.object.numerical_aperture, 0.99)))
+    margin += math.hypot(*patch.field_stop_at_mm)
+    space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm + 2.0 * margin)
     lit = lens.replaced(object=space)
-    found = footprint(lit, patch.wavelength_um, plane_distance_mm, place.pose, place.surface_perturbations)
-    return 2.0 * (found.radius_mm + math.hypot(*place.sensor_shift_mm[:2]))
+    found = footprint(lit, patch.wavelength_um, plane_distance_mm, state.pose, state.surface_perturbations)
+    return 2.0 * (found.radius_mm + math.hypot(*state.sensor_shift_mm[:2]))
 
 
 def sensor_window(
@@ -104,23 +104,23 @@ def sensor_window(
     pixels: int | tuple[int, int] | None = None,
     placement: Placement | Pose = NOMINAL,
 ) -> Sensor:
-    """The middle of the design's sensor, as much of it as a patch's light falls on.
+    """Return the central window of the design's sensor that a patch illuminates.
 
     Parameters
     ----------
     lens, patch
-        What is imaged.
+        Lens and patch of the object.
     plane_distances_mm
-        Recording planes, from the exit vertex.
+        Distances of the recording planes from the exit vertex.
     pixels
-        Along each side, or across and down; left out, what just holds the footprint on all planes.
+        Number of pixels along each side, or (across, down). Default: enough for the footprint on all planes.
     placement
-        Where lens, object and sensor are.
+        Position errors of lens, object and sensor.
 
     Raises
     ------
     InputError
-        If more pixels are asked for than the sensor has.
+        If the sensor has fewer pixels than requested.
     """
     whole = lens.sensor
     if isinstance(pixels, tuple):
@@ -146,96 +146,97 @@ def check_footprint(
     plane_distances_mm: Sequence[float],
     placement: Placement | Pose = NOMINAL,
 ) -> None:
-    """Tell where a patch's light falls beside the pixels.
+    """Check that a patch's light falls on the sensor.
 
     Raises
     ------
     InputError
-        If more than `LARGEST_CUT` of the footprint does.
+        If more than the fraction `LARGEST_CUT` of the footprint lies outside the sensor.
 
     Warns
     -----
     FootprintWarning
-        If a part of it does.
+        If a smaller fraction lies outside.
     """
     for distance in plane_distances_mm:
         width = footprint_mm(lens, patch, distance, placement)
-        lost = _share_beside(width, sensor.size_mm)
+        lost = _fraction_outside(width, sensor.size_mm)
         if lost <= 0.0:
             continue
         across, down = sensor.size_mm
-        said = (
+        message = (
             f"plane at {distance:g} mm: the light's footprint of {width:.4g} mm reaches beyond the sensor's "
-            f"{across:.4g} mm x {down:.4g} mm with {100.0 * lost:.2g} % of its area; take a "
+            f"{across:.4g} mm x {down:.4g} mm with {100.0 * lost:.2g} % of its area: use a "
             "smaller patch, more pixels or a nearer plane"
         )
         if lost > LARGEST_CUT:
-            raise InputError(said)
-        warnings.warn(said, FootprintWarning, stacklevel=2)
+            raise InputError(message)
+        warnings.warn(message, FootprintWarning, stacklevel=2)
 
 
-def _share_beside(width_mm: float, sides_mm: tuple[float, float]) -> float:
-    """Part of a disc's area outside a rectangle with the same middle."""
+def _fraction_outside(width_mm: float, sides_mm: tuple[float, float]) -> float:
+    """Return the fraction of a disc's area outside a rectangle with the same centre."""
     samples = np.linspace(-0.5, 0.5, 801) * width_mm
     x, y = samples[None, :], samples[:, None]
     disc = np.hypot(x, y) <= 0.5 * width_mm
-    beside = (np.abs(x) > 0.5 * sides_mm[0]) | (np.abs(y) > 0.5 * sides_mm[1])
-    return float(np.mean(beside[disc]))
+    outside = (np.abs(x) > 0.5 * sides_mm[0]) | (np.abs(y) > 0.5 * sides_mm[1])
+    return float(np.mean(outside[disc]))
 
 
 def diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> float:
-    """How much of the phase the outermost planes tell: dz w^2 / (lambda f^2).
+    """Return the phase diversity of the outermost planes, dz w^2 / (lambda f^2).
 
-    Light of a field stop of width w leaves the lens within angles of w / f, and its finest detail on a plane
-    is lambda f / w wide: over dz its parts move against each other by so many details.
+    Light of a field stop of width w leaves the lens within angles of w / f. Its finest detail on a plane has
+    the width lambda f / w. Over the distance dz, parts of the light shift against each other by dz w / f.
+    The phase diversity is this shift in units of the finest detail.
 
     Parameters
     ----------
     lens, patch
-        What is imaged.
+        Lens and patch of the object.
     plane_distances_mm
-        Two or more; of one plane it is 0.
+        Distances of the recording planes; the diversity of a single plane is 0.
     """
     focal_mm = first_order(lens, patch.wavelength_um).efl_mm
-    between = max(plane_distances_mm) - min(plane_distances_mm)
-    return between * (patch.field_stop_mm / focal_mm) ** 2 / (1e-3 * patch.wavelength_um)
+    separation_mm = max(plane_distances_mm) - min(plane_distances_mm)
+    return separation_mm * (patch.field_stop_mm / focal_mm) ** 2 / (1e-3 * patch.wavelength_um)
 
 
 def check_diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> float:
-    """The figure of :func:`diversity`, told if it is low.
+    """Return the phase diversity (:func:`diversity`), with a warning if it is low.
 
     Warns
     -----
     DiversityWarning
-        If it is below `LEAST_DIVERSITY`.
+        If the diversity is below `LEAST_DIVERSITY`.
     """
-    figure = diversity(lens, patch, plane_distances_mm)
-    if figure < LEAST_DIVERSITY:
+    value = diversity(lens, patch, plane_distances_mm)
+    if value < LEAST_DIVERSITY:
         warnings.warn(
             f"little diversity between planes {', '.join(f'{z:g}' for z in plane_distances_mm)} mm: "
-            f"dz w^2 / (lambda f^2) = {figure:.3g}, which should be {LEAST_DIVERSITY:g} or more; the phase "
-            "may not be found: take planes farther from each other, or a larger field stop",
+            f"dz w^2 / (lambda f^2) = {value:.3g}, which should be {LEAST_DIVERSITY:g} or more; the phase "
+            "may not be found: use planes farther from each other, or a larger field stop",
             DiversityWarning,
             stacklevel=2,
         )
-    return figure
+    return value
 
 
 def exit_scene(
     lens: Lens, patch: Patch, sensor: Sensor, first_mm: float, pose: Pose = Pose(), oversampling: int = 1
 ) -> Scene:
-    """The scene between a patch and a sensor window on its first plane.
+    """Return the scene between a patch and a sensor window on the first plane.
 
     Parameters
     ----------
     lens, patch
-        What is imaged.
+        Lens and patch of the object.
     sensor
-        The window.
+        Sensor window.
     first_mm
-        Plane, from the exit vertex.
+        Distance of the first plane from the exit vertex.
     pose
-        Of the lens as mounted.
+        Pose of the mounted lens.
     oversampling
         Samples per pixel.
     """
@@ -246,7 +247,7 @@ def exit_scene(
 def light_window(
     lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, placement: Placement | Pose = NOMINAL
 ) -> Sensor:
-    """A sensor window, widened where a patch's light on a plane is wider, so that none of it is lost."""
+    """Return a sensor window, widened where necessary to cover all light of a patch on a plane."""
     width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, placement)
     needed = scipy.fft.next_fast_len(math.ceil(1e3 * width / sensor.pixel_pitch_um))
     across, down = (max(n, needed) for n in sensor.pixels)

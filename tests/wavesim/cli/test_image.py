@@ -110,7 +110,7 @@ def test_results_are_replaced_and_what_else_is_there_stays(
         (("--exposures", "long"), "--exposures = 'long'"),
         (("--object", "star", "--chart-at-mm", "0,0"), "object = 'star': only usaf has charts beside"),
         (("--chart-at-mm", "0.01"), "--chart-at-mm = '0.01': must be 2 numbers"),
-        (("--chart-at-mm", "0,0"), "chart at 0, 0 mm: even of group 9 alone"),
+        (("--chart-at-mm", "0,0"), "chart at 0, 0 mm: even with group 9 alone"),
         (("--chart-at-mm", "0.024,0"), "reaches beyond the field stop of 0.05 mm"),
         (("--bits", 20), "bits = 20"),
         (("--full-well", 0), "full-well = 0"),

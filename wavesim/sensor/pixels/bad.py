@@ -1,4 +1,4 @@
-"""Hot and dead pixels, found in the frames: they disagree with their neighbours, or with themselves."""
+"""Detection of hot and dead pixels: they contradict their neighbours, or other exposures of themselves."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ from wavesim.sensor.pixels.kernel import outlying_pixels
 Mask = NDArray[np.bool_]
 
 FAR = 10.0
-"""Standard deviations of the noise by which a pixel must stand out."""
+"""Least deviation of a bad pixel, in standard deviations of the noise."""
 
 ALONE, ON_ALL = 20.0, 4.0
-"""Times its brightest neighbour that a hot pixel shows on one plane, and on each of several. Light itself
-comes to 8 where all of it falls on one pixel; it does not do so on the same pixel of every plane."""
+"""Least ratio of a hot pixel to its brightest neighbour, on a single plane and on each of several. Focused
+light reaches a ratio of 8, but not on the same pixel of every plane."""
 
 DEAD, DEAD_NOISE, LIT = 0.02, 3.0, 30.0
-"""A dead pixel shows so much of its darkest neighbour at most, and so many standard deviations; that one must
-show so many at least. The dark point of a vortex leaves a sixth."""
+"""Largest ratio of a dead pixel to its darkest neighbour, its additional allowance in standard deviations,
+and the least signal of that neighbour. The dark point of a vortex has a ratio of one sixth."""
 
 UNLIKE = 0.1
-"""Relative difference of a pixel's intensities in two exposures that no noise of the level explains."""
+"""Relative difference of a pixel's intensities in two exposures that is allowed in addition to noise."""
 
 MOST_FOUND = 0.01
-"""Share of the pixels from which on these are no bad pixels, but something else."""
+"""Largest fraction of bad pixels; a larger one has another cause, and none is marked."""
 
 ROWS = 64
-"""Looked at at a time, by each thread; the lines above and below them are neighbours."""
+"""Rows that a thread examines at a time."""
 
 
 def find_bad_pixels(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
-    """Pixels of each plane that are hot or dead, or whose exposures contradict each other, shape (ny, nx).
+    """Return, for each plane, the mask (ny, nx) of hot, dead or self-contradictory pixels.
 
     Parameters
     ----------
     planes
-        Frames of each plane, all of one size.
+        Frames of each plane, all of the same size.
     """
     shape = planes[0][0].counts.shape
     found = [np.zeros(shape, bool) for _ in planes]
 
     limit = ALONE if len(planes) == 1 else ON_ALL
 
-    def rows(first: int, last: int) -> None:
+    def examine_rows(first: int, last: int) -> None:
         start, stop = max(first - 1, 0), min(last + 1, shape[0])
         block, own = slice(first, last), slice(first - start, last - start)
         stacks = [stacked(plane, slice(start, stop)) for plane in planes]
-        seen = [
+        outlying = [
             outlying_pixels(*stack.merged(), limit, FAR, DEAD, DEAD_NOISE, LIT)[:, own] for stack in stacks
         ]
-        hot = np.logical_and.reduce([one[0] for one in seen])
-        lit = np.logical_or.reduce([one[1] for one in seen])
-        dead = np.logical_or.reduce([one[2] for one in seen]) & ~lit
+        hot = np.logical_and.reduce([masks[0] for masks in outlying])
+        lit = np.logical_or.reduce([masks[1] for masks in outlying])
+        dead = np.logical_or.reduce([masks[2] for masks in outlying]) & ~lit
         for mask, stack in zip(found, stacks, strict=True):
             mask[block] = hot | dead | stack.contradicting(FAR, UNLIKE)[own]
 
-    for_blocks(rows, shape[0], ROWS)
+    for_blocks(examine_rows, shape[0], ROWS)
     return [mask if mask.mean() <= MOST_FOUND else np.zeros(shape, bool) for mask in found]

@@ -1,6 +1,6 @@
-"""Pixels that are not alike: their gain, their dark signal, and those that are hot or dead.
+"""Simulated non-uniformity of pixels: gain, dark signal, and hot and dead pixels.
 
-The terms are those of EMVA standard 1288: PRNU, the spread of the gain, and DSNU, that of the dark signal.
+The terms are those of EMVA standard 1288: PRNU is the spread of the gain, DSNU that of the dark signal.
 """
 
 from __future__ import annotations
@@ -14,48 +14,49 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 
 LEAST_HOT = 0.1
-"""Share of full well that a hot pixel shows at least; others show up to all of it."""
+"""Least dark signal of a hot pixel, as a fraction of full well; the largest is full well."""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelPattern:
-    """What each pixel makes of the light, alike in every frame.
+    """Gain and dark signal of each pixel, equal in every frame.
 
     Attributes
     ----------
     gain : ndarray, shape (ny, nx)
-        Electrons over those that a pixel as it should be holds.
+        Gain relative to that of an ideal pixel.
     dark_electrons : ndarray, shape (ny, nx)
-        Added to them; may be below 0, for the dark count is that of the mean.
+        Dark signal relative to the mean dark count, in electrons; can be negative.
     """
 
     gain: Array
     dark_electrons: Array
 
     def of(self, intensity: Array, rows: slice) -> tuple[Array, Array]:
-        """Intensity as some rows of pixels take it, and their dark electrons."""
+        """Return the intensity times gain, and the dark electrons, of a range of rows."""
         return intensity[rows] * self.gain[rows], self.dark_electrons[rows]
 
 
 @dataclass(frozen=True)
 class PixelErrors:
-    """How unlike a sensor's pixels are.
+    """Statistics of the non-uniformity of a sensor's pixels.
 
     Attributes
     ----------
     prnu : float
-        Standard deviation of the gain, as a share of it.
+        Relative standard deviation of the gain.
     dsnu_electrons : float
-        Standard deviation of the dark signal.
+        Standard deviation of the dark signal, in electrons.
     hot_share, dead_share : float
-        Of the pixels. Hot ones show from `LEAST_HOT` to all of full well without light, dead ones see none.
+        Fractions of hot and dead pixels. Without light, hot pixels have a signal between the fraction
+        `LEAST_HOT` of full well and full well. Dead pixels have no signal.
     seed : int
-        Of the pattern.
+        Seed of the pattern.
 
     Raises
     ------
     InputError
-        If a number is not usable.
+        If a value is outside its range.
     """
 
     prnu: float = 0.0
@@ -70,15 +71,15 @@ class PixelErrors:
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be from 0 to below {limit:g}")
         if not (min(self.hot_share, self.dead_share) >= 0.0 and self.hot_share + self.dead_share <= 1.0):
             raise InputError(
-                f"hot_share = {self.hot_share!r}, dead_share = {self.dead_share!r}: must be shares of the "
-                "pixels, together at most 1"
+                f"hot_share = {self.hot_share!r}, dead_share = {self.dead_share!r}: must be fractions of "
+                "the pixels, together at most 1"
             )
 
     def pattern(self, shape: tuple[int, ...], full_well_electrons: float) -> PixelPattern | None:
-        """Of a sensor with so many pixels; None where all are as they should be."""
+        """Return the pattern of a sensor of a shape (ny, nx); None if all pixels are ideal."""
         if not (self.prnu or self.dsnu_electrons or self.hot_share or self.dead_share):
             return None
-        # A stream of its own: the frames' noise has the same seed.
+        # A separate random stream, because the noise of the frames uses the same seed.
         random = np.random.Generator(np.random.PCG64(np.random.SeedSequence((self.seed, 1288))))
         gain = np.maximum(1.0 + self.prnu * random.standard_normal(shape), 0.0)
         dark = self.dsnu_electrons * random.standard_normal(shape)
@@ -89,4 +90,4 @@ class PixelErrors:
 
 
 ALIKE = PixelErrors()
-"""A sensor whose pixels are all as they should be."""
+"""Errors of a sensor with ideal pixels: none."""

@@ -1,4 +1,4 @@
-"""Compiled loops over pixels: one intensity of several exposures, and pixels that disagree."""
+"""Compiled loops exposure_sum pixels: one intensity of several exposures, and pixels that disagree."""
 
 # mypy: disable-error-code="misc"
 
@@ -14,42 +14,47 @@ _jit = cached_njit(nogil=True, error_model="numpy")
 
 @_jit
 def merged(
-    electrons: NDArray, known: NDArray, shares: NDArray, fixed: NDArray, intensity: NDArray, variance: NDArray
+    electrons: NDArray,
+    known: NDArray,
+    relative_exposures: NDArray,
+    fixed: NDArray,
+    intensity: NDArray,
+    variance: NDArray,
 ) -> None:
-    """Mean by inverse variances, in units of the exposures' shares; the first frame's where none is known."""
+    """Fill `intensity` with means weighted by inverse variances, or the first frame's value if unknown."""
     frames, height, width = electrons.shape
     for i in range(height):
         for j in range(width):
-            seen = over = 0.0
+            electrons_sum = exposure_sum = 0.0
             for k in range(frames):
                 if known[k, i, j]:
-                    seen += electrons[k, i, j]
-                    over += shares[k, i, j]
-            if over == 0.0:
-                intensity[i, j], variance[i, j] = electrons[0, i, j] / shares[0, i, j], inf
+                    electrons_sum += electrons[k, i, j]
+                    exposure_sum += relative_exposures[k, i, j]
+            if exposure_sum == 0.0:
+                intensity[i, j], variance[i, j] = electrons[0, i, j] / relative_exposures[0, i, j], inf
                 continue
-            level = max(seen, 0.0) / over
-            total = mean = 0.0
+            level = max(electrons_sum, 0.0) / exposure_sum
+            weight_sum = mean = 0.0
             for k in range(frames):
                 if known[k, i, j]:
-                    share = shares[k, i, j]
-                    weight = share / (level * share + fixed[k])
-                    total += weight * share
+                    exposure = relative_exposures[k, i, j]
+                    weight = exposure / (level * exposure + fixed[k])
+                    weight_sum += weight * exposure
                     mean += weight * electrons[k, i, j]
-            mean /= total
-            level, certain = max(mean, 0.0), 0.0
+            mean /= weight_sum
+            level, inverse_variance = max(mean, 0.0), 0.0
             for k in range(frames):
                 if known[k, i, j]:
-                    share = shares[k, i, j]
-                    certain += share * share / (level * share + fixed[k])
-            intensity[i, j], variance[i, j] = mean, 1.0 / certain
+                    exposure = relative_exposures[k, i, j]
+                    inverse_variance += exposure * exposure / (level * exposure + fixed[k])
+            intensity[i, j], variance[i, j] = mean, 1.0 / inverse_variance
 
 
 @_jit
 def contradicting(
-    electrons: NDArray, known: NDArray, shares: NDArray, fixed: NDArray, far: float, unlike: float
+    electrons: NDArray, known: NDArray, relative_exposures: NDArray, fixed: NDArray, far: float, unlike: float
 ) -> NDArray:
-    """Pixels whose intensities in two frames that follow each other differ too far."""
+    """Return the mask of pixels whose intensities in two consecutive frames differ too much."""
     frames, height, width = electrons.shape
     found = zeros((height, width), dtype="?")
     for k in range(frames - 1):
@@ -57,7 +62,7 @@ def contradicting(
             for j in range(width):
                 if not (known[k, i, j] and known[k + 1, i, j]):
                     continue
-                own, other = shares[k, i, j], shares[k + 1, i, j]
+                own, other = relative_exposures[k, i, j], relative_exposures[k + 1, i, j]
                 one, two = electrons[k, i, j], electrons[k + 1, i, j]
                 noise = (max(one, 0.0) + fixed[k]) / (own * own)
                 noise += (max(two, 0.0) + fixed[k + 1]) / (other * other)
@@ -77,13 +82,13 @@ def outlying_pixels(
     dead_noise: float,
     lit: float,
 ) -> NDArray:
-    """Pixels far brighter than all eight neighbours, with light, and without any among such with it."""
+    """Return masks (3, ny, nx): brighter than all eight neighbours, lit, and dark among lit neighbours."""
     height, width = intensity.shape
     found = empty((3, height, width), dtype="?")
     for i in range(height):
         for j in range(width):
             low, high = inf, -inf
-            # Beyond the border stands what stands on it: a pixel of the border is its own neighbour.
+            # Values are repeated beyond the border: a pixel on the border is its own neighbour.
             for row in range(i - 1, i + 2):
                 for column in range(j - 1, j + 2):
                     if row == i and column == j:

@@ -18,21 +18,21 @@ from wavesim.fields.picture_files import FRAME_FORMATS, Picture, PictureFile
 Mask = NDArray[np.bool_]
 
 MOST_BAD = 0.2
-"""Share of the pixels that may be bad."""
+"""Largest allowed fraction of bad pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelMaps:
-    """What is known of each pixel; None where all are alike.
+    """Known properties of each pixel; None where all pixels are equal.
 
     Attributes
     ----------
     gain : ndarray, optional
-        Relative to the mean, shape (ny, nx).
+        Gain relative to the mean, shape (ny, nx).
     dark_electrons : ndarray, optional
-        Signal without light beyond the dark count.
+        Dark signal above the dark count, in electrons.
     bad : ndarray of bool, optional
-        Pixels that tell nothing.
+        Mask of bad pixels.
     """
 
     gain: Array | None = None
@@ -41,34 +41,34 @@ class PixelMaps:
 
 
 def read_map(path: str | os.PathLike[str], *, several: bool = True) -> Array:
-    """Values of a map: a grey TIFF or PNG of numbers, or an array in an .npy file.
+    """Return the values of a map: a grey TIFF or PNG, or an array in an .npy file.
 
-    Pictures are turned upright by the orientation that their file states.
+    The orientation that a picture file states is applied.
 
     Parameters
     ----------
     path
         The file.
     several
-        Whether the mean of several pictures is taken (pages of a TIFF, an array of shape (pictures, ny, nx)),
-        as of darks and flats; else the file must hold one.
+        Whether several pictures (pages of a TIFF, or an array of shape (pictures, ny, nx)) are averaged, as
+        for darks and flats. Otherwise the file must contain one picture.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no pictures of finite numbers of one size.
+        If the file cannot be read, or does not contain pictures of finite numbers of one size.
     """
-    place = Path(path)
-    values = _array(place) if place.suffix.lower() == ".npy" else _mean_picture(place, several)
+    file = Path(path)
+    values = _array(file) if file.suffix.lower() == ".npy" else _mean_picture(file, several)
     if values.ndim == 3 and len(values) and several:
         values = values.mean(axis=0)
     if values.ndim != 2 or not values.size or not np.all(np.isfinite(values)):
-        raise InputError(f"map {place}: of shape {values.shape}: must be one grey picture of finite numbers")
+        raise InputError(f"map {file}: of shape {values.shape}: must be one grey picture of finite numbers")
     return values
 
 
 def _array(path: Path) -> Array:
-    """The real numbers of an .npy file."""
+    """Return the real numbers of an .npy file."""
     (values,) = read_arrays(path, TABLE_BYTES, named="the map").values()
     if values.dtype.kind not in "biuf":
         raise InputError(f"map {path}: holds {values.dtype}: must be an array of real numbers")
@@ -76,7 +76,7 @@ def _array(path: Path) -> Array:
 
 
 def _mean_picture(path: Path, several: bool) -> Array:
-    """The mean of the pictures of a file."""
+    """Return the mean of the pictures of a file."""
     file = PictureFile(path, "the map", FRAME_FORMATS)
     if not several:
         return _numbers(file.only())
@@ -93,7 +93,7 @@ def _mean_picture(path: Path, several: bool) -> Array:
 
 
 def _numbers(picture: Picture) -> Array:
-    """Stored numbers of a grey picture."""
+    """Return the stored numbers of a grey picture."""
     if not picture.is_grey:
         alpha = ", with transparent pixels" if picture.states_alpha else ""
         raise InputError(
@@ -116,23 +116,28 @@ def read_pixel_maps(
     dark: Path | None = None,
     bad: Path | None = None,
 ) -> PixelMaps | None:
-    """Maps from frames of even light (flat) and of none (dark), and of bad pixels, which are not 0.
+    """Return pixel maps from a flat field, a dark frame, and a picture of bad pixels.
 
     Parameters
     ----------
     shape
-        Of the frames.
+        Shape (ny, nx) of the frames.
     offset_counts, gain_electrons_per_count
-        As of :class:`wavesim.FrameSettings`; those of the maps are the same.
+        Settings of frames and maps, see :class:`wavesim.FrameSettings`.
     flat, dark
-        In counts. Several pictures in a file are averaged.
+        Files of frames in uniform light and without light, in counts. Pictures in a file are averaged.
     bad
-        Of bad pixels; one picture.
+        File of one picture that is not 0 in bad pixels.
+
+    Returns
+    -------
+    PixelMaps or None
+        The maps; None if no file is given.
 
     Raises
     ------
     InputError
-        If a map cannot be read or is of another size, the flat is not above 0, or too many pixels are bad.
+        If a map cannot be read or has another size, the flat is not positive, or too many pixels are bad.
     """
     if flat is None and dark is None and bad is None:
         return None
@@ -160,12 +165,12 @@ def _of_shape(path: Path, shape: tuple[int, ...], *, several: bool = True) -> Ar
 
 
 def _gain(path: Path, light: Array, bad: Mask | None) -> Array:
-    """Relative gain, 1 in bad pixels."""
+    """Return the relative gain, 1 in bad pixels."""
     known = np.ones(light.shape, bool) if bad is None else ~bad
-    lacking = int(np.count_nonzero(light[known] <= 0.0))
-    if lacking:
+    dark = int(np.count_nonzero(light[known] <= 0.0))
+    if dark:
         raise InputError(
-            f"{path}: {lacking} pixels show no light beyond the dark count: a flat must be above it "
+            f"{path}: {dark} pixels show no light beyond the dark count: a flat must be above it "
             "everywhere; mark dead pixels as bad"
         )
     return np.where(known, light / light[known].mean(), 1.0)

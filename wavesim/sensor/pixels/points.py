@@ -1,9 +1,13 @@
-"""Amplitudes at points that lie some pixels apart, for light whose fringes are many pixels wide.
+"""Amplitudes at points several pixels apart, for light whose fringes are many pixels wide.
 
-All pixels around a point count: polynomials of the fourth degree through them tell the intensity
-there (A. Savitzky and M. J. E. Golay, "Smoothing and differentiation of data by simplified least squares
-procedures" (1964)), and its second derivatives, by which the mean over a pixel's square differs from it. What
-would be lost by leaving pixels out is kept: their light.
+A polynomial of fourth degree is fitted to all pixels around a point, so that none of their light is lost. It
+gives the intensity at the point, and its second derivatives, which determine the difference between the
+intensity at the point and its mean over the pixel's square.
+
+References
+----------
+A. Savitzky and M. J. E. Golay, "Smoothing and differentiation of data by simplified least squares
+procedures", Anal. Chem. 36, 1627 (1964).
 """
 
 from __future__ import annotations
@@ -23,9 +27,8 @@ DEGREE = 4
 
 
 def points_among(count: int, apart: int) -> slice:
-    """Pixels that lie so far apart, in the middle of a row of so many; all around each of them are in it."""
-    room = 2 * apart
-    steps = (count - 1 - room) // apart
+    """Return the slice of points `apart` pixels apart, centred in `count` pixels, without the margins."""
+    steps = (count - 1 - 2 * apart) // apart
     first = (count - 1 - steps * apart) // 2
     return slice(first, first + steps * apart + 1, apart)
 
@@ -33,20 +36,20 @@ def points_among(count: int, apart: int) -> slice:
 def recorded_points(
     plane: Sequence[Frame], distance_mm: float, apart: int, fill_factor: float
 ) -> Measurement:
-    """What frames of one plane tell of the amplitude at points.
+    """Return the amplitude and its standard deviation at points, from frames of one plane.
 
-    A point near which a pixel tells nothing is not known either.
+    A point is unknown if one of the pixels around it is unknown.
 
     Parameters
     ----------
     plane
-        Frames, as of :func:`wavesim.sensor.exposures.merged_intensity`.
+        Frames, see :func:`wavesim.sensor.exposures.merged_intensity`.
     distance_mm
-        As of :class:`wavesim.sensor.measurement.Measurement`.
+        Distance of the plane, see :class:`wavesim.sensor.measurement.Measurement`.
     apart
-        Pixels from one point to the next, two or more; those of :func:`points_among`.
+        Pixels from one point to the next, at least 2; see :func:`points_among`.
     fill_factor
-        Side of a pixel's photosensitive square as a share of the pitch.
+        Linear fill factor of a pixel (0 to 1).
     """
     weights = point_weights(apart, fill_factor)
     rows, columns = plane[0].counts.shape
@@ -66,10 +69,10 @@ def recorded_points(
 
 
 def point_weights(apart: int, fill_factor: float) -> Array:
-    """Of the pixels around a point, along one axis, in the intensity there."""
+    """Return the weights of the pixels around a point, along one axis, in the intensity at the point."""
     fitted = np.linalg.pinv(np.vander(np.arange(-apart, apart + 1.0), DEGREE + 1, increasing=True))
-    value, bend = fitted[0], 2.0 * fitted[2]
-    return np.asarray(value - fill_factor**2 / 24.0 * bend, np.float32)
+    value, second_derivative = fitted[0], 2.0 * fitted[2]
+    return np.asarray(value - fill_factor**2 / 24.0 * second_derivative, np.float32)
 
 
 def _around(values: Array, weights: Array, axis: int) -> Array:
