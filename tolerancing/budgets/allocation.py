@@ -114,8 +114,8 @@ def allocate_tolerances(
     smallest = search.count(lowest)
     if smallest < required:
         raise InputError(
-            f"required yield = {required:g}: cannot be reached; even with the smallest scales the predicted yield "
-            f"is {smallest:.4g}"
+            f"required yield = {required:g}: cannot be reached; even with the smallest scales the "
+            f"predicted yield is {smallest:.4g}"
         )
     return search.run()
 
