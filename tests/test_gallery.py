@@ -86,7 +86,7 @@ def test_lenses_close_and_have_a_sheet_for_each_element(name: str, lenses: dict[
     elements = closed_elements(lenses[name])
     assert len(elements) == (2 if name.endswith("pair") else 1)
     for element in elements:
-        mesh = lens_mesh(lenses[name], chord_error_um=2.0, element=element.number)
+        mesh = lens_mesh(lenses[name], chord_error_um=2.0, element=element.index)
         assert mesh.mesh.is_watertight
         assert mesh.mesh.volume == pytest.approx(element.volume_mm3, rel=5e-3)
     if all(element.rotational for element in elements):

@@ -149,7 +149,7 @@ def reconstruct_frames(
         count = f"{reporter.iterations} of {settings.most_iterations}"
         raise KeyboardInterrupt(f"interrupted after {count} iterations; {hint}") from None
     except ClusterError as error:
-        raise ClusterError(f"{error}; {_resume_hint(case) or 'no iteration was checkpoint'}") from error
+        raise ClusterError(f"{error}; {_resume_hint(case) or 'no iteration was saved'}") from error
 
 
 def _find_stop(
@@ -230,8 +230,8 @@ def _prepared_engine(
 
 
 def _resume_hint(case: ReconstructionProblem) -> str:
-    checkpoint = case.checkpoint is not None and case.checkpoint.kept
-    return "the same command goes on from where it was last kept" if checkpoint else ""
+    saved = case.checkpoint is not None and case.checkpoint.kept
+    return "the same command continues from the last saved iteration" if saved else ""
 
 
 def _run(

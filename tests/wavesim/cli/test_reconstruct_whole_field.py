@@ -14,7 +14,7 @@ import pytest
 from wavesim_command import ENDED, written
 
 from wavesim.cli import runs
-from wavesim.reconstruction import reconstruction_problem
+from wavesim.reconstruction import problem
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.scratch import Scratch
 
@@ -26,7 +26,7 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
 ) -> None:
     lists: list[Inventory] = []
     files: list[tuple[str, int]] = []
-    tell, make = reconstruction_problem.run_arrays, Scratch._mapped
+    tell, make = problem.run_arrays, Scratch._mapped
 
     def told(*arguments: Any, **settings: Any) -> Inventory:
         lists.append(tell(*arguments, **settings))
@@ -36,7 +36,7 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
         files.append((what, size))
         return make(self, size, what)
 
-    monkeypatch.setattr(reconstruction_problem, "run_arrays", told)
+    monkeypatch.setattr(problem, "run_arrays", told)
     monkeypatch.setattr(Scratch, "_mapped", made)
     options = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 3, "--truth", data)
     code, out, err = run(*options, "--json", "-o", tmp_path / "free")
@@ -90,14 +90,14 @@ def test_progress_is_told_within_an_iteration(
     def shown() -> Iterator[Bar]:
         yield bar
 
-    make = reconstruction_problem.imaging_engine
+    make = problem.imaging_engine
 
     def kept(*arguments: Any, **settings: Any) -> Any:
         engines.append(make(*arguments, **settings))
         return engines[-1]
 
     monkeypatch.setattr(runs, "progress_bar", shown)
-    monkeypatch.setattr(reconstruction_problem, "imaging_engine", kept)
+    monkeypatch.setattr(problem, "imaging_engine", kept)
     options = ("--engine", "hierarchical", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code in ENDED, err

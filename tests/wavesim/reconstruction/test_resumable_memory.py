@@ -82,7 +82,7 @@ def test_what_was_kept_is_let_go_of_after_an_iteration(
         read.extend(weakref.ref(values[i]) for i in (0, 1))
         return SolverState(*values)
 
-    monkeypatch.setattr(resumable, "Progressed", watched)
+    monkeypatch.setattr(resumable, "SolverState", watched)
     alive: list[int] = []
 
     def count(number: int, misfit: float) -> None:

@@ -75,7 +75,7 @@ def planes_in(engine: Engine, light: Field, width_deg: float) -> list[Measuremen
     return planes
 
 
-@pytest.mark.parametrize("share", [0.0, 1.2])
+@pytest.mark.parametrize("fraction", [0.0, 1.2])
 def test_the_width_of_a_source_is_found_with_the_object(fraction: float) -> None:
     """In widths at which light is coherent over half of the object."""
     engine = FarField()

@@ -18,4 +18,4 @@ def test_many_tiles_take_more_terms_than_few(side: int, rank: int, sought: int) 
     """Sixteen of five terms at most; beyond these it is rays that cost."""
     residual: Any = SimpleNamespace(rank_for=lambda error: rank)
     tiles = cut(Grid((40, 40), 1e-3, 0.0), (side, side))
-    assert Probe((side, side), tiles, (0,), (residual,)).rank_sought(0.01) == sought
+    assert Probe((side, side), tiles, (0,), (residual,)).target_rank(0.01) == sought

@@ -243,7 +243,7 @@ def test_maps_that_cannot_be_so_accurate_are_refused(
     scene = plane_scene(paper_lens)
     region = region_of_object(scene)
     assert not region.is_disc
-    with pytest.raises(RayMapError, match="less accuracy"):
+    with pytest.raises(RayMapError, match="too rough"):
         maps_over_object(scene, region, 12.7, 0.09, 1e-11)
 
 
