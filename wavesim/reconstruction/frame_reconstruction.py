@@ -38,6 +38,7 @@ from wavesim.reconstruction.assessment import (
 from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
+from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS, STAGES, aperture_stages
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.problem import (
     ReconstructionProblem,
@@ -72,7 +73,7 @@ BETTER = 0.97
 """Ratio of residuals below which an unbounded amplitude object, or one from another start, is preferred."""
 
 BRIGHT = 0.99
-"""Quantile of a complex object's amplitudes that is scaled to 1 in the start of an amplitude object."""
+"""Quantile of an object's amplitudes that is scaled to 1 in the start of the next stage."""
 
 ClusterHandover = Callable[[Engine], Engine]
 """Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
@@ -365,7 +366,7 @@ def _find_object(
                     found = brighter
                 del brighter
             if not curve and may_be_stagnated(case, settings, found):
-                found = _solve_from_complex_object(case, settings, engine, reporter, found)
+                found = _solve_with_growing_aperture(case, settings, engine, reporter, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
                 maps = residual_maps_of(
@@ -422,6 +423,7 @@ def _solve(
     checkpoint: Checkpoint | None = None,
     resume: SolverState | None = None,
     bounded: bool = True,
+    iterations: int | None = None,
 ) -> Reconstructed:
     """Return the object that iterations with one engine find."""
     return reconstruct(
@@ -430,7 +432,7 @@ def _solve(
         case.given,
         kind=settings.kind,
         tv_weight=settings.tv_weight,
-        iterations=settings.most_iterations,
+        iterations=iterations or settings.most_iterations,
         until_noise=True,
         scale=settings.scale,
         start=start,
@@ -444,26 +446,34 @@ def _solve(
     )
 
 
-def _solve_from_complex_object(
+def _solve_with_growing_aperture(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine: Engine,
     reporter: ProgressReporter,
     found: Reconstructed,
 ) -> Reconstructed:
-    """Return the amplitude object that starts from a complex one if it fits better than the one found.
-
-    A complex transmission avoids local minima of a real one between 0 and 1.
-    """
-    reporter.step("complex object as another start")
-    complex_object = _solve(case, settings.replaced(kind="complex"), engine, reporter, None).transmission
-    amplitude = np.abs(complex_object.values)
-    if settings.scale is None:
-        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], BRIGHT)), 1e-6)
-    start = complex_object.with_values(np.clip(amplitude, 0.0, 1.0).astype(complex_object.values.dtype))
+    """Return the amplitude object that a growing aperture finds if it fits better than the one found."""
+    start: Field | None = None
+    iterations = min(STAGE_ITERATIONS, settings.most_iterations)
+    for index, planes in enumerate(aperture_stages(case.given)):
+        reporter.step(f"local minimum? growing aperture, stage {index + 1} of {STAGES}")
+        stage = case._replace(given=planes)
+        values = _solve(stage, settings, engine, reporter, start, iterations=iterations).transmission
+        start = values if settings.scale is not None else _brightest_is_1(values, case.light)
     other = _solve(case, settings, engine, reporter, start)
     is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)
     return other if is_better else found
+
+
+def _brightest_is_1(transmission: Field, light: Field) -> Field:
+    """Return a transmission, known up to a factor, whose brightest lit parts are 1."""
+    brightest = float(np.quantile(np.abs(transmission.values[light.values != 0.0]), BRIGHT))
+    return (
+        transmission
+        if brightest == 0.0
+        else transmission.with_values(transmission.values / transmission.values.real.dtype.type(brightest))
+    )
 
 
 def _retrieve(
