@@ -318,7 +318,7 @@ class ImageSettings(
 ):
     """Settings of :func:`wavesim.image`. Lengths are in the unit that their names state.
 
-    The options of `wavesim image` have the same names and descriptions.
+    Every setting is also an option of `wavesim image`.
 
     Examples
     --------
@@ -400,7 +400,7 @@ class FramedSettings(EngineSettings, PatchSettings):
 class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     """Settings of :func:`wavesim.reconstruct_frames`. Lengths are in the unit that their names state.
 
-    The options of `wavesim reconstruct` have the same names and descriptions.
+    Every setting is also an option of `wavesim reconstruct`.
 
     Examples
     --------
