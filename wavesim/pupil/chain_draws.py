@@ -25,7 +25,7 @@ TERMS = (ORDERS[0] + 1) * (ORDERS[1] + 1)
 """Number of polynomial terms x^i p^j of one plane; i runs fastest."""
 
 BLOCK = 16
-"""Lenses whose fields are held at one time."""
+"""Number of lenses whose fields are in memory at one time."""
 
 
 def polynomial_terms(x: Array, p: Array) -> Array:
@@ -33,9 +33,9 @@ def polynomial_terms(x: Array, p: Array) -> Array:
 
     Parameters
     ----------
-    x : ndarray, shape (places,)
+    x : ndarray, shape (points,)
         Object coordinate over half the length of the line.
-    p : ndarray, shape (places,)
+    p : ndarray, shape (points,)
         Nominal direction cosine over the numerical aperture.
     """
     return np.stack([x**i * p**j for j in range(ORDERS[1] + 1) for i in range(ORDERS[0] + 1)], axis=1)
@@ -79,7 +79,7 @@ class ChainDraws:
 
     @cached_property
     def visible(self) -> Array:
-        """Quadratic form that gives the square of the visible path change (:meth:`LinearisedChain.visible`)."""
+        """Quadratic form of the square of the visible path change (:meth:`LinearisedChain.visible`)."""
         chain = self.chain
         pairs = zip(chain.meridian.planes, chain.noise, strict=True)
         blocks = [self._visible(plane, noise) for plane, noise in pairs]
