@@ -28,10 +28,11 @@ def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil]
     Parameters
     ----------
     pupil
-        A registered pupil (:func:`wavesim.refocus`). The search covers `FOCUS_RANGE` to either side of its plane.
+        A registered pupil (:func:`wavesim.refocus`). The search covers `FOCUS_RANGE` to either side of its
+        plane.
     score
-        Function of a pupil; the best pupil has the highest score. Planes in which it raises a SamplingError are
-        skipped.
+        Function of a pupil; the best pupil has the highest score. Planes in which it raises a SamplingError
+        are skipped.
 
     Returns
     -------

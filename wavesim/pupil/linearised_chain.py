@@ -41,7 +41,7 @@ WITHIN, JUDGED = 0.72, 0.92
 """Fractions of the line that contain sets of bars, and in which objects are compared."""
 
 DEPTH, PHASE_RAD, CLEAR = 0.9, 1.2, 0.4
-"""Amplitude of the bars of an amplitude object; phase and amplitude of those of a complex object."""
+"""Amplitude that bars of an amplitude object remove; phase that those of a complex one add, and amplitude."""
 
 SCATTER = 0.3
 """Standard deviation of objects from their expected values."""
@@ -98,7 +98,7 @@ class LinearisedChain:
 
     @cached_property
     def noise(self) -> tuple[float, ...]:
-        """Standard deviation of the amplitudes of each plane, for the light without an object."""
+        """Standard deviation of the amplitudes of each plane, whose brightest pixel has `electrons`."""
         light = [np.abs(plane.matrix.sum(axis=1)).max() for plane in self.meridian.planes]
         return tuple(float(0.5 * brightest / np.sqrt(self.electrons)) for brightest in light)
 

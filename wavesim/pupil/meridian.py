@@ -99,8 +99,8 @@ class Meridian:
     pixels_per_sample : float
         Number of pixels of each plane that are used for each sample of the object; others are omitted evenly.
     fans : int
-        Number of object points from which nominal rays are traced. Between them, path and cosine are polynomials
-        of the object point. 0 traces a fan from each sample.
+        Number of object points from which nominal rays are traced. Between them, path and cosine are
+        polynomials of the object point. 0 traces a fan from each sample.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class Meridian:
 
     @cached_property
     def wavelength(self) -> float:
-        """Pitch of the samples, in um."""
+        """Vacuum wavelength in um."""
         return self.wavelength_um or self.lens.wavelengths_um[0]
 
     @cached_property

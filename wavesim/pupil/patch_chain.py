@@ -42,7 +42,8 @@ from wavesim.scene.placement import NOMINAL, Placement, placed
 
 WINDOW = {True: 6.0, False: 3.0}
 """Period of the returned field in widths of the patch, on a line and in the plane. The phase of the pupil is
-sampled up to a displacement of half a period. On a line the stop's rim matters more, and samples cost less."""
+sampled up to a displacement of half a period. On a line the stop's rim matters more, and samples cost less.
+"""
 
 LEAST_WINDOW = 2.0
 """Least period in widths of the patch: light that is displaced by half a period and wraps around still misses

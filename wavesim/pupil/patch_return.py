@@ -234,8 +234,8 @@ class ReturnedPatch:
     shift_um : ndarray, shape (2,)
         Displacement (x, y) of the object in um that was removed.
     refocus_um : float
-        Distance in um that was removed, from the object plane to the plane of best focus, positive towards the
-        lens.
+        Distance in um that was removed, from the object plane to the plane of best focus; positive towards
+        the lens.
     """
 
     patch: PatchGrid
@@ -247,7 +247,7 @@ class ReturnedPatch:
     refocus_um: float
 
     def at(self, x_um: Array, y_um: Array) -> ComplexArray:
-        """Return the field on the grid of two axes from the patch's centre, shape (ny, nx); on a line (ny,)."""
+        """Return the field on the grid of two axes from the centre, shape (ny, nx); on a line (ny,)."""
         grid = self.rays.base.grid
         down = plane_waves(grid.axes[1], y_um, grid.wavelength_um)
         if self.patch.line:
@@ -285,8 +285,8 @@ class ReturnedPatch:
     def displacement_um(self, orientation: Orientation, cosine_limit: float) -> float:
         """Return the displacement of the imaged object along an axis, for light below a direction cosine.
 
-        It follows from the least-squares slope of the pupil's phase, weighted with the power of the light, as in
-        :func:`wavesim.pupil.line_pair_displacement_um`.
+        It follows from the least-squares slope of the pupil's phase, weighted with the power of the light, as
+        in :func:`wavesim.pupil.line_pair_displacement_um`.
 
         Raises
         ------

@@ -144,9 +144,9 @@ def shoot(
     Returns
     -------
     rays : RayTrace
-        The rays. Cosines of no real ray are traced along the axis.
+        The rays. Those whose cosines exceed 1 are traced along the axis.
     real : ndarray of bool, shape (n,)
-        Cosines of real rays.
+        True where the cosines are those of a real ray.
     """
     axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
     real = axial_square > 0.0
