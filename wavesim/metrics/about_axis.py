@@ -31,16 +31,20 @@ from wavesim.scene.scene import Scene
 ComplexArray = NDArray[np.complex128]
 
 NODES, PANEL_WAVES, BLOCKS = 8, 1.9, 200
-"""Of a Gauss-Legendre rule in each panel; width of one on a surface; angles that are summed at a time."""
+"""Nodes of the Gauss-Legendre rule in each panel; width of a panel on a surface in wavelengths; number of
+angles that are summed at a time.
+"""
 
 TURNS = 17
-"""Azimuths at which a surface must have the same height."""
+"""Number of azimuths at which a rotationally symmetric surface must have the same height."""
 
 ROUND_WAVES = 1e-6
-"""By how much these may differ."""
+"""Largest difference of these heights, in wavelengths."""
 
 OVERFILLED, WINDOW = 1.1, 0.4
-"""Steepest light of rings, over the aperture's; radius at which they fall to 1/e, over half of the patch."""
+"""Largest sine of the light of rings over that of the aperture; radius at which rings fall to 1/e over half
+of the patch.
+"""
 
 SEED = 20261123
 

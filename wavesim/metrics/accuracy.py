@@ -20,8 +20,9 @@ from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.light import Light
 
 TIMED_RUNS, SLOW_SECONDS = 3, 1.0
-"""Runs of which the fastest counts, once set up; a run longer than this is not repeated, and its memory is
-measured while it is timed."""
+"""Number of runs after the set-up, of which the fastest counts. A run longer than `SLOW_SECONDS` is not
+repeated, and its memory is measured during the same run.
+"""
 
 
 @dataclass(frozen=True)

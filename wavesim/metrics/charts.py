@@ -34,22 +34,25 @@ from wavesim.targets.usaf import ELEMENTS, GROUPS, UsafElement, chart_outline, u
 Limit = Literal["result", "aperture", "sampling", "chart", "region"]
 
 SEARCH_LINES, SEARCH_SAMPLES = 2.0, (16, 64)
-"""Displacements that are tried: so many lines of the coarsest element, within these numbers of samples."""
+"""Largest trial displacement in line widths of the coarsest element, and its limits in samples."""
 
 DETERMINED, CHANCE = 0.25, 6.0
 """Least correlation of chart and intensity that determines the position of the chart, absolute and as a
-multiple of that of noise."""
+multiple of that of noise.
+"""
 
 DEFORMED_SAMPLES, DEFORMED_GAIN, DEFORMED_ELEMENTS = 0.5, 0.1, 3
-"""Scale and rotation count where they move the chart's corners by so many samples, and take away so much of
-what the correlation loss to 1. They are sought where so many elements are shown."""
+"""Scale and rotation are accepted if they move the chart's corners by this number of samples, and reduce the
+difference of the correlation from 1 by this fraction. They are searched if this number of elements is shown.
+"""
 
 SMOOTHING = 1.0
-"""Standard deviation in samples of what smooths chart and intensity before they are correlated: edges of bars
-between samples would else change the chart's variance, and with it the correlation."""
+"""Standard deviation in samples of the smoothing of chart and intensity before their correlation. Without it,
+edges of bars between samples would change the variance of the chart, and thereby the correlation.
+"""
 
 FEW_SAMPLES = 3.0
-"""Lines of fewer samples may fail because of their position among the samples."""
+"""Samples per line below which lines may fail because of their position among the samples."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +252,7 @@ def chart_resolution(
         for one, position in in_sight
         if one.line_width_um >= SAMPLES_PER_FEATURE * sample_um * ROUNDING
     )
-    # Where the chart was found displaced, an element in position may be cut off; either way it is not shown.
+    # In a displaced chart, an element within the region may be cut off, and is then not shown either.
     outside = len(ordered) - len(in_sight)
 
     def down_to(is_resolved: Callable[[ElementContrast], bool]) -> UsafElement | None:
@@ -468,13 +471,13 @@ class _ChartCorrelation:
         chart = self.chart(np.zeros(4), wider)
 
         def sums(weights: Array, values: Array) -> Array:
-            # The chart moves against the intensity: its displacement runs against that of the window.
+            # The chart moves relative to the intensity: its displacement is opposite to that of the window.
             return np.asarray(fftconvolve(values, weights[::-1, ::-1], mode="valid"))[::-1, ::-1]
 
         products = sums(self.intensity, chart)
         means, squares = sums(self.weight, chart) / self.count, sums(self.weight, chart**2)
         spread = np.sqrt(np.maximum(squares - self.count * means**2, 0.0))
-        # Rounding of Fourier transforms must not make a contrast of an even chart.
+        # Rounding errors of Fourier transforms must not give an even chart a contrast.
         spread[spread < 1e-6 * math.sqrt(self.count)] = np.nan
         return np.asarray(products / (spread * self.size)) if self.size > 0.0 else np.full_like(means, np.nan)
 

@@ -28,13 +28,15 @@ from wavesim.targets.patterns import band_limit
 Progress = Callable[[int, int, str], None]
 
 Variant = tuple[str, str, dict[str, Any]]
-"""Family, engine, settings."""
+"""Family, engine and settings."""
 
 REFERENCE_SHARE = 0.5
-"""Step of the truth, as a share of the one that the engine would choose."""
+"""Step of the reference solution over the step that the engine would choose."""
 
 REFERENCE_ZONES = 80.0
-"""Its room for light that the rim turns: of a point's light on a one-quarter twin that leaves out 0.23 %."""
+"""Width of the reference solution's margin for light that the rim diffracts. On a twin of one quarter it
+omits 0.23 % of a point's light.
+"""
 
 SEED = 20260531
 

@@ -26,7 +26,7 @@ from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import UsafElement
 
 RESOLVED_CONTRAST = 0.2
-"""From which contrast on lines count as resolved, as in `smallest_resolved_line_width_um`."""
+"""Least contrast of resolved lines, as in `smallest_resolved_line_width_um`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from wavesim.runtime.threads import row_blocks
 
 WIDEST = 512
-"""Samples along a side, at most, of the part of a field from which a displacement is found."""
+"""Largest number of samples along a side of the part of a field from which a displacement is found."""
 
 FURTHEST = 64
-"""Samples by which a displacement is sought along each axis, at most; a quarter of a smaller field."""
+"""Largest displacement in samples along each axis; a quarter of the side of a smaller field."""
 
 DETERMINED = 0.3
-"""Correlation of the displaced fields from which on their displacement is determined."""
+"""Least correlation of the displaced fields that determines a displacement."""
 
 LEAST_DETAIL = 1e-4
-"""What is not even in a field, relative to the whole, from which on it has anything to be displaced."""
+"""Least detail of a field, without its mean and relative to the whole, that shows a displacement."""
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 
@@ -123,7 +123,7 @@ class _Overlap:
         sought = np.ix_(rows, columns)
         product = np.abs(scipy.fft.ifft2(self.products)[sought])
         sizes = [np.maximum(scipy.fft.ifft2(one)[sought].real, 0.0) for one in self.sizes]
-        # Where little of either field is left, chance would make the correlation.
+        # Where little of either field remains, the correlation would depend on chance.
         correlation = product / np.maximum(np.sqrt(sizes[0] * sizes[1]), self.least)
         row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
         y, x = (

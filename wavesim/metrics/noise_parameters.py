@@ -15,8 +15,9 @@ import numpy as np
 from wavesim.metrics.plane_residuals import PlaneResidual
 
 TOO_SMALL, TOO_SMALL_DARK = 0.8, 0.6
-"""Residuals over the stated noise below which the noise was overstated: of all pixels or bright ones, and of
-dark ones, whose amplitudes scatter less than their standard deviation where they are dim but not dark."""
+"""Residuals over the stated noise below which the noise is overstated: for all or bright pixels, and for dark
+pixels. The amplitudes of dim pixels scatter less than their standard deviation.
+"""
 
 ROUNDED = 0.4
 """The same limit where most of a dark pixel's variance is due to rounding."""

@@ -30,7 +30,7 @@ from wavesim.scene.scene import Scene, wavelength_of
 ComplexArray = NDArray[np.complex128]
 
 OBJECT_PITCH_WAVES = 0.1
-"""Pitch of the object grid, in wavelengths."""
+"""Pitch of the object grid in wavelengths."""
 
 MARGIN_MM = 0.06
 """Dark ground in mm on each side of the bars, for lines that return displaced or blurred."""

@@ -98,7 +98,7 @@ class ChainDraws:
         correlations, by_signal = registered(signals, self._true)
         if not derivatives:
             return correlations.mean(axis=0), np.zeros(coefficients.shape)
-        # Derivatives of the mean correlation by all amplitudes, shape (objects, pixels, lenses).
+        # Derivatives of the mean correlation with respect to all amplitudes, shape (objects, pixels, lenses).
         by_amplitude = np.real(np.swapaxes(self._finding, 1, 2) @ by_signal.conj()) / len(self._true)
         by = []
         for k, (one, field) in enumerate(zip(fields, sums, strict=True)):

@@ -32,7 +32,7 @@ from wavesim.pupil.pupil import ComplexArray
 from wavesim.scene.settings import Kind
 
 OBJECTS, SEED = 6, 0
-"""Random objects over which the loss is averaged."""
+"""Number of random objects over which the loss is averaged, and their seed."""
 
 BARS_UM, BAR_EVERY_UM = (0.7, 3.0), 10.0
 """Range of the bars' widths, with three bars of each width, and length of the line for each set of bars."""
@@ -41,7 +41,7 @@ WITHIN, JUDGED = 0.72, 0.92
 """Fractions of the line that contain sets of bars, and in which objects are compared."""
 
 DEPTH, PHASE_RAD, CLEAR = 0.9, 1.2, 0.4
-"""Amplitude that bars of an amplitude object remove; phase that those of a complex one add, and amplitude."""
+"""Reduction of amplitude by bars of an amplitude object; phase and reduction by those of a complex one."""
 
 SCATTER = 0.3
 """Standard deviation of objects from their expected values."""

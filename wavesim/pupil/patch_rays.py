@@ -25,7 +25,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import Placement
 
 STEP = 1e-5
-"""Of direction cosines, for one-sided differences; their error is some 1e-5 of the derivative."""
+"""Step of direction cosines for one-sided differences; its relative error is about 1e-5."""
 
 BEND_STEP_MM = 1e-3
 

@@ -21,7 +21,9 @@ from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil, plane_waves, 
 Registration = Literal["none", "shift", "focus"]
 
 PITCH_WAVES = 0.2
-"""Largest pitch of the patch's grid, in wavelengths: edges of bars fold back from beyond all real angles."""
+"""Largest pitch of the patch's grid in wavelengths. The edges of bars alias only from beyond all real
+angles.
+"""
 
 TRANSFORM_ERROR = 1e-6
 
@@ -184,7 +186,7 @@ class PerturbedPatch:
             return self.pupil, np.zeros(2), 0.0
         if registration not in ("shift", "focus"):
             raise InputError(f"registration = {registration!r}: allowed: none, shift, focus")
-        # The nominal lens, as seen from where the object shows, differs a little from that of the middle.
+        # From the displaced object the nominal lens differs slightly from that at the centre.
         moved_mm = 1e-3 * self._fitted(self.pupil, registration)[1][self.rays.axes]
         seen = 0.5 * (self.rays.bend_deviation_per_mm @ moved_mm) @ moved_mm
         return self._fitted(replace(self.pupil, opd_mm=self.pupil.opd_mm - seen), registration)

@@ -16,10 +16,10 @@ from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from wavesim.scene.placement import Placement
 
 PATH_TOLERANCE_WAVES = 1e-4
-"""What aiming at a sensor point may leave in an optical path difference."""
+"""Largest error of an optical path difference due to aiming at a sensor point, in waves."""
 
 AIM_STEPS = 8
-"""Most traces that aiming may take; two suffice for perturbations that a mount allows."""
+"""Largest number of traces for aiming; two suffice for perturbations that a mount allows."""
 
 
 class RayAimError(InputError):
@@ -106,7 +106,7 @@ class AimingMap:
         flat, cosines = not np.any(depth), self.cosines
         index = float(system.index[0, -1])
         for step in range(AIM_STEPS):
-            # Only aimed rays tell what the perturbed stop lets through.
+            # Only aimed rays show what the perturbed stop transmits.
             rays, real = shoot(system, point, cosines, plane_z, clip=step > 0)
             arrived = rays.ok & real
             miss = targets - rays.position[:, :2].T

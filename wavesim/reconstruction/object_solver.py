@@ -202,21 +202,20 @@ def reconstruct(
     kind
         "complex", or "amplitude" for a real transmission between 0 and 1.
     tv_weight
-        Weight of the total variation, for transmissions of order 1; 0 disables it. "auto" means
-        `TV_PER_NOISE` times the noise of a step, which follows from `sigma` of all planes, times the ratio
-        of the misfit to that of noise alone.
+        Weight of the total variation, for transmissions of order 1; 0 disables it. With "auto" the weight is
+        `TV_PER_NOISE` times the noise of a step, times the ratio of the misfit to that of noise alone. The
+        noise of a step follows from `sigma` of all planes.
     iterations
         Largest number of iterations; fewer are made where the misfit converges.
     until_noise
         Whether iterations also end where the misfit reaches the value that noise alone would leave
         (:func:`wavesim.sensor.measurement.noise_misfit`).
     scale
-        Measured amplitude per unit of the modelled amplitude, where a picture without an object has
-        determined it. Default: fitted in the first iterations; the transmission is then known up to a
-        factor.
+        Measured amplitude per unit of the modelled amplitude, if a picture without an object has determined
+        it. Default: fitted in the first iterations; the transmission is then known up to a factor.
     start
-        Initial transmission; default: 1. "amplitude": the first `AMPLITUDE_START` iterations seek an
-        amplitude object. This helps to find a complex object on a dark ground, which is far from 1.
+        Initial transmission; default: 1 everywhere. With "amplitude" the first `AMPLITUDE_START` iterations
+        seek an amplitude object. This helps to find a complex object on a dark ground, which is far from 1.
     fill_factor
         Linear fill factor of a pixel: side of its photosensitive square over the pitch. 0 means samples at
         points, such as those of a simulated field.
@@ -240,8 +239,8 @@ def reconstruct(
     inner_iterations
         Inner iterations behind the lens in each step, as long as the misfit is far above the noise.
     bounded
-        Whether the amplitude is at most 1. An unknown scale is fitted to an object that is bright
-        everywhere; bright parts of an object on a dark ground may then have to exceed 1.
+        Whether the amplitude is limited to 1. The fit of an unknown scale assumes an object that is bright
+        everywhere. Bright parts of an object on a dark ground may then have to exceed 1: use False.
 
     Returns
     -------

@@ -318,7 +318,8 @@ class ImageSettings(
 ):
     """Settings of :func:`wavesim.image`. Lengths are in the unit that their names state.
 
-    Every setting is also an option of `wavesim image`.
+    Every setting is also an option of `wavesim image`. A description that begins with a name, such as
+    "gaussian:" or "slices:", is for a setting of this illumination, object or engine only.
 
     Examples
     --------
@@ -400,7 +401,8 @@ class FramedSettings(EngineSettings, PatchSettings):
 class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     """Settings of :func:`wavesim.reconstruct_frames`. Lengths are in the unit that their names state.
 
-    Every setting is also an option of `wavesim reconstruct`.
+    Every setting is also an option of `wavesim reconstruct`. A description that begins with a name, such as
+    "object:" or "slices:", is for a setting of this method, illumination or engine only.
 
     Examples
     --------
