@@ -247,7 +247,7 @@ def cylinder_scene(
 
     Returns
     -------
-    OracleCase
+    AnalyticCase
         `exact` is what passes once, p = 1. Its uncertainty is the share of the beam outside the stop.
 
     Raises

@@ -134,7 +134,7 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
 
     Returns
     -------
-    OracleCase
+    AnalyticCase
         On whole planes, with ideal coatings. `exact` is what passes once, p = 1. Its uncertainty is the share
         of the beam outside the stop.
 

@@ -73,7 +73,7 @@ def stigmatic_scene(semi_diameter_mm: float = 8.25, wavelength_um: float = 0.532
 
     Returns
     -------
-    OracleCase
+    AnalyticCase
         `exact` is right to first order in wavelength over focal length. Its uncertainty is the next order:
         the object's width d counts with the phase k d^2 / (2 f).
 

@@ -37,26 +37,29 @@ STOP_PARAMETERS = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """A bench that explains the frames, and the quality of the calibration.
+    """A calibrated bench, and the quality of the calibration.
+
+    :func:`wavesim.calibrate_frames` returns it. The n parameters are numbers in the unit that their names
+    state.
 
     Attributes
     ----------
     bench : Bench
-        The calibrated bench.
+        The calibrated bench: lens, light and camera.
     parameters : tuple of str
-        Parameters that were sought.
+        Names of the n parameters that were sought.
     values : tuple of float
         Estimate of each parameter.
     deviations : tuple of float or None
         Standard deviation of each estimate, with the prior included; None for a known object.
     covariance : ndarray of shape (n, n), or None
-        Covariance of the estimates, with the prior included; None for a known object, and where the light
-        comes from other frames than the other parameters.
+        Covariance of the estimates, with the prior included. It is None for a known object, and where frames
+        without an object determined the light.
     typical : tuple of float or None
         Expected standard deviation of each parameter (prior).
     misfit_before, misfit : float
-        Relative L2 difference of amplitudes at the start and with the calibrated bench, each with the best
-        object.
+        Relative L2 difference between modelled and recorded amplitudes at the start, and with the calibrated
+        bench. Each is computed with the object that fits best.
     trail : tuple of (tuple of float, float)
         Values that were tried, and their misfits.
     at_reach : tuple of str
@@ -66,19 +69,36 @@ class Calibrated:
     misfit_of_noise : float or None
         Misfit that the stated noise alone would leave (:func:`wavesim.sensor.measurement.noise_misfit`).
     traded : mapping
-        For parameters that the frames do not distinguish from others: names of the others.
+        Parameters that the frames do not distinguish from others, each with the names of the others.
     nominal : tuple of str
-        Parameters that the frames do not need: the bench has their nominal values instead of the estimates.
+        Parameters that the frames do not need. The bench has their nominal values instead of the estimates.
     undetermined : tuple of str
         Parameters that were not sought, because a complex object can imitate them.
     applied : mapping or None
-        Values of the bench by name; None where they are the estimates.
+        Values that the bench has, by name; None where they are the estimates.
     verdict : GoodnessOfFit or None
         Assessment of the object on this bench by :func:`wavesim.reconstruct_frames`; None if it was not
         requested.
-    field_stop_mm, field_stop_at_mm, field_stop_from : float or None, (x, y), str
-        Diameter and center of the field stop of the light, and their origin: "patch" if nothing was stated,
-        "stated", or "frames" if they were found.
+    field_stop_mm : float or None
+        Diameter of the field stop of the light in mm.
+    field_stop_at_mm : (x, y)
+        Center of the field stop in mm.
+    field_stop_from : str
+        Origin of the field stop: "patch" if nothing was stated, "stated", or "frames" if it was found.
+
+    Examples
+    --------
+    A lens that is decentered by 5 um, calibrated with frames of a known object:
+
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import calibrate_frames, image
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.02, "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, "tissue", planes_mm=(0.03,), decenter_x_mm=0.005, **patch)
+    >>> known = taken.target.transmission
+    >>> found = calibrate_frames(lens, taken.frames, known=known, parameters="decenter_x_mm", **patch)
+    >>> round(found.mounting.pose.decenter_x_mm, 3), found.misfit < found.misfit_before
+    (0.005, True)
     """
 
     bench: Bench
@@ -104,7 +124,7 @@ class Calibrated:
 
     @property
     def mounting(self) -> Placement:
-        """Mounting of the lens."""
+        """Mounting of the lens on the calibrated bench."""
         return self.bench.placement
 
     @property
@@ -152,7 +172,7 @@ class Calibrated:
         return None if self.verdict is None else self.verdict.explained
 
     def table(self) -> dict[str, Any]:
-        """Return all figures for JSON, with those that :func:`read_calibration` reads."""
+        """Return all results as plain values for JSON; :func:`read_calibration` reads them."""
         deviations = self.deviations or (None,) * len(self.parameters)
         return {
             "mounting": mounting_table(self.mounting),

@@ -62,10 +62,11 @@ def calibrate_frames(
     judges: bool = True,
     **changes: Any,
 ) -> Calibrated:
-    """Calibrate a bench: light, lens, mounting and camera.
+    """Calibrate a bench from its frames: light, lens, mounting and camera.
 
-    The result is the bench for which frames and reconstruction agree best;
-    :func:`wavesim.reconstruct_frames` accepts it. Frames of a known object determine the mounting only.
+    The search finds the bench whose model agrees best with the frames. Without a known object, each trial
+    bench includes a short reconstruction of the object. Frames of a known object determine the mounting
+    only.
 
     Parameters
     ----------
@@ -79,24 +80,25 @@ def calibrate_frames(
         Transmission of a known object on the patch's samples, or its file or folder.
     empty
         Frames of the same planes without an object. They determine the light (:func:`calibrate_empty`), and
-        the search for other parameters starts from there.
+        the search for other parameters starts from this light.
     priors
-        Standard deviations of parameters by name, where more is known than for a usual bench;
+        Standard deviations of parameters by name, where more is known than for a usual bench.
         :func:`tolerancing.study.calibration_priors` takes them from a tolerance study.
     folder
         Folder of the checkpoint; the same call continues an interrupted search.
     progress
-        Callback `progress(stage, completed, total)` with the number of benches.
+        Callback `progress(stage, completed, total)`. It counts the benches that were tried.
     judges
-        Whether the object is reconstructed on the bench found, by :func:`wavesim.reconstruct_frames` with
-        the same settings, to state the verdict. With a known object the verdict needs no reconstruction.
+        Whether to reconstruct the object on the calibrated bench, by :func:`wavesim.reconstruct_frames` with
+        the same settings, and to state the verdict. With a known object the verdict needs no reconstruction.
     **changes
         Settings by name, which replace those of `settings`.
 
     Returns
     -------
     Calibrated
-        The bench, the estimates, and the verdict.
+        The bench, the estimates, and the verdict. Give `bench` to :func:`wavesim.reconstruct_frames` as
+        `calibration`.
 
     Raises
     ------
@@ -109,6 +111,21 @@ def calibrate_frames(
     -----
     EmptyWarning
         If empty frames are not fully explained.
+
+    Examples
+    --------
+    A lens that is decentered by 5 um. The object is not known:
+
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import calibrate_frames, image
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> taken = image(
+    ...     lens, "star", patch_mm=0.03, planes_mm=(0.03,), engine="eikonal", error=0.1, decenter_x_mm=0.005
+    ... )
+    >>> search = {"parameters": "decenter_x_mm,decenter_y_mm", "kind": "amplitude", "iterations": 3}
+    >>> found = calibrate_frames(lens, taken.frames, patch_mm=0.03, error=0.1, judges=False, **search)
+    >>> dict(zip(found.parameters, (round(value, 3) + 0.0 for value in found.values)))
+    {'decenter_x_mm': 0.005, 'decenter_y_mm': 0.0}
     """
     requested_settings = (settings or CalibrationSettings()).replaced(**changes)
     validate_frames(lens, frames, requested_settings)

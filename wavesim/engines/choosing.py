@@ -118,12 +118,12 @@ def engine_for(
     Returns
     -------
     Engine
-        The engine, set up for the scene when it is first used.
+        The engine. Its set-up follows when it is first used.
 
     Raises
     ------
     InputError
-        If there is no such engine, or it has no such setting, or does not allow its value.
+        If there is no such engine or setting, or the engine does not allow the setting's value.
     SamplingError
         If no engine meets the limits; the message contains the predictions of all engines.
 
@@ -261,8 +261,10 @@ def choose(
         Lens, grids and wavelength.
     error
         Allowed relative L2 error of the exit field; its square is the fraction of wrong energy.
-    memory_gb, seconds
-        Limits of memory, and of the time of all runs.
+    memory_gb
+        Allowed peak memory in 1e9 bytes.
+    seconds
+        Allowed time of the set-up and all runs.
     runs
         Number of propagations, forward or adjoint, that share the set-up.
     light
@@ -283,8 +285,7 @@ def choose(
     Examples
     --------
     >>> from lensdesign import load_design
-    >>> from wavesim import patch_scene
-    >>> from wavesim.engines import choose
+    >>> from wavesim import choose, patch_scene
     >>> scene = patch_scene(load_design("designs/paper_singlet.toml"), 0.01, meridional=True)
     >>> choose(scene, error=0.1).chosen.engine
     'eikonal'

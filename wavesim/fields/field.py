@@ -36,11 +36,11 @@ class Grid:
     shape : (ny,) or (ny, nx)
         Number of samples: one number for a meridional line along y, two for a plane.
     pitch_mm : float
-        Distance between neighbouring samples.
+        Distance between neighbouring samples in mm.
     z_mm : float
-        Position of the plane in the fixed frame.
+        Position of the plane along the axis in mm. The front vertex of a lens lies at z = 0.
     centre_mm : (x, y)
-        Centre of the samples; x is 0 for a line.
+        Centre of the samples in mm; x is 0 for a line.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class Grid:
 
     Examples
     --------
-    >>> from wavesim.fields import Grid
+    >>> from wavesim import Grid
     >>> grid = Grid((4, 4), 0.5, 10.0)
     >>> grid.x_mm.tolist()
     [-0.75, -0.25, 0.25, 0.75]
@@ -87,37 +87,37 @@ class Grid:
 
     @property
     def half_widths_mm(self) -> tuple[float, ...]:
-        """Half of the grid's sides, in the order of `shape`, to the outer edges of its cells."""
+        """Half of each side in mm, to the outer edges of the cells, in the order of `shape`."""
         return tuple(0.5 * n * self.pitch_mm for n in self.shape)
 
     @cached_property
     def y_mm(self) -> Array:
-        """y of each row."""
+        """y of each row in mm, shape (ny,)."""
         return _samples(self.shape[0], self.pitch_mm, self.centre_mm[1])
 
     @cached_property
     def x_mm(self) -> Array:
-        """x of each column; the one value 0 for a line."""
+        """x of each column in mm, shape (nx,); the single value 0 for a line."""
         if self.is_line:
             return np.zeros(1)
         return _samples(self.shape[1], self.pitch_mm, self.centre_mm[0])
 
     def radius_squared_mm2(self) -> Array:
-        """Return the squared distance of each sample from the axis, with the grid's shape."""
+        """Return the squared distance of each sample from the axis in mm^2, with the grid's shape."""
         if self.is_line:
             return self.y_mm**2
         return self.y_mm[:, None] ** 2 + self.x_mm**2
 
     def at(self, z_mm: float) -> Grid:
-        """Return the same samples in another plane."""
+        """Return the same samples in the plane at another z (mm)."""
         return replace(self, z_mm=z_mm)
 
     def towards(self, to: Grid | float) -> Grid:
-        """Return a target grid: the given one, or the same samples at a distance (mm) along the axis."""
+        """Return the target grid: the given one, or the same samples at a distance (mm) along the axis."""
         return to if isinstance(to, Grid) else self.at(self.z_mm + to)
 
     def samples_among(self, wider: Grid) -> tuple[slice, slice] | None:
-        """Return the rows and columns of a wider grid that hold these samples; None if not all do."""
+        """Return the rows and columns of these samples in a wider grid; None if it lacks some of them."""
         if (wider.z_mm, wider.pitch_mm) != (self.z_mm, self.pitch_mm):
             return None
         found = []
@@ -138,6 +138,8 @@ def _samples(count: int, pitch_mm: float, centre_mm: float) -> Array:
 class Field:
     """A monochromatic scalar wave on a grid.
 
+    Fields vary in time as exp(-i w t), so that a wave along +z is exp(+i k z).
+
     Attributes
     ----------
     grid : Grid
@@ -145,7 +147,7 @@ class Field:
     values : complex array of the grid's shape
         Complex amplitudes, from NumPy or from a library that follows the array API.
     wavelength_um : float
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     index : float
         Refractive index of the medium around the grid.
 
@@ -157,7 +159,7 @@ class Field:
     Examples
     --------
     >>> import numpy as np
-    >>> from wavesim.fields import Field, Grid
+    >>> from wavesim import Field, Grid
     >>> Field(Grid((2, 2), 0.5, 0.0), np.ones((2, 2)), wavelength_um=0.532).energy
     1.0
     """
@@ -176,12 +178,12 @@ class Field:
 
     @property
     def wavenumber_per_mm(self) -> float:
-        """2 pi times the index over the vacuum wavelength."""
+        """Wavenumber in the medium in 1/mm: 2 pi times the index over the vacuum wavelength."""
         return 2e3 * math.pi * self.index / self.wavelength_um
 
     @property
     def energy(self) -> float:
-        """Integral of |u|^2 over the grid."""
+        """Integral of |u|^2 over the grid: sum of |u|^2 times the cell in mm (line) or mm^2 (plane)."""
         xp = array_module(self.values)
         return float(xp.sum(abs(self.values) ** 2)) * self.grid.cell
 

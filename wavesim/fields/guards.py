@@ -43,7 +43,27 @@ MOST_SAMPLES = 2**27
 
 
 class SamplingWarning(UserWarning):
-    """A grid loses a small, stated fraction of a field's energy."""
+    """Warning that a grid loses a small fraction of a field's energy, which the message states.
+
+    A large loss raises a :class:`~lensdesign.errors.SamplingError` instead.
+
+    Examples
+    --------
+    Samples of 1 um are a little too coarse for this beam. Treat the warning as an error:
+
+    >>> import warnings
+    >>> import numpy as np
+    >>> from wavesim import Field, Grid, SamplingWarning, propagate
+    >>> grid = Grid((64, 64), 1e-3, 0.0)
+    >>> beam = Field(grid, np.exp(-grid.radius_squared_mm2() / 0.0016**2), wavelength_um=0.532)
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", SamplingWarning)
+    ...     try:
+    ...         behind = propagate(beam, 0.01)
+    ...     except SamplingWarning:
+    ...         print("use a finer grid")
+    use a finer grid
+    """
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,17 @@ class FreeSpacePropagator:
 
     Evanescent waves are omitted. Between grids of the same shape and pitch the operator is the angular
     spectrum with padding, unless so few plane waves arrive that chirp-z transforms are smaller. Chirp-z
-    transforms serve any other window and pitch, and non-uniform Fourier transforms a tilted plane.
+    transforms serve any other window and pitch. Non-uniform Fourier transforms serve a tilted plane.
 
     Attributes
     ----------
     source, target : Grid
         Both lines, or both planes; the target may lie in front of the source.
     wavelength_um, index : float
-        Vacuum wavelength, and refractive index between the grids.
+        Vacuum wavelength in um, and refractive index between the grids.
     source_tilt_deg, target_tilt_deg : (about x, about y), optional
-        Tilt of one of the planes about the centre of the other plane's grid. The tilted grid is defined in
-        its own frame, at z = 0 (:mod:`wavesim.fields.tilted_samples`).
+        Tilt of one of the planes about the centre of the other plane's grid, in degrees. The tilted grid is
+        defined in its own frame, at z = 0 (:mod:`wavesim.fields.tilted_samples`).
     pad
         Padded number of samples along each axis, at least the grid's, or "auto": as many as keep every copy
         of the field away from the target. Only for grids of the same shape and pitch.
@@ -132,8 +132,10 @@ def propagate(
     check: bool = True,
     coarse_output: bool = False,
 ) -> Field:
-    """Propagate a field through free space with a :class:`FreeSpacePropagator`, after a check of the
-    sampling.
+    """Propagate a field through free space, after a check of the sampling.
+
+    The method is that of :class:`FreeSpacePropagator`: the band-limited angular spectrum, or chirp-z
+    transforms for other windows and pitches.
 
     Parameters
     ----------
@@ -167,10 +169,15 @@ def propagate(
         If a small fraction of the energy is lost by the sampling or, where only a distance is given, because
         light leaves the window.
 
+    References
+    ----------
+    K. Matsushima and T. Shimobaba, "Band-limited angular spectrum method for numerical simulation of
+    free-space propagation in far and near fields", Opt. Express 17, 19662 (2009).
+
     Examples
     --------
     >>> import numpy as np
-    >>> from wavesim.fields import Field, Grid, propagate
+    >>> from wavesim import Field, Grid, propagate
     >>> grid = Grid((256, 256), 2e-3, 0.0)
     >>> beam = Field(grid, np.exp(-grid.radius_squared_mm2() / 0.05**2), wavelength_um=0.532)
     >>> behind = propagate(beam, 1.0)

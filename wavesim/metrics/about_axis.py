@@ -1,9 +1,9 @@
-"""Light about the axis of a lens, as the sum over all plane waves: a truth on whole planes.
+"""Light around the axis of a lens as a sum over all plane waves: reference solutions on whole planes.
 
-Surfaces refract as their tangent planes do, as in the wave propagation method; but a medium's plane waves are
-summed by quadrature, so that there is neither a band nor samples at the aperture's rim. What depends on the
-distance from the axis alone lies along a radius: the light of a point on the axis, or of rings about it. On a
-line it is light that is even about the axis.
+Surfaces refract like their tangent planes, as in the wave propagation method. The plane waves of a medium are
+summed by quadrature, so that there is neither a band limit nor sampling at the aperture's rim. A rotationally
+symmetric field is computed along a radius: the light of a point on the axis, or of rings around it. On a line
+the field is symmetric about the axis.
 """
 
 from __future__ import annotations
@@ -31,23 +31,27 @@ from wavesim.scene.scene import Scene
 ComplexArray = NDArray[np.complex128]
 
 NODES, PANEL_WAVES, BLOCKS = 8, 1.9, 200
-"""Of a Gauss-Legendre rule in each panel; width of one on a surface; angles that are summed at a time."""
+"""Nodes of the Gauss-Legendre rule in each panel; width of a panel on a surface in wavelengths; number of
+angles that are summed at a time.
+"""
 
 TURNS = 17
-"""Azimuths at which a surface must have the same height."""
+"""Number of azimuths at which a rotationally symmetric surface must have the same height."""
 
 ROUND_WAVES = 1e-6
-"""By how much these may differ."""
+"""Largest difference of these heights, in wavelengths."""
 
 OVERFILLED, WINDOW = 1.1, 0.4
-"""Steepest light of rings, over the aperture's; radius at which they fall to 1/e, over half of the patch."""
+"""Largest sine of the light of rings over that of the aperture; radius at which rings fall to 1/e over half
+of the patch.
+"""
 
 SEED = 20261123
 
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """Sources along a radius: distance from the axis, height, slope, and the measure of each."""
+    """Sources along a radius: their distances from the axis, heights, slopes and measures."""
 
     r_mm: Array
     z_mm: Array
@@ -56,23 +60,23 @@ class _Sheet:
 
 
 def axial_case(lens: Lens, patch_mm: float, **where: Any) -> AnalyticCase:
-    """A patch about the axis, on a whole plane, filled with rings that send light in all directions.
+    """Return a case around the axis on a whole plane, filled with rings that emit light in all directions.
 
     Parameters
     ----------
     lens, patch_mm, **where
-        As of :func:`wavesim.scene.patches.patch_scene`.
+        As in :func:`wavesim.scene.patches.patch_scene`.
 
     Returns
     -------
-    OracleCase
-        `exact` is the sum over all plane waves; `uncertainty` what curved surfaces, and the transmission of
-        light from beside the axis, may change.
+    AnalyticCase
+        `exact` is the sum over all plane waves. `uncertainty` is the possible effect of curved surfaces, and
+        of the transmission of light from points beside the axis.
 
     Raises
     ------
     InputError
-        If a surface is not one of revolution about the z axis.
+        If a surface is not rotationally symmetric about the z axis.
     """
     scene = patch_scene(lens, patch_mm, **where)
     start = rings(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
@@ -85,7 +89,7 @@ def axial_case(lens: Lens, patch_mm: float, **where: Any) -> AnalyticCase:
 
 
 def rings(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
-    """Random rings about the axis that fill the aperture evenly and fade out within the grid."""
+    """Return random rings around the axis that fill the aperture evenly and fade out within the grid."""
     rng = np.random.default_rng(SEED)
     radius = _radius(grid)
     fade = WINDOW * min(grid.half_widths_mm)
@@ -98,25 +102,26 @@ def rings(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
 
 
 def summed_plane_waves(scene: Scene, values: NDArray, radii_mm: Array) -> ComplexArray:
-    """Field on the exit plane of values on the object grid that are the same all round the axis.
+    """Return the field on the exit plane for rotationally symmetric values on the object grid.
 
     Parameters
     ----------
     scene
-        A lens of surfaces of revolution, upright and centred, about which the object grid lies.
+        An upright, centred lens of surfaces of revolution, with the object grid around its axis.
     values
-        On the object grid; on a line even about the axis.
+        Values on the object grid; on a line symmetric about the axis.
     radii_mm
-        Distances from the axis on the exit grid's plane, shape (n,).
+        Distances from the axis on the exit grid's plane in mm, shape (n,).
 
     Returns
     -------
     ndarray of complex, shape (n,)
+        Complex amplitude at these distances.
 
     Raises
     ------
     InputError
-        If a surface is not one of revolution about the z axis.
+        If a surface is not rotationally symmetric about the z axis.
     """
     is_line, index = scene.object_grid.is_line, scene.system.index[0]
     rays = crossings(scene, scene.object_grid.centre_mm)
@@ -134,7 +139,7 @@ def summed_plane_waves(scene: Scene, values: NDArray, radii_mm: Array) -> Comple
 
 
 def _radius(grid: Grid) -> Array:
-    """Distances from the axis, equal where they differ by rounding."""
+    """Return the distances from the axis; those that differ by rounding are equal."""
     return np.asarray(np.round(np.sqrt(grid.radius_squared_mm2()), 12), float)
 
 
@@ -146,7 +151,7 @@ def _object(scene: Scene) -> _Sheet:
 
 
 def _surface(scene: Scene, number: int) -> _Sheet:
-    """Nodes along a radius, up to the very rim."""
+    """Return nodes along a radius, up to the rim."""
     wavelength_mm = 1e-3 * scene.wavelength_um
     r, weight = _nodes(0.0, float(scene.system.semi_diameter[number]), PANEL_WAVES * wavelength_mm)
     azimuth = 2.0 * math.pi * np.arange(TURNS) / TURNS

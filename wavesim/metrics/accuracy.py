@@ -20,8 +20,9 @@ from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.light import Light
 
 TIMED_RUNS, SLOW_SECONDS = 3, 1.0
-"""Runs of which the fastest counts, once set up; a run longer than this is not repeated, and its memory is
-measured while it is timed."""
+"""Number of runs after the set-up, of which the fastest counts. A run longer than `SLOW_SECONDS` is not
+repeated, and its memory is measured during the same run.
+"""
 
 
 @dataclass(frozen=True)
@@ -31,25 +32,25 @@ class AnalyticResult:
     Attributes
     ----------
     engine, oracle : str
-        Names.
+        Names of the engine and of the exact solution.
     radius_mm : float or None
-        Of the first surface; None for a plane.
+        Radius of the first surface in mm; None for a plane.
     relative_error : float
         L2 norm of the difference over that of the exact field; nothing is fitted.
     uncertainty : float
         Relative error of the exact field.
     seconds, setup_seconds : float
-        For one `forward` once set up, and for what was done once before.
+        Time of one `forward` after the set-up, and of the set-up.
     peak_mb : float
-        Most memory that the engine held at one time, set-up and result included, in 1e6 bytes.
+        Peak memory of the engine in 1e6 bytes, set-up and result included.
     predicted : Cost
-        What the engine said beforehand that it would take.
+        Time and memory that the engine predicted.
     predicted_error : float
-        And how far it would be off at most; infinite where it cannot tell.
+        Upper bound of the error that the engine predicted; infinite where it cannot predict one.
     settings : dict
-        Of the engine, as it used them.
+        Settings that the engine used.
     warnings : tuple of str
-        What the engine warned of.
+        Warnings of the engine.
     """
 
     engine: str
@@ -73,7 +74,7 @@ def run_analytic_case(
     oracle_arguments: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> AnalyticResult:
-    """Hold an engine against an exact solution.
+    """Compare an engine with an exact solution.
 
     Parameters
     ----------
@@ -82,16 +83,21 @@ def run_analytic_case(
     oracle
         One of :data:`wavesim.analytic.registry.ORACLES`.
     radius_mm
-        Of the cylinder or the sphere; left out, the oracle's own.
+        Radius of the cylinder or the sphere in mm. Default: the exact solution's own.
     oracle_arguments
-        Further arguments of the oracle.
+        Further arguments of the exact solution.
     **settings
-        Of the engine.
+        Settings of the engine.
+
+    Returns
+    -------
+    AnalyticResult
+        Error and cost.
 
     Raises
     ------
     InputError, SamplingError
-        If a name or a value is not usable, or the engine refuses the scene.
+        If a name or a value is invalid, or the engine refuses the scene.
     """
     arguments = dict(oracle_arguments or {})
     if radius_mm is not None:
@@ -102,21 +108,26 @@ def run_analytic_case(
 def compare_with_exact(
     case: AnalyticCase, engine: str, settings: Mapping[str, Any], oracle: str = ""
 ) -> AnalyticResult:
-    """Hold an engine against a scene whose answer is known.
+    """Compare an engine with the exact solution of a scene.
 
     Parameters
     ----------
     case
-        The scene.
+        The scene, its object field and its exact exit field.
     engine, settings
-        As for :func:`wavesim.engines.choosing.engine_for`.
+        As in :func:`wavesim.engines.choosing.engine_for`.
     oracle
-        Name of the scene, for the result.
+        Name of the exact solution, for the result.
+
+    Returns
+    -------
+    AnalyticResult
+        Error and cost.
 
     Raises
     ------
     InputError, SamplingError
-        If a name or a value is not usable, or the engine refuses the scene.
+        If a name or a value is invalid, or the engine refuses the scene.
     """
     engine_class(engine)  # its imports are not the engine's work
     with warnings.catch_warnings(record=True) as caught:
@@ -144,14 +155,14 @@ def compare_with_exact(
 
 
 def _plain(value: Any) -> Any:
-    """A number of NumPy as one of Python."""
+    """Return a number of NumPy as a number of Python."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _timed(
     engine: str, case: AnalyticCase, settings: Mapping[str, Any]
 ) -> tuple[Engine, float, float, Field]:
-    """The engine, seconds for a run, seconds that the first run took longer, and the exit field."""
+    """Return the engine, seconds of a run, additional seconds of the first run, and the exit field."""
     started = time.perf_counter()
     built = engine_for(case.scene, engine, **settings)
     field = built.forward(case.object_field)
@@ -169,7 +180,7 @@ def _seconds(engine: Engine, field: Field) -> float:
 
 
 def peak_bytes(engine: str, case: AnalyticCase, settings: Mapping[str, Any]) -> int:
-    """Most bytes that a fresh engine and its run hold at one time, as NumPy and Python tell it."""
+    """Return the peak memory, in bytes, of a fresh engine and its run, as NumPy and Python report it."""
     with _traced() as peak:
         engine_for(case.scene, engine, **settings).forward(case.object_field)
     return peak[0]

@@ -1,12 +1,12 @@
-"""Resolution of a USAF chart: where it lies in a result, its contrasts there, and what limits them.
+"""Resolution of a USAF chart in a result: its position, its contrasts, and what limits them.
 
-A displaced result is not a blurred one. The chart is therefore registered first: the displacement, and scale
-and rotation where they matter, are found by the correlation of the intensity with the chart, and stated as
-figures of their own. Contrast is then measured where the chart lies.
+A displaced result is not blurred. The chart is therefore registered first: its displacement, and scale and
+rotation where they matter, are found by correlation of the intensity with the chart, and stated separately.
+Contrast is then measured at the chart's position.
 
-The finest element that is resolved is a limit of the result only if the next finer one was there to be
-resolved. Samples, the aperture, the chart and the region that is shown end the series of elements as well;
-:class:`ChartResolution` says which of them does.
+The finest resolved element is a limit of the result only if the next finer element could be resolved. The
+samples, the aperture, the chart and the displayed region may also end the series of elements;
+:class:`ChartResolution` states which of them does.
 """
 
 from __future__ import annotations
@@ -34,38 +34,43 @@ from wavesim.targets.usaf import ELEMENTS, GROUPS, UsafElement, chart_outline, u
 Limit = Literal["result", "aperture", "sampling", "chart", "region"]
 
 SEARCH_LINES, SEARCH_SAMPLES = 2.0, (16, 64)
-"""Displacements that are tried: so many lines of the coarsest element, within these numbers of samples."""
+"""Largest trial displacement in line widths of the coarsest element, and its limits in samples."""
 
 DETERMINED, CHANCE = 0.25, 6.0
 """Least correlation of chart and intensity that determines the position of the chart, absolute and as a
-multiple of that of noise."""
+multiple of that of noise.
+"""
 
 DEFORMED_SAMPLES, DEFORMED_GAIN, DEFORMED_ELEMENTS = 0.5, 0.1, 3
-"""Scale and rotation count where they move the chart's corners by so many samples, and take away so much of
-what the correlation loss to 1. They are sought where so many elements are shown."""
+"""Scale and rotation are accepted if they move the chart's corners by this number of samples, and reduce the
+difference of the correlation from 1 by this fraction. They are searched if this number of elements is shown.
+"""
 
 SMOOTHING = 1.0
-"""Standard deviation in samples of what smooths chart and intensity before they are correlated: edges of bars
-between samples would else change the chart's variance, and with it the correlation."""
+"""Standard deviation in samples of the smoothing of chart and intensity before their correlation. Without it,
+edges of bars between samples would change the variance of the chart, and thereby the correlation.
+"""
 
 FEW_SAMPLES = 3.0
-"""Lines of fewer samples may fail because of their position among the samples."""
+"""Samples per line below which lines may fail because of their position among the samples."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Place of a chart in a result.
+    """Position of a chart in a result.
 
     Attributes
     ----------
     displacement_mm : (x, y)
-        Of the result from where the chart has its middle.
+        Displacement of the result from the nominal centre of the chart, in mm.
     scale, rotation_rad : float
-        Size of the result over that of the chart, and its right-handed rotation, about the chart's middle.
-    correlation, correlation_in_place : float
-        Of the intensity with the chart, where it was found, and where it is nominally.
+        Size of the result over that of the chart, and right-handed rotation in rad, about the chart's centre.
+    correlation : float
+        Correlation of the intensity with the chart at the position found.
+    correlation_in_place : float
+        The same correlation at the nominal position.
     middle_mm : (x, y)
-        Of the chart.
+        Nominal centre of the chart in mm.
     """
 
     displacement_mm: tuple[float, float]
@@ -76,14 +81,14 @@ class Registration:
     middle_mm: tuple[float, float]
 
     def moved(self, element: UsafElement) -> UsafElement:
-        """An element where it lies in the result; its bars keep their width and direction."""
+        """Return an element at its position in the result; its bars keep their width and direction."""
         x, y = (own - middle for own, middle in zip(element.centre_mm, self.middle_mm, strict=True))
         turned = self.scale * (x + 1j * y) * np.exp(1j * self.rotation_rad)
         placed = complex(*self.middle_mm) + complex(*self.displacement_mm) + turned
         return replace(element, centre_mm=(float(placed.real), float(placed.imag)))
 
     def as_dict(self, pitch_mm: float) -> dict[str, float]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         x, y = self.displacement_mm
         return {
             "x_um": 1e3 * x,
@@ -104,23 +109,28 @@ class ChartResolution:
     Attributes
     ----------
     contrasts : tuple of ElementContrast
-        Of the elements that the result shows, the coarsest first.
+        Contrasts of the elements that the result shows, the coarsest first.
     finest, finest_x, finest_y : UsafElement or None
-        Finest element down to which all are resolved: in both sets, and in the set whose bars follow each
-        other along x, and along y. None if not even the coarsest is.
+        Finest element down to which all are resolved: in both sets, in the set whose bars are repeated along
+        x, and in that along y. None if not even the coarsest element is resolved.
     limits : tuple of str
-        Why no finer element is resolved. "result": the next finer one is shown, and is not resolved.
-        "aperture": the next finer one is finer than wavelength / 2 NA. "sampling": it is finer than the
-        samples show reliably. "chart": the chart has none. "region": it lies outside what is shown. Without
-        "result" the finest element is no limit of the result.
+        Reasons why no finer element is resolved.
+
+        - "result": the next finer element is shown, but not resolved.
+        - "aperture": the next finer element is finer than wavelength / 2 NA.
+        - "sampling": it is finer than the samples show reliably.
+        - "chart": the chart has no finer element.
+        - "region": it lies outside the displayed region.
+
+        Without "result" the finest element is not a limit of the result.
     registration : Registration or None
-        Place of the chart; None if the result does not determine it.
+        Position of the chart; None if the result does not determine it.
     outside : int
-        Elements of the chart that lie outside what is shown.
+        Number of elements of the chart outside the displayed region.
     sample_um, passed_um : float
-        Pitch of the samples, and wavelength / 2 NA.
+        Pitch of the samples, and wavelength / 2 NA, in um.
     next_um : float or None
-        Line width of the next finer element of the series; None after the last.
+        Line width of the next finer element in um; None after the last element.
     """
 
     contrasts: tuple[ElementContrast, ...]
@@ -152,7 +162,7 @@ class ChartResolution:
         return words if "result" in self.limits else f"{words}: this is no limit of the reconstruction"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         shown = [one.element.line_width_um for one in self.contrasts]
         return {
             "smallest_resolved": self._named(self.finest),
@@ -200,22 +210,27 @@ def chart_resolution(
     inside: NDArray[np.bool_] | None = None,
     threshold: float = RESOLVED_CONTRAST,
 ) -> ChartResolution:
-    """Register a chart, measure its contrasts, and say what limits the finest element.
+    """Register a chart, measure its contrasts, and find what limits the finest element.
 
     Parameters
     ----------
     transmission
-        The result, or a part of it.
+        Transmission of the result, or of a part of it.
     elements
-        Of the chart, those outside that part included.
+        Elements of the chart, including those outside that part.
     ground
-        "bright": bars ought to be dark; "dark": bright.
+        "bright" for dark bars on a bright ground, "dark" for bright bars.
     passed_um
-        Width of the finest lines that the aperture passes, wavelength / 2 NA.
+        Width in um of the finest lines that the aperture transmits, wavelength / 2 NA.
     inside
-        Samples within the field stop; all if left out.
+        Mask of the samples within the field stop. Default: all samples.
     threshold
-        Contrast from which on lines count as resolved.
+        Contrast from which lines count as resolved, 0 to 1.
+
+    Returns
+    -------
+    ChartResolution
+        Contrasts, the finest resolved elements, and their limits.
 
     Raises
     ------
@@ -237,7 +252,7 @@ def chart_resolution(
         for one, position in in_sight
         if one.line_width_um >= SAMPLES_PER_FEATURE * sample_um * ROUNDING
     )
-    # Where the chart was found displaced, an element in position may be cut off; either way it is not shown.
+    # In a displaced chart, an element within the region may be cut off, and is then not shown either.
     outside = len(ordered) - len(in_sight)
 
     def down_to(is_resolved: Callable[[ElementContrast], bool]) -> UsafElement | None:
@@ -270,7 +285,7 @@ def chart_resolution(
 def _contrast(
     transmission: Field, element: UsafElement, position: UsafElement, ground: Polarity
 ) -> ElementContrast:
-    """Contrast of an element at its position, from the samples about it alone."""
+    """Return the contrast of an element at its position, from the samples around it."""
     own = cut_field(transmission, around(position.outline, transmission.grid))
     return replace(bar_contrast(own.values, own.grid, position, ground), element=element)
 
@@ -282,7 +297,7 @@ def _limits(
     sample_um: float,
     passed_um: float,
 ) -> tuple[float | None, tuple[Limit, ...]]:
-    """Line width of the next finer element, and why it is not resolved."""
+    """Return the line width of the next finer element, and the reasons why it is not resolved."""
     if finest is None and contrasts:
         width: float | None = contrasts[0].element.line_width_um
     elif finest is None:
@@ -316,7 +331,7 @@ def chart_end(elements: Sequence[UsafElement], sample_um: float) -> Literal["sam
 
 
 def _next_finer_um(element: UsafElement) -> float | None:
-    """Line width of the element after another in the series of the chart."""
+    """Return the line width of the next finer element of the chart."""
     finer = (usaf_line_width_um(group, number) for group in GROUPS for number in ELEMENTS)
     return next((width for width in finer if width < element.line_width_um * ROUNDING), None)
 
@@ -331,21 +346,21 @@ def register_chart(
     ground: Polarity,
     inside: NDArray[np.bool_] | None = None,
 ) -> Registration | None:
-    """Find where a chart lies in a result, to a small part of a sample.
+    """Find the position of a chart in a result, to a small fraction of a sample.
 
-    The correlation of the intensity with the chart is largest there. Displacements of whole samples are all
-    tried; parts of samples, scale and rotation are found from the best of them. Blur does not matter, since
-    it moves nothing.
+    The correlation of the intensity with the chart is largest there. All displacements by whole samples are
+    tried. Fractions of samples, scale and rotation are then found near the best of them. Blur does not affect
+    the position.
 
     Parameters
     ----------
     transmission, elements, ground, inside
-        As of :func:`chart_resolution`.
+        As in :func:`chart_resolution`.
 
     Returns
     -------
     Registration or None
-        None where the correlation stays below what noise may give, or the intensity is reversed.
+        None if the correlation is not above that of noise, or the intensity is reversed.
     """
     grid = transmission.grid
     pitch = grid.pitch_mm
@@ -380,7 +395,7 @@ def register_chart(
 
 
 def _window(grid: Grid, chart: Rectangle, margin_mm: float) -> Grid | None:
-    """Samples that a chart and the displacements that are tried touch; None where that is next to nothing."""
+    """Return the samples of a chart and its trial displacements; None if there are hardly any."""
     (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
     wanted = Rectangle(
         max(chart.left_mm - margin_mm, x - half_x),
@@ -448,7 +463,7 @@ class _ChartCorrelation:
         return np.asarray(gaussian_filter(self.sign * rectangle_coverage(grid, bars), SMOOTHING))
 
     def correlations(self, reach: int) -> Array:
-        """Correlation for displacements of whole samples, from -reach to reach along y and x."""
+        """Return correlations for shifts by whole samples, from -reach to reach along y and x."""
         from scipy.signal import fftconvolve
 
         rows, columns = self.grid.shape
@@ -456,13 +471,13 @@ class _ChartCorrelation:
         chart = self.chart(np.zeros(4), wider)
 
         def sums(weights: Array, values: Array) -> Array:
-            # The chart moves against the intensity: its displacement runs against that of the window.
+            # The chart moves relative to the intensity: its displacement is opposite to that of the window.
             return np.asarray(fftconvolve(values, weights[::-1, ::-1], mode="valid"))[::-1, ::-1]
 
         products = sums(self.intensity, chart)
         means, squares = sums(self.weight, chart) / self.count, sums(self.weight, chart**2)
         spread = np.sqrt(np.maximum(squares - self.count * means**2, 0.0))
-        # Rounding of Fourier transforms must not make a contrast of an even chart.
+        # Rounding errors of Fourier transforms must not give an even chart a contrast.
         spread[spread < 1e-6 * math.sqrt(self.count)] = np.nan
         return np.asarray(products / (spread * self.size)) if self.size > 0.0 else np.full_like(means, np.nan)
 
@@ -475,7 +490,7 @@ class _ChartCorrelation:
 
     @property
     def least_correlation(self) -> float:
-        """Least correlation that determines a position; fewer samples need more, because of chance."""
+        """Least correlation that determines a position. It is higher for fewer samples, because of chance."""
         return max(DETERMINED, CHANCE * math.sqrt(4.0 * math.pi * SMOOTHING**2 / self.count))
 
     def displaced(self, start: Array) -> tuple[Array, float]:
@@ -519,6 +534,6 @@ def _between(values: Array, row: int, column: int) -> Array:
 
 
 def _vertex(left: float, middle: float, right: float) -> float:
-    """Vertex of the parabola through three points, in their distance, at most one from the middle."""
+    """Return the vertex of the parabola through three points, in their spacing; at most 1 from the middle."""
     bend = left - 2.0 * middle + right
     return float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0)) if bend < 0.0 else 0.0

@@ -28,13 +28,15 @@ from wavesim.targets.patterns import band_limit
 Progress = Callable[[int, int, str], None]
 
 Variant = tuple[str, str, dict[str, Any]]
-"""Family, engine, settings."""
+"""Family, engine and settings."""
 
 REFERENCE_SHARE = 0.5
-"""Step of the truth, as a share of the one that the engine would choose."""
+"""Step of the reference solution over the step that the engine would choose."""
 
 REFERENCE_ZONES = 80.0
-"""Its room for light that the rim turns: of a point's light on a one-quarter twin that leaves out 0.23 %."""
+"""Width of the reference solution's margin for light that the rim diffracts. On a twin of one quarter it
+omits 0.23 % of a point's light.
+"""
 
 SEED = 20260531
 
@@ -48,19 +50,19 @@ class Measured:
     scene : str
         Name of the scene.
     family : str
-        Engine and what kind of it, the same for all points of a curve.
+        Engine and its variant, which is the same for all points of a curve.
     setting : str
-        What varies along the curve.
+        Setting that varies along the curve.
     relative_error, seconds, setup_seconds, peak_mb : float
-        Measured; NaN where the engine refused.
+        Relative L2 error, times, and peak memory in 1e6 bytes; NaN if the engine refused the scene.
     predicted_error, predicted_seconds, predicted_mb : float
-        What the engine said beforehand.
+        Predictions of the engine.
     uncertainty : float
-        Relative error that the truth itself may have.
+        Relative error of the reference solution.
     fastest, smallest : bool
-        Whether no other is both better and faster (of less memory).
+        Whether no other point has a smaller error and less time, or less memory.
     said : str
-        Warnings, or why it refused.
+        Warnings, or the reason for the refusal.
     """
 
     scene: str
@@ -80,7 +82,7 @@ class Measured:
 
 
 def variants(scene: Scene) -> tuple[Variant, ...]:
-    """Every engine over a range of its settings for a scene."""
+    """Return all engines over a range of their settings for a scene."""
     return tuple(
         (family, name, settings)
         for name in ENGINES
@@ -90,19 +92,20 @@ def variants(scene: Scene) -> tuple[Variant, ...]:
 
 
 def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) -> AnalyticCase:
-    """A meridional patch of the lens, evenly filled with light of all directions that it takes.
+    """Return the case of a meridional patch that light of all directions fills evenly.
 
     Parameters
     ----------
     lens, patch_mm, field_mm
-        As of :func:`wavesim.scene.patches.patch_scene`.
+        As in :func:`wavesim.scene.patches.patch_scene`.
     **where
-        Its further arguments.
+        Further arguments of that function.
 
     Returns
     -------
-    OracleCase
-        `exact` is that of the wave propagation method with fine steps; `uncertainty` is its own estimate.
+    AnalyticCase
+        `exact` is the field of the wave propagation method with fine steps, and `uncertainty` its own
+        estimate.
     """
     scene = patch_scene(lens, patch_mm, field_mm, meridional=True, **where)
     truth = reference_for(scene)
@@ -112,7 +115,7 @@ def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) 
 
 
 def reference_for(scene: Scene) -> Engine:
-    """The wave propagation method with fine steps."""
+    """Return the wave propagation method with fine steps."""
     step_um = engine_for(scene, "wpm").settings()["step_um"]
     fine = engine_for(scene, "wpm", zones=REFERENCE_ZONES)
     return engine_for(
@@ -124,7 +127,7 @@ def reference_for(scene: Scene) -> Engine:
 
 
 def random_field(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
-    """Speckle that fills a grid and the aperture evenly, of unit mean intensity."""
+    """Return speckle of unit mean intensity that fills a grid and the aperture evenly."""
     rng = np.random.default_rng(SEED)
     values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
     values = band_limit(values, grid, wavelength_um, numerical_aperture)
@@ -137,18 +140,23 @@ def compare(
     progress: Progress | None = None,
     most_seconds: float = 60.0,
 ) -> list[Measured]:
-    """Hold engines against truths.
+    """Compare engines with reference solutions.
 
     Parameters
     ----------
     cases
-        Scenes with their true exit fields, by name.
+        Scenes with their reference exit fields, by name.
     tried
-        Families, engines and settings for a scene.
+        Function that returns families, engines and settings for a scene.
     progress
-        Called with the number done, the number in all, and what comes next.
+        Callback with the completed number, the total number, and the name of the next run.
     most_seconds
-        What is predicted to take longer is left out, and said to be.
+        Runs with a longer predicted time are skipped; the result states it.
+
+    Returns
+    -------
+    list of Measured
+        Error and cost of each engine, setting and scene.
 
     Raises
     ------
@@ -201,12 +209,12 @@ def _measure(name: str, case: AnalyticCase, variant: Variant, most_seconds: floa
 
 
 def _label(settings: dict[str, Any]) -> str:
-    """The settings that are numbers; the others name the family."""
+    """Return the numeric settings as text; the other settings are part of the family's name."""
     return ", ".join(f"{name} {value:g}" for name, value in settings.items() if not isinstance(value, str))
 
 
 def with_front(rows: list[Measured]) -> list[Measured]:
-    """The rows of one scene, marked where none is both better and faster, or better and smaller."""
+    """Return the rows of one scene, with the marks `fastest` and `smallest`."""
 
     def leads(row: Measured, cost: Callable[[Measured], float]) -> bool:
         better = [r for r in rows if r.relative_error < row.relative_error and cost(r) <= cost(row)]
@@ -219,6 +227,6 @@ def with_front(rows: list[Measured]) -> list[Measured]:
 
 
 def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:
-    """Curves, in the order in which they were measured."""
+    """Yield the curves in the order in which they were measured."""
     for family in dict.fromkeys(row.family for row in rows):
         yield family, [row for row in rows if row.family == family]

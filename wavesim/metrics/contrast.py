@@ -1,13 +1,9 @@
-"""How good a reconstruction is: resolved elements, correlation, PSNR and SSIM, the support of its spectrum.
+"""Quality of a reconstruction: resolved elements, and correlation with the true object.
 
-A correlation of amplitudes near 1 does not mean that the object is right: a bright ground alone makes most of
-it. :func:`object_correlation` therefore takes the known illumination out of both sides first, and truth and
-result are compared as the lens passes them (:mod:`wavesim.metrics.transmitted_band`), which no
-reconstruction can better.
-
-Source of the structural similarity: Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image quality
-assessment: from error visibility to structural similarity", IEEE Trans. Image Process. 13, 600 (2004), by
-scikit-image.
+A correlation of amplitudes near 1 does not prove that the object is right, since a bright ground alone
+contributes most of it. :func:`object_correlation` therefore removes the known illumination from both objects.
+Both are compared as the lens transmits them (:mod:`wavesim.metrics.transmitted_band`), since no
+reconstruction can find more.
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import UsafElement
 
 RESOLVED_CONTRAST = 0.2
-"""From which contrast on lines count as resolved, as in `smallest_resolved_line_width_um`."""
+"""Least contrast of resolved lines, as in `smallest_resolved_line_width_um`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +36,9 @@ class ElementContrast:
     Attributes
     ----------
     element : UsafElement
-        Which one.
+        The element.
     x, y : SetContrast
-        Of the set whose bars follow each other along x, and along y.
+        Contrast of the set whose bars are repeated along x, and of that along y.
     """
 
     element: UsafElement
@@ -51,14 +47,14 @@ class ElementContrast:
 
     @property
     def contrast(self) -> float:
-        """The lower one of both sets; NaN if either is."""
+        """The lower contrast of both sets; NaN if either is NaN."""
         return float(np.minimum(self.x.contrast, self.y.contrast))
 
     def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
         """Return True if both sets reach a contrast and every bar is brighter than every gap.
 
-        Reversed contrast is negative and two bars in place of three leave the weakest contrast negative:
-        neither counts.
+        Reversed lines have a negative contrast. Two bars instead of three have a negative weakest contrast.
+        Neither is resolved.
         """
         return all(one.contrast >= threshold and one.weakest_contrast > 0.0 for one in (self.x, self.y))
 
@@ -66,28 +62,33 @@ class ElementContrast:
 def bar_contrast(
     picture: Picture, grid: Grid, element: UsafElement, ground: Polarity = "bright"
 ) -> ElementContrast:
-    """Contrast of an element's bars where the chart has them.
+    """Return the contrast of an element's bars at their position in the chart.
 
-    Intensity is averaged over the middle of each bar and gap: half a line width across, three along, cells
-    weighted by the part of them that lies within. Nothing is searched for: lines that are displaced by half a
-    period are reversed, and count as such. :func:`wavesim.metrics.charts.chart_resolution` finds a
-    displaced chart first.
+    The intensity is averaged over the middle of each bar and gap: half a line width across, three line widths
+    along. Cells count by the fraction that lies inside. The bars are not searched: lines that are displaced
+    by half a period are reversed. :func:`wavesim.metrics.charts.chart_resolution` finds a displaced chart
+    first.
 
     Parameters
     ----------
     picture
-        Intensity if real; of a complex amplitude, the squared modulus is taken.
+        Real intensity, or complex amplitude whose squared modulus is used; shape (ny, nx).
     grid
-        A plane, in the chart's coordinates.
+        Grid of the picture, a plane in the coordinates of the chart.
     element
-        Which one, and where.
+        The element with its position.
     ground
-        "bright": bars ought to be dark; "dark": bright.
+        "bright" for dark bars on a bright ground, "dark" for bright bars.
+
+    Returns
+    -------
+    ElementContrast
+        Contrast of both sets.
 
     Raises
     ------
     InputError
-        If shapes or values do not fit, or the element reaches beyond the grid.
+        If shapes or values are invalid, or the element reaches beyond the grid.
     SamplingError
         If its lines are narrower than two samples.
     """
@@ -103,7 +104,7 @@ def bar_contrast(
 def element_contrasts(
     picture: Picture, grid: Grid, elements: Sequence[UsafElement], ground: Polarity = "bright"
 ) -> tuple[ElementContrast, ...]:
-    """:func:`bar_contrast` of several elements, the coarsest first.
+    """Return the contrasts of several elements (:func:`bar_contrast`), the coarsest first.
 
     Raises
     ------
@@ -119,9 +120,16 @@ def element_contrasts(
 def resolved_elements(
     contrasts: Sequence[ElementContrast], threshold: float = RESOLVED_CONTRAST
 ) -> tuple[ElementContrast, ...]:
-    """The elements, the coarsest first, up to the one before the first that is not resolved.
+    """Return the resolved elements, the coarsest first, up to the first that is not resolved.
 
-    Finer elements that reach the threshold again are false resolution and left out.
+    Finer elements that reach the threshold again are false resolution and do not count.
+
+    Parameters
+    ----------
+    contrasts
+        Contrasts of the elements.
+    threshold
+        Contrast from which lines count as resolved, 0 to 1.
 
     Raises
     ------
@@ -141,7 +149,7 @@ def resolved_elements(
 def smallest_resolved_element(
     contrasts: Sequence[ElementContrast], threshold: float = RESOLVED_CONTRAST
 ) -> UsafElement | None:
-    """The finest of :func:`resolved_elements`; None if even the coarsest element is not resolved.
+    """Return the finest of :func:`resolved_elements`; None if even the coarsest element is not resolved.
 
     Raises
     ------
@@ -153,25 +161,25 @@ def smallest_resolved_element(
 
 
 def object_correlation(found: Field, truth: Field, illumination: Field, support: Mask | None = None) -> float:
-    """Correlation of two object fields, after what is the illumination has been taken out of both.
+    """Return the correlation of two object fields, after the illumination is removed from both.
 
-    Each side loses its projection on the illumination within the support: what the object does to the light
-    remains. A constant factor between both does not matter.
+    Each field loses its projection on the illumination within the support. What remains is the effect of the
+    object on the light. A constant factor between both fields does not matter.
 
     Parameters
     ----------
     found, truth, illumination
-        Object fields on one grid (transmission times illumination, and illumination alone), all as the lens
-        passes them (`transmitted_part`) if the truth is to be comparable.
+        Object fields on one grid: transmission times illumination, and the illumination alone. Give all of
+        them as the lens transmits them (`transmitted_part`), so that the true object is comparable.
     support
-        Samples that count, those inside the field stop. Left out: where the illumination's intensity is above
-        1e-6 of its largest; after `transmitted_part` light spills over the stop, so give it
-        then.
+        Mask of the samples that count, those inside the field stop. Default: samples whose illumination has
+        an intensity above 1e-6 of its maximum. Give it after `transmitted_part`, which spreads light beyond
+        the stop.
 
     Returns
     -------
     float
-        0 to 1; NaN if either side is nothing but illumination.
+        Correlation, 0 to 1; NaN if a field is proportional to the illumination.
 
     Raises
     ------

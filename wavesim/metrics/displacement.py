@@ -1,4 +1,4 @@
-"""Displacement of one transmission against another: found to a part of a sample, and taken back."""
+"""Displacement between two transmissions: found to a fraction of a sample, and removed."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from wavesim.runtime.threads import row_blocks
 
 WIDEST = 512
-"""Samples along a side, at most, of the part of a field from which a displacement is found."""
+"""Largest number of samples along a side of the part of a field from which a displacement is found."""
 
 FURTHEST = 64
-"""Samples by which a displacement is sought along each axis, at most; a quarter of a smaller field."""
+"""Largest displacement in samples along each axis; a quarter of the side of a smaller field."""
 
 DETERMINED = 0.3
-"""Correlation of the displaced fields from which on their displacement is determined."""
+"""Least correlation of the displaced fields that determines a displacement."""
 
 LEAST_DETAIL = 1e-4
-"""What is not even in a field, relative to the whole, from which on it has anything to be displaced."""
+"""Least detail of a field, without its mean and relative to the whole, that shows a displacement."""
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 
@@ -29,22 +29,22 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 def displacement_samples(
     found: Complex, true: Complex, inside: NDArray[np.bool_]
 ) -> tuple[float, float] | None:
-    """Displacement (x, y) of a transmission from another, in samples.
+    """Return the displacement (x, y) of a transmission from another one, in samples.
 
-    The displacement is where the correlation of both is largest, from the samples that lie inside for both
-    when one of them is displaced. Of large fields the middle is taken.
+    The displacement has the largest correlation of both, over the samples that lie inside the mask both
+    before and after it. Only the middle of large fields is used.
 
     Parameters
     ----------
     found, true
-        Transmissions, shape (ny, nx).
+        Complex transmissions, shape (ny, nx).
     inside
-        Samples that are lit.
+        Mask of the lit samples, shape (ny, nx).
 
     Returns
     -------
     tuple of float or None
-        None where the transmissions do not determine it.
+        Displacement in samples; None if the transmissions do not determine it.
     """
     part = _middle(inside)
     known = inside[part]
@@ -60,7 +60,7 @@ def displacement_samples(
 
 
 def displaced_back(values: Complex, displacement: tuple[float, float]) -> None:
-    """Move a field by minus a displacement (x, y) in samples, in place, by its Fourier series."""
+    """Move a field by minus a displacement (x, y) in samples, in place, with its Fourier series."""
     for axis, samples in enumerate(displacement[::-1]):
         count = values.shape[axis]
         turn = np.exp(2j * np.pi * samples * scipy.fft.fftfreq(count))
@@ -70,7 +70,7 @@ def displaced_back(values: Complex, displacement: tuple[float, float]) -> None:
 
 
 def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) -> NDArray[np.bool_]:
-    """Samples inside whose displaced place is inside, too."""
+    """Return the samples inside whose displaced positions are inside as well."""
     result = inside.copy()
     for axis, samples in enumerate(displacement[::-1]):
         steps = math.ceil(abs(samples)) * (1 if samples > 0.0 else -1)
@@ -81,7 +81,7 @@ def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) ->
 
 
 def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """The middle of the samples that count."""
+    """Return the middle of the samples that count."""
     parts = []
     for axis in (0, 1):
         used = np.flatnonzero(inside.any(axis=1 - axis))
@@ -92,7 +92,7 @@ def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _uneven(values: Complex, inside: NDArray[np.bool_]) -> Complex | None:
-    """A field inside less its mean; None if nothing but the mean is there."""
+    """Return a field inside without its mean; None if only the mean remains."""
     own = np.where(inside, values, 0.0).astype(np.complex64)
     size = float(np.linalg.norm(own))
     own -= np.where(inside, own.sum(dtype=complex) / max(int(inside.sum()), 1), 0.0).astype(np.complex64)
@@ -101,7 +101,7 @@ def _uneven(values: Complex, inside: NDArray[np.bool_]) -> Complex | None:
 
 
 class _Overlap:
-    """Correlation of two fields as one is displaced, over the samples that are inside for both."""
+    """Correlation of two fields for displacements of one, over the samples inside for both."""
 
     def __init__(self, one: Complex, other: Complex, inside: NDArray[np.bool_], reach: list[int]) -> None:
         shape = [scipy.fft.next_fast_len(n + most) for n, most in zip(inside.shape, reach, strict=True)]
@@ -115,7 +115,7 @@ class _Overlap:
         self.least = 0.3 * float(np.linalg.norm(one)) * float(np.linalg.norm(other))
 
     def peak(self) -> tuple[int, int, float]:
-        """Displacement of whole samples, along y and x, with the largest correlation."""
+        """Return the displacement by whole samples, along y and x, with the largest correlation."""
         rows, columns = (
             np.r_[0 : most + 1, count - most : count]
             for most, count in zip(self.reach, self.shape, strict=True)
@@ -123,7 +123,7 @@ class _Overlap:
         sought = np.ix_(rows, columns)
         product = np.abs(scipy.fft.ifft2(self.products)[sought])
         sizes = [np.maximum(scipy.fft.ifft2(one)[sought].real, 0.0) for one in self.sizes]
-        # Where little of either field is left, chance would make the correlation.
+        # Where little of either field remains, the correlation would depend on chance.
         correlation = product / np.maximum(np.sqrt(sizes[0] * sizes[1]), self.least)
         row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
         y, x = (
@@ -133,7 +133,7 @@ class _Overlap:
         return y, x, float(correlation[row, column])
 
     def between_samples(self, row: int, column: int) -> tuple[float, float]:
-        """The peak (x, y) between samples, from the Fourier series of the overlap about it."""
+        """Return the peak (x, y) between samples, from the Fourier series of the overlap."""
         from scipy.optimize import minimize
 
         cycles = [scipy.fft.fftfreq(count) for count in self.shape]

@@ -1,4 +1,4 @@
-"""Where methods fail, and where their guards speak: errors over two things that a user chooses."""
+"""Failure maps: errors of methods, and reactions of their guards, over two settings that a user chooses."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ TILE_ERROR = 0.1
 
 @dataclass(frozen=True, eq=False)
 class FailureMap:
-    """Errors of one method over two settings, and what its guard said.
+    """Errors of one method over two settings, and the reaction of its guard.
 
     Attributes
     ----------
     name, method : str
-        Of the map, short enough for a file; of the method.
+        Short name of the map, for file names; name of the method.
     x_label, y_label : str
-        With units.
+        Labels of the settings with their units.
     x, y : tuple of float
-        Settings.
+        Values of the settings.
     error : ndarray, shape (y, x)
-        Relative L2 error; NaN where there is no result even if the guard is passed over.
+        Relative L2 error; NaN where there is no result even without the guard.
     guard : ndarray of int, shape (y, x)
         0 where the guard is silent, 1 where it warns, 2 where it refuses.
     """
@@ -82,14 +82,14 @@ def _map(
 
 
 def failure_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
-    """Yield all maps; those of the lens are of a meridional patch.
+    """Yield all maps; those of a lens use a meridional patch.
 
     Parameters
     ----------
     lens
-        Small lenses take seconds, the paper's minutes (see :func:`lensdesign.scaled`).
+        The lens. Small lenses take seconds, the paper's lens minutes (see :func:`lensdesign.scaled`).
     patch_mm
-        Side of the patch of the object that slices carry.
+        Side of the object patch in mm, for the engine slices.
     """
     yield from slice_maps(lens, patch_mm)
     yield tile_map(lens)
@@ -98,7 +98,7 @@ def failure_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
 
 
 def slice_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
-    """Numerical aperture against slices, for both kinds of compensation."""
+    """Yield maps of numerical aperture against slices, for both kinds of compensation."""
     cases = {aperture: lens_case(stopped_down(lens, aperture), patch_mm) for aperture in APERTURES}
     for kind in ("oblique", "vertical"):
 
@@ -111,7 +111,7 @@ def slice_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
 
 
 def tile_map(lens: Lens) -> FailureMap:
-    """Width of a tile of the simplest kind against field height."""
+    """Return the map of tile width against field height, for the simplest kind of tile."""
     half = lens.half_field_mm
     widths = [w for w in TILES_MM if w <= half]
     heights = [round(share * half, 4) for share in FIELD_SHARES]
@@ -129,7 +129,7 @@ def tile_map(lens: Lens) -> FailureMap:
 
 
 def step_maps() -> Iterator[FailureMap]:
-    """Step against angle of incidence, on a tilted plate."""
+    """Yield maps of step against angle of incidence, on a tilted plate."""
     for kind in ("substep", "staircase"):
 
         def cell(step_um: float, incidence: float, kind: str = kind) -> tuple[float, int]:
@@ -142,7 +142,7 @@ def step_maps() -> Iterator[FailureMap]:
 
 
 def free_space_maps() -> Iterator[FailureMap]:
-    """Distance against pitch, of a Gaussian beam, with padding chosen and without any."""
+    """Yield maps of distance against pitch of a Gaussian beam, with automatic padding and without."""
     beam = Beam(0.532, BEAM_SPREAD)
     for name, method, pad in (
         ("free_space_auto", "angular spectrum, padding chosen", "auto"),
@@ -168,7 +168,7 @@ def free_space_maps() -> Iterator[FailureMap]:
 
 
 def _guard(run: Callable[[], Field]) -> tuple[int, Field | None]:
-    """Word of the guard, and what it let through."""
+    """Return the reaction of the guard, and the result if there is one."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -179,7 +179,7 @@ def _guard(run: Callable[[], Field]) -> tuple[int, Field | None]:
 
 
 def _run(engine: Engine, case: AnalyticCase, unguarded: Engine | None = None) -> tuple[float, int]:
-    """Error and word of the guard; the error is that of an engine without it, if there is any."""
+    """Return error and reaction of the guard; the error is that of an engine without the guard, if given."""
     guard, found = _guard(lambda: engine.forward(case.object_field))
     if unguarded is not None:
         try:

@@ -1,4 +1,4 @@
-"""Whether residuals hold a lens's ghost: its interference with the modelled light."""
+"""Search of a lens's ghost in residuals, by its interference with the modelled light."""
 
 from __future__ import annotations
 
@@ -17,11 +17,19 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 class GhostPlane(NamedTuple):
-    """Measured data of one plane, on pixels.
+    """Residuals of one plane, and its ghost; all on pixels, shape (ny, nx).
 
-    `residual` is the recorded amplitude less the modelled one, `sigma` its standard deviation (infinite in
-    pixels that tell nothing), `amplitude` the modelled one; `product` is the mean over each pixel of the
-    conjugate of the modelled field times the field of a ghost that both surfaces reflect whole.
+    Attributes
+    ----------
+    residual : ndarray
+        Recorded minus modelled amplitude.
+    sigma : ndarray
+        Standard deviation of the residual; infinite in pixels without information.
+    amplitude : ndarray
+        Modelled amplitude.
+    product : ndarray of complex
+        Mean over each pixel of the conjugate of the modelled field times the field of a ghost that both
+        surfaces reflect completely.
     """
 
     residual: Array
@@ -32,17 +40,18 @@ class GhostPlane(NamedTuple):
 
 @dataclass(frozen=True)
 class FoundGhost:
-    """A ghost as residuals tell it.
+    """A ghost that was found in residuals.
 
     Attributes
     ----------
     amplitude : complex
-        Of the ghost, over that of one which both surfaces reflect whole: the share's root, with a phase that
-        coatings and the lens's thickness turn.
+        Amplitude of the ghost over that of a ghost that both surfaces reflect completely. Its phase depends
+        on the coatings and the thickness of the lens.
     standard_deviation : float
-        Of its real and its imaginary part, from the noise, or from the residuals where they are larger.
+        Standard deviation of the real part and of the imaginary part of the amplitude. It follows from the
+        noise, or from the residuals where they are larger.
     over_noise : float
-        Root mean square residual, the ghost taken out, over that of the noise.
+        Root mean square residual after removal of the ghost, over that of the noise.
     """
 
     amplitude: complex
@@ -56,21 +65,31 @@ class FoundGhost:
 
     @property
     def significance(self) -> float:
-        """Size over standard deviation: by chance above 3 once in 90 times, above 5 in 270,000."""
+        """Amplitude over standard deviation. By chance it exceeds 3 once in 90 times, 5 once in 270,000."""
         return abs(self.amplitude) / self.standard_deviation
 
 
 def ghost_in_residuals(planes: Sequence[GhostPlane]) -> FoundGhost:
-    """Project residuals of all planes on the ghost's interference with the modelled light.
+    """Fit the ghost's interference with the modelled light to the residuals of all planes.
 
-    A ghost of amplitude g beside a field F changes the amplitude |F| on a pixel by Re(g conj(F) G) / |F| to
-    first order: two unknown numbers, found by weighted least squares. What a reconstruction has taken up of
-    the ghost into its object is not in the residuals any more: the size found is a lower bound there.
+    A ghost of amplitude g beside a field F changes the amplitude |F| of a pixel by Re(g conj(F) G) / |F| to
+    first order. Weighted least squares give the two unknown numbers. The result is a lower bound where a
+    reconstruction has already absorbed a part of the ghost in its object.
+
+    Parameters
+    ----------
+    planes
+        Residuals of all planes.
+
+    Returns
+    -------
+    FoundGhost
+        Amplitude of the ghost, and its standard deviation.
 
     Raises
     ------
     InputError
-        If shapes differ, or no pixel tells of a ghost.
+        If shapes differ, or no pixel has information about a ghost.
     """
     normal, right, squares, count = np.zeros((2, 2)), np.zeros(2), 0.0, 0
     for number, plane in enumerate(planes, start=1):

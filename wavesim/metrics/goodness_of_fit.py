@@ -1,11 +1,11 @@
-"""Whether a result explains what was recorded, within the noise; where it does not, and what may differ.
+"""Goodness of fit: whether a result explains the recorded frames within the noise, and what may differ.
 
-Residuals are compared with the variances that noise, engine and pixels leave. On pixels that were fitted
-they are smaller than the noise, by the fraction of the data that the fit uses up, and on pixels that were
-held out larger by about the same factor: their geometric mean judges a model of many unknowns.
+Residuals are compared with the expected variances of noise, engine and pixels. On fitted pixels they are
+smaller than the noise, by the fraction of the data that the fit uses up. On pixels that were held out they
+are larger by about the same factor. The geometric mean of both therefore judges a model of many unknowns.
 
-A result is not trusted, even where residuals are small, if they are smaller than noise can be, if frames
-prefer another bench by far, or if the data do not determine the object.
+A result with small residuals is nevertheless not trusted if residuals are smaller than noise can be, if the
+frames clearly prefer another bench, or if the data do not determine the object.
 """
 
 from __future__ import annotations
@@ -26,33 +26,38 @@ from wavesim.runtime.threads import row_blocks
 Array = NDArray[np.floating[Any]]
 
 LIMIT = 1.3
-"""Times the noise up to which residuals count as explained. Healthy frames come to 0.9 to 1.26: pixels are
-averaged in another way than they were made, and the iterations end."""
+"""Largest residuals over the noise that count as explained. Correct models reach 0.9 to 1.26: the pixel model
+of a reconstruction is coarser than that of the sensor, and the iterations are finite.
+"""
 
 HELD_LIMIT = 1.25
-"""The same of the geometric mean of residuals on fitted pixels and on pixels that were held out. Perfect
-benches come to 1.16 at most."""
+"""Limit of the geometric mean of the residuals on fitted and on held-out pixels. Perfect benches reach at
+most 1.16.
+"""
 
 LEAST_FITTED = 0.6
-"""Residuals on fitted pixels are not taken for smaller than this multiple of the noise in that mean: where a
-fit uses up more than two thirds of the data, held-out pixels alone judge it."""
+"""Least value of the residuals on fitted pixels, over the noise, in that mean. Where a fit uses up more than
+two thirds of the data, the held-out pixels alone decide.
+"""
 
 MODEL_ERROR = 0.005
-"""Relative error of amplitudes that engine and pixels may have where there is no noise."""
+"""Relative error of amplitudes that engine and pixel model may have without noise."""
 
 BLOCKS = 8
 """Blocks along each side of a plane, among which the largest excess is searched."""
 
 LEAST_GAIN = 0.2
-"""Fraction of the squared misfit that a trial must take away to be named."""
+"""Least fraction of the squared misfit that a trial must explain to be named."""
 
 FEW, MORE = 3, 10
-"""After `FEW` iterations the misfit says nothing. After more, it is extrapolated by `MORE` steps as large as
-the last one; if it then comes to the noise, more iterations are advised."""
+"""The misfit of the first `FEW` iterations is not judged. Later it is extrapolated by `MORE` steps as large
+as the last one; more iterations are advised if it then reaches the noise.
+"""
 
 FREER = {"shift": 1.15, "mounting": 1.65}
-"""Factors by which trials must be better that change more than others, or resemble them: each plane's shift
-instead of the two angles of the light, which shift all planes, and the lens's decenter, which does so too."""
+"""Factors by which trials must be better than others if they are freer or resemble them. A shift of each
+plane is freer than the two angles of the light, which shift all planes. So does a decenter of the lens.
+"""
 
 LEAST_AGREEMENT = 0.9
 """Correlation of the objects of several starts, below which frames do not determine the object."""
@@ -85,17 +90,17 @@ CALIBRATED_ADVICE = (
     "the calibration does not hold for these frames or does not contain the cause: compare design, light and "
     "camera with what is mounted, or calibrate with more parameters (--parameters all)"
 )
-"""In place of advice to calibrate, where a calibration was given."""
+"""Advice instead of a calibration, where a calibration was given."""
 
 
 STOP_CAUSE = "field stop position"
-"""Cause of a result whose field stop was found on a bench that turned out to be another."""
+"""Cause of a result whose field stop was found on a bench that turned out to be wrong."""
 
 BLURS = ("source", "vibration")
-"""Causes that wash pictures out, as a broad band of wavelengths does."""
+"""Causes that reduce the contrast of fringes, as a broad band of wavelengths does."""
 
 NOT_TRIED = "bandwidth of the light"
-"""Causes that no trial can show: the model of a reconstruction has one wavelength."""
+"""Causes that no trial can test, since the model of a reconstruction has one wavelength."""
 
 
 class Trial(NamedTuple):
@@ -107,17 +112,17 @@ class Trial(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """Fraction of the squared misfit that is gone."""
+        """Fraction of the squared misfit that the change explains."""
         return 1.0 - self.misfit_ratio**2
 
 
 class Finding(NamedTuple):
-    """A reason not to trust a result although residuals are within the noise."""
+    """A reason not to trust a result although its residuals are within the noise."""
 
     cause: str
     explanation: str
     chi_square: float = math.inf
-    """How surely, as far as that is a number: the largest names the cause."""
+    """Statistical strength, if it is a number; the strongest finding names the cause."""
 
 
 @dataclass(frozen=True)
@@ -129,9 +134,9 @@ class Undetected:
     parameter : str
         Name with its unit.
     size : float
-        Largest that stays within the noise and the model's errors.
+        Largest displacement that stays within the noise and the model's errors, in the unit of the name.
     correlation : float
-        Of the object found with the one that the frames give with this displacement.
+        Correlation of the object found with the one that the frames give with this displacement.
     """
 
     parameter: str
@@ -146,19 +151,20 @@ class PlaneFit:
     Attributes
     ----------
     distance_mm : float
-        Distance of the plane from the exit vertex.
-    over_noise, held_out_over_noise : float or None
-        Root mean square residual over that of the noise, of pixels that were used and of those that were not;
-        None where there are none.
+        Distance of the plane from the exit vertex in mm.
+    over_noise : float or None
+        Root mean square residual over that of the noise, on fitted pixels; None if there are none.
+    held_out_over_noise : float or None
+        The same ratio on pixels that were held out.
     contribution : float
-        Fraction of the information on the object that comes from this plane: of the pixels, each weighted by
+        Fraction of the information on the object that comes from this plane. A pixel contributes
         signal / (signal + noise).
     signal_to_noise : float
-        Root of the recorded energy over that of the noise.
+        Square root of the ratio of recorded energy to that of the noise.
     region_px : (x, y, width, height)
-        Of the largest excess, in pixels from the frame's first one.
+        Block with the largest excess, in pixels from the first pixel of the frame.
     region_over_noise : float
-        Residual over noise there.
+        Residual over noise in this block.
     """
 
     distance_mm: float
@@ -171,7 +177,7 @@ class PlaneFit:
 
     @property
     def excess(self) -> float:
-        """Residuals over those that count as explained."""
+        """Residuals over the largest ones that count as explained."""
         used, held = self.over_noise, self.held_out_over_noise
         if used is None or held is None:
             return (used or held or 0.0) / LIMIT
@@ -202,11 +208,11 @@ class GoodnessOfFit:
     findings : tuple of Finding
         Reasons not to trust the result other than the size of its residuals.
     noise : NoiseCheck or None
-        Residuals over the stated noise alone; None where no pixel was held out.
+        Residuals over the stated noise alone; None if no pixel was held out.
     undetected : tuple of Undetected
         Displacements that the frames cannot exclude; empty if they were not computed.
     model_error : float
-        Relative error of amplitudes that was allowed for engine and pixels.
+        Relative error of amplitudes that was allowed for engine and pixel model.
     """
 
     explained: bool
@@ -266,7 +272,7 @@ class GoodnessOfFit:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return plain values for JSON."""
         told = vars(self) | {
             "planes": [vars(plane) | {"region_px": list(plane.region_px)} for plane in self.planes],
             "trials": [trial._asdict() for trial in self.trials],
@@ -284,7 +290,7 @@ class GoodnessOfFit:
 def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
     """Return the verdict with one more reason not to trust the result.
 
-    Where residuals are beyond the noise, the cause that explains them stays.
+    Where residuals exceed the noise, the cause that explains them remains.
     """
     doubted = replace(judged, explained=False, findings=(*judged.findings, finding))
     if not judged.explained:
@@ -317,23 +323,28 @@ def verdict(
     Parameters
     ----------
     planes
-        Residuals, plane by plane.
+        Residuals of each plane.
     trials
-        Of what may differ.
+        Trial explanations.
     curve
         Misfit of each iteration.
     agreement
-        Correlation of the objects that several starts end at, if there were any.
+        Correlation of the objects of several starts, if there are any.
     model_error
-        Relative error of amplitudes that engine and pixels may have.
+        Relative error of amplitudes that engine and pixel model may have.
     findings
-        What else speaks against the result.
+        Other reasons not to trust the result.
     undetected
-        What the frames cannot exclude.
+        Displacements that the frames cannot exclude.
     calibrated
-        Whether the bench was calibrated before: then calibration is no advice.
+        Whether the bench was calibrated before, so that a calibration is not advised.
     rounding
-        Largest fraction of a dark pixel's variance that comes from rounding to counts.
+        Largest fraction of a dark pixel's variance that is due to rounding to counts.
+
+    Returns
+    -------
+    GoodnessOfFit
+        The verdict.
     """
     judged = plane_verdicts(planes, model_error)
     excess = [plane.excess for plane in judged]

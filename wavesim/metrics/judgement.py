@@ -1,4 +1,4 @@
-"""What a reconstruction is worth: against the true object, on charts, and against what was recorded."""
+"""Quality of a reconstruction: compared with the true object, on charts, and with the recorded frames."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import UsafElement
 
 SAME_PLACE = 0.05
-"""Displacement in samples up to which a result lies where the object does."""
+"""Displacement in samples up to which a result counts as not displaced."""
 
 
 def truth_metrics(
@@ -34,26 +34,31 @@ def truth_metrics(
     scene: Scene,
     scratch: Scratch,
 ) -> dict[str, float | None]:
-    """Correlation, PSNR and SSIM with the true object, both as the lens passes them.
+    """Return correlation, PSNR and SSIM with the true object, both as the lens transmits them.
 
-    The correlation is that of object fields from which the illumination has been taken out; for PSNR and SSIM
-    of the amplitudes the result is multiplied by the complex factor that fits best. A displaced result is not
-    a blurred one: its displacement from the true object is stated beside them (`displacement_x_um`,
-    `displacement_y_um`), and the correlation after it has been taken back (`correlation_registered`). These
-    are None where result and object have too little in common.
+    The correlation is that of object fields without the illumination. For PSNR and SSIM of the amplitudes,
+    the result is multiplied by the complex factor that fits best. A displaced result is not blurred. Its
+    displacement from the true object is therefore stated separately (`displacement_x_um`,
+    `displacement_y_um`), with the correlation after its removal (`correlation_registered`). These values are
+    None where result and object have too little in common.
 
     Parameters
     ----------
     found, true
-        Transmissions, on the part of the object that is judged.
+        Complex transmissions on the part of the object that is judged.
     illumination
-        There.
+        Illumination of the same part.
     inside
-        Samples within the field stop.
+        Mask of the samples within the field stop.
     scene
-        The lens as it is: what passes it, its rays tell.
+        The scene with the actual lens, whose rays determine what it transmits.
     scratch
-        Where fields lie that the lens passes.
+        Storage of the fields that the lens transmits.
+
+    Returns
+    -------
+    dict
+        Values by name; None where a value is not determined.
     """
     directions = transmitted_directions(scene, found.grid)
 
@@ -96,7 +101,7 @@ def truth_metrics(
 def _displaced_back(
     values: Any, inside: NDArray[np.bool_], displacement: tuple[float, float]
 ) -> NDArray[np.complex64]:
-    """A transmission without its displacement; outside the stop it is even, so that no edge is moved."""
+    """Return a transmission without its displacement; it is constant outside the stop, to move no edge."""
     factor = np.mean(values, where=inside, dtype=complex)
     moved = np.where(inside, values, factor).astype(np.complex64, copy=False)
     displaced_back(moved, displacement)
@@ -104,13 +109,13 @@ def _displaced_back(
 
 
 def _product(a: Any, b: Any, inside: Any) -> complex:
-    """Inner product within the field stop, without copies of whole fields."""
+    """Return the inner product within the field stop, without copies of whole fields."""
     blocks = row_blocks(len(inside))
     return complex(sum(complex(np.vdot(a[rows][inside[rows]], b[rows][inside[rows]])) for rows in blocks))
 
 
 def _moduli(values: Any, factor: float = 1.0) -> Any:
-    """Moduli in single precision."""
+    """Return moduli in single precision."""
     result = np.empty(values.shape, np.float32)
     for rows in row_blocks(len(values)):
         result[rows] = factor * np.abs(values[rows])
@@ -124,27 +129,36 @@ def chart_metrics(
     passed_um: float,
     inside: NDArray[np.bool_] | None = None,
 ) -> dict[str, Any]:
-    """Contrast of every element of a chart that lies in a part of the object, and the finest resolved.
+    """Return the contrasts of a chart's elements in a part of the object, and the finest resolved element.
 
-    The chart is registered first, and its displacement stated. Lines finer than `passed_um`, wavelength over
-    twice the numerical aperture, the lens does not pass: what resolves them is what the method takes for
-    granted of the object. What limits the finest element is stated, too
-    (:class:`wavesim.metrics.charts.ChartResolution`).
+    The chart is registered first, and its displacement stated. Lines finer than `passed_um` are not
+    transmitted by the lens. A result that shows them owes them to the method's assumptions on the object. The
+    limit of the finest element is also stated (:class:`wavesim.metrics.charts.ChartResolution`).
+
+    Parameters
+    ----------
+    transmission, elements, ground, passed_um, inside
+        As in :func:`wavesim.metrics.charts.chart_resolution`.
     """
     return chart_resolution(transmission, elements, ground, passed_um, inside).as_dict()
 
 
 def plane_metrics(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:
-    """Residual, what the stated noise alone would leave of it, and the correlation of amplitudes (A6).
+    """Return the residual of a plane, the residual of the stated noise alone, and the correlation A6.
 
-    Over the pixels that are known, in blocks of rows; None where none are.
+    All valid pixels count. The values are None if there are none.
 
     Parameters
     ----------
     amplitude, sigma
-        As recorded on a plane (:class:`wavesim.sensor.measurement.Measurement`).
+        Measured amplitude and its standard deviation (:class:`wavesim.sensor.measurement.Measurement`).
     error
-        Amplitude of the result less the recorded one.
+        Modelled minus measured amplitude.
+
+    Returns
+    -------
+    dict
+        "residual" and "noise" relative to the measured amplitude (L2), and "correlation" of amplitudes.
     """
     count, sums, noise = 0, np.zeros(2), 0.0
     products = np.zeros((2, 2))

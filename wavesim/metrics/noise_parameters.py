@@ -1,7 +1,7 @@
-"""Whether residuals are smaller than the stated noise can leave, and which noise parameter would explain it.
+"""Test of the stated noise: residuals that are too small, and the noise parameter that would explain them.
 
-A pixel that was held out from the fit keeps all of its own noise: its residual is at least the noise,
-whatever the model. Smaller residuals mean that the noise was overstated, or that pictures were smoothed.
+A pixel that was held out from the fit keeps its own noise. Its residual is at least the noise, whatever the
+model. Smaller residuals mean that the noise is overstated, or that pictures were smoothed.
 """
 
 from __future__ import annotations
@@ -15,28 +15,31 @@ import numpy as np
 from wavesim.metrics.plane_residuals import PlaneResidual
 
 TOO_SMALL, TOO_SMALL_DARK = 0.8, 0.6
-"""Residuals over the stated noise below which the noise was overstated: of all pixels or bright ones, and of
-dark ones, whose amplitudes scatter less than their standard deviation where they are dim but not dark."""
+"""Residuals over the stated noise below which the noise is overstated: for all or bright pixels, and for dark
+pixels. The amplitudes of dim pixels scatter less than their standard deviation.
+"""
 
 ROUNDED = 0.4
-"""The same where most of a dark pixel's variance is that of rounding."""
+"""The same limit where most of a dark pixel's variance is due to rounding."""
 
 SURE = 4.0
-"""Standard deviations of that ratio by which it must be smaller than 1."""
+"""Least deviation of that ratio from 1, in its standard deviations."""
 
 LEAST_PIXELS = 50
-"""Held-out pixels below which a ratio says nothing."""
+"""Least number of held-out pixels that determine a ratio."""
 
 DARK, BRIGHT = 1.5, 2.0
-"""Multiples of a dark pixel's noise, up to which read noise dominates, and from which on shot noise does."""
+"""Multiples of a dark pixel's noise: read noise dominates below the first, shot noise above the second."""
 
 SAME = 1.25
-"""Ratio of dark pixels over that of bright ones, up to which a gain explains both: it acts on both alike, in
-amplitudes, while smoothing by a factor f changes dark pixels by its root."""
+"""Largest ratio of dark to bright pixels that a wrong gain explains: it changes the amplitudes of both alike.
+Smoothing by a factor f changes dark pixels by its square root.
+"""
 
 DARK_FLOOR = 0.25 * math.sqrt(2.0 * math.pi)
-"""Intensity over its standard deviation, below which a standard deviation of the amplitude is that of a dark
-pixel (:func:`wavesim.sensor.measurement.recorded_intensity`)."""
+"""Intensity over its standard deviation below which the standard deviation of the amplitude is that of a dark
+pixel (:func:`wavesim.sensor.measurement.recorded_intensity`).
+"""
 
 
 class NoiseCheck(NamedTuple):
@@ -45,13 +48,13 @@ class NoiseCheck(NamedTuple):
     Attributes
     ----------
     ratio : float
-        Of all held-out pixels.
+        Ratio over all held-out pixels.
     dark_ratio, bright_ratio : float or None
-        Of pixels in which read noise or shot noise dominates; None where they are too few.
+        Ratio over the pixels in which read noise or shot noise dominates; None if they are too few.
     is_too_small : bool
-        Whether noise cannot be as large as stated.
+        True if the noise cannot be as large as stated.
     explanation : str
-        Which parameter would explain it; empty where nothing is wrong.
+        Noise parameter that would explain it; empty if nothing is wrong.
     """
 
     ratio: float
@@ -67,16 +70,16 @@ def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> Noise
     Parameters
     ----------
     planes
-        Residuals of all planes; those of which all pixels were held out are left out.
+        Residuals of all planes. Planes whose pixels were all held out are ignored.
     rounding
-        Fraction of a dark pixel's variance that is stated for rounding to counts. Where it is most of it, a
-        dark pixel that always rounds to one count has less noise than stated, and only a ratio below
+        Fraction of a dark pixel's variance that is due to rounding to counts. If it is above one half, dark
+        pixels that always round to the same count have less noise than stated, and only a ratio below
         `ROUNDED` is a finding.
 
     Returns
     -------
     NoiseCheck or None
-        None where fewer than `LEAST_PIXELS` pixels were held out.
+        None if fewer than `LEAST_PIXELS` pixels were held out.
     """
     some = [plane for plane in planes if 0 < len(plane.held) < plane.error.size]
     if sum(len(plane.held) for plane in some) < LEAST_PIXELS:
@@ -104,7 +107,7 @@ def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> Noise
 
 
 def _ratio(error: np.ndarray, sigma: np.ndarray, chosen: np.ndarray) -> float | None:
-    """Root mean square of residuals over that of the stated noise, among some pixels."""
+    """Return the root mean square of residuals over that of the stated noise, for the chosen pixels."""
     if np.count_nonzero(chosen) < LEAST_PIXELS:
         return None
     return math.sqrt(float(np.sum(error[chosen] ** 2)) / float(np.sum(sigma[chosen] ** 2)))

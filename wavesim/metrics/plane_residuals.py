@@ -16,17 +16,17 @@ class PlaneResidual(NamedTuple):
     Attributes
     ----------
     distance_mm : float
-        From the exit vertex.
+        Distance of the plane from the exit vertex in mm.
     amplitude, sigma : ndarray, shape (ny, nx)
-        As recorded, and its standard deviation: infinite in pixels that say nothing or were not used.
+        Measured amplitude and its standard deviation; infinite in pixels that are unknown or were not used.
     error : ndarray, shape (ny, nx)
-        The result's amplitude less the recorded one.
+        Modelled minus measured amplitude.
     held : ndarray of int
-        Flat indices of pixels that were not used.
+        Flat indices of the pixels that were held out.
     held_sigma : ndarray
-        Their standard deviations.
+        Standard deviations of these pixels.
     engine_error : ndarray, shape (ny, nx), optional
-        Amplitude by a more accurate engine less that of the engine used, where that was computed.
+        Amplitude of a more accurate engine minus that of the engine used, if it was computed.
     """
 
     distance_mm: float

@@ -30,10 +30,10 @@ from wavesim.scene.scene import Scene, wavelength_of
 ComplexArray = NDArray[np.complex128]
 
 OBJECT_PITCH_WAVES = 0.1
-"""Pitch of the object grid, in wavelengths."""
+"""Pitch of the object grid in wavelengths."""
 
 MARGIN_MM = 0.06
-"""Dark ground on each side of the bars, for lines that come back displaced or blurred."""
+"""Dark ground in mm on each side of the bars, for lines that return displaced or blurred."""
 
 REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
 
@@ -49,23 +49,22 @@ class LineContrast:
     Attributes
     ----------
     line_width_um : float
-        Of a bar, and of a gap.
+        Width of a bar and of a gap in um.
     contrast : float
-        (bright - dark) / (bright + dark), in the middles of bars and gaps, refocused and registered;
-        negative where bright and dark trade places.
+        (bright - dark) / (bright + dark) at the centres of bars and gaps, after refocus and registration. It
+        is negative where bright and dark are reversed.
     weakest_contrast : float
-        The same of the dimmest bar and the brightest gap.
+        The same contrast of the darkest bar and the brightest gap.
     contrast_as_is : float
-        The same without refocus and registration.
+        The same contrast without refocus and registration.
     contrast_of_reference : float
-        Of lines that the reference engine has brought back itself.
+        Contrast of the lines that the reference engine itself has propagated back.
     refocus_um, shift_um : float
-        Object distance and lateral displacement that the refocusing took.
+        Distance along the axis, and lateral displacement, in um, that the registration has removed.
     exit_correlation : float
-        Of the exit field of the engine under test with that of the reference.
+        Correlation of the exit fields of the engine under test and of the reference engine.
     profile : ndarray, shape (`PROFILE_POINTS`,)
-        Intensity of the refocused and registered lines, over their own width and half of one more on each
-        side.
+        Intensity of the registered lines across the bars, and across half a line width beyond them.
     """
 
     line_width_um: float
@@ -79,29 +78,28 @@ class LineContrast:
     profile: Array = field(repr=False, compare=False)
 
     def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
-        """True if the lines reach a contrast and every bar is brighter than every gap."""
+        """Return True if the lines reach a contrast and every bar is brighter than every gap."""
         return self.contrast >= threshold and self.weakest_contrast > 0.0
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """The resolving test at one field point.
+    """Result of the resolution test at one field point.
 
     Attributes
     ----------
     field_mm : float
-        Field height, along y.
+        Height of the field point along y, in mm.
     engine, reference : str
-        What brought the lines back, and what had carried them.
+        Engine that propagated back, and engine that propagated forward.
     settings : dict
-        Of the engine under test.
+        Settings of the engine under test.
     lines : tuple of LineContrast
-        One for each line width. Bars follow each other along y, the only direction that a meridional line
-        has.
+        Contrasts of each line width. Bars are repeated along y, the only direction of a meridional line.
     passed_um : float
-        Width of the finest lines that the aperture passes, wavelength / 2 NA.
+        Width in um of the finest lines that the aperture transmits, wavelength / 2 NA.
     sample_um : float
-        Pitch of the object's samples.
+        Pitch of the object's samples in um.
     """
 
     field_mm: float
@@ -113,7 +111,7 @@ class Resolved:
     sample_um: float = 0.0
 
     def smallest_resolved_um(self, threshold: float = RESOLVED_CONTRAST) -> float | None:
-        """Width of the finest lines down to which all are resolved; None if even the widest are not.
+        """Return the smallest line width in um down to which all lines are resolved; None if none are.
 
         Finer lines that reach the threshold again are false resolution and do not count.
         """
@@ -125,12 +123,12 @@ class Resolved:
         return found
 
     def limit(self, threshold: float = RESOLVED_CONTRAST) -> LineLimit:
-        """Why no finer lines are resolved.
+        """Return the reason why no finer lines are resolved.
 
-        "engine": finer ones were tried, and what this engine brought back does not resolve them, while the
-        reference resolves them. "reference": the reference does not resolve them either, although the
-        aperture passes them. "aperture": they are finer than wavelength / 2 NA. "widths": no finer ones were
-        tried, which is no limit of the engine.
+        - "engine": finer lines were tried; the reference engine resolves them, but this engine does not.
+        - "reference": not even the reference engine resolves them, although the aperture transmits them.
+        - "aperture": they are finer than wavelength / 2 NA.
+        - "widths": no finer lines were tried, so that the result is not a limit of the engine.
         """
         smallest = self.smallest_resolved_um(threshold)
         finer = [one for one in self.lines if smallest is None or one.line_width_um < smallest]
@@ -142,7 +140,7 @@ class Resolved:
         return "engine" if tried.contrast_of_reference >= threshold else "reference"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, without profiles."""
+        """Return plain values for JSON, without profiles."""
         data = asdict(self)
         for line in data["lines"]:
             del line["profile"]
@@ -161,33 +159,53 @@ def resolve(
     bars: int = 5,
     **settings: Any,
 ) -> Resolved:
-    """Carry lines through a lens by one engine, and back by another.
+    """Measure the contrast of lines that an engine reconstructs from the field of a reference engine.
+
+    The reference engine propagates the field of bright bars through the lens, on a meridional line. The
+    engine under test propagates it back to the object. The result is refocused and registered before its
+    contrast is measured.
 
     Parameters
     ----------
     lens
         The lens.
     line_widths_um
-        Widths of the lines.
+        Widths of the bars in um, 0.01 to 1000. Gaps are as wide as bars.
     field_mm
-        Height of the field point, along y.
-    engine, settings
-        The engine under test, by name, and its settings.
+        Height of the field point along y, in mm.
+    engine
+        Name of the engine under test.
     reference
-        The engine that carries the lines forward.
+        Name of the engine that propagates forward.
     wavelength_um
-        The design's first one if left out.
+        Vacuum wavelength in um. Default: the design's first wavelength.
     plane_distance_mm
-        Where the field is handed over, from the exit vertex.
+        Distance in mm from the exit vertex to the plane between both engines.
     bars
-        Number of bars, at least 5, so that false contrast shows.
+        Number of bars, at least 5. Fewer bars would hide false contrast.
+    **settings
+        Settings of the engine under test.
+
+    Returns
+    -------
+    Resolved
+        Contrast of each line width, and the reason why no finer lines are resolved.
 
     Raises
     ------
     InputError
-        If a value is not usable.
+        If a value is out of its range, or the bars are wider than the field.
     SamplingError
-        If an engine cannot hold the field.
+        If the grid of an engine cannot sample the field.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import resolve
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> found = resolve(lens, [0.775, 1.55], engine="slices", slices=20, compensation="oblique")
+    >>> [round(line.contrast, 1) for line in found.lines], found.smallest_resolved_um()
+    ([1.0, 1.0], 0.775)
     """
     _refuse(lens, line_widths_um, field_mm, bars)
     scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
@@ -210,7 +228,7 @@ def resolving_seconds(
     bars: int = 5,
     **settings: Any,
 ) -> float:
-    """Return the estimated cost of :func:`resolve` with the same arguments on this machine.
+    """Return the estimated time in s of :func:`resolve` with the same arguments on this machine.
 
     Raises
     ------
@@ -243,7 +261,10 @@ def meridional_scene(
 
 
 def bars_field(grid: Grid, wavelength_um: float, line_width_um: float, bars: int = 5) -> Field:
-    """Bright bars on a dark ground in the middle of a line grid; edges are shared between samples."""
+    """Return the field of bright bars on a dark ground, at the centre of a line grid.
+
+    A sample at the edge of a bar has the fraction of its cell that the bar covers.
+    """
     width = 1e-3 * line_width_um
     borders = grid.centre_mm[1] + grid.pitch_mm * (np.arange(grid.size + 1) - 0.5 * grid.size)
     place = (borders - grid.centre_mm[1]) / (2.0 * width) + 0.5 * (bars - 0.5)
@@ -327,14 +348,14 @@ def contrasts_of(
 def register(
     values: ComplexArray, target: ComplexArray, grid: Grid, wavelength_um: float
 ) -> tuple[float, float, ComplexArray]:
-    """Refocus and shift a field on a line until it correlates best with a target.
+    """Refocus and shift a field on a line until its correlation with a target is largest.
 
     Returns
     -------
     refocus_mm, shift_mm : float
-        How far along the axis the field was carried, and how far along the line it then lay displaced.
+        Distance of the propagation along the axis, and lateral displacement that was found after it, in mm.
     moved : ndarray
-        The field, carried and put back.
+        The refocused field without its displacement.
     """
     from scipy.optimize import minimize_scalar
 
@@ -367,7 +388,7 @@ def _registering_seconds(grid: Grid) -> float:
 
 
 def _peak(values: Array) -> float:
-    """Position of the largest value, between samples by a parabola."""
+    """Return the position of the largest value, between samples by a parabola."""
     top = int(np.argmax(values))
     left, middle, right = (values[(top + i) % len(values)] for i in (-1, 0, 1))
     bend = left - 2.0 * middle + right

@@ -1,4 +1,10 @@
-"""How alike two pictures are: PSNR and structural similarity, in blocks of rows."""
+"""Similarity of two pictures: PSNR and structural similarity, computed in blocks of rows.
+
+References
+----------
+Z. Wang, A. C. Bovik, H. R. Sheikh and E. P. Simoncelli, "Image quality assessment: from error visibility to
+structural similarity", IEEE Trans. Image Process. 13, 600 (2004).
+"""
 
 from __future__ import annotations
 
@@ -16,25 +22,25 @@ Picture = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 SSIM_REACH = 5
-"""Samples that a window of the structural similarity reaches to either side."""
+"""Reach of a window of the structural similarity to either side, in samples."""
 
 
 def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
-    """Peak signal-to-noise ratio in dB: full scale over the root mean square difference.
+    """Return the peak signal-to-noise ratio in dB: full scale over the root mean square difference.
 
     Parameters
     ----------
     found, truth
-        Pictures of one quantity and scale; of complex ones the modulus is taken.
+        Pictures of one quantity and scale; of complex values the modulus is used.
     full_scale
-        Range of the quantity: 1 for a transmission.
+        Range of the quantity; 1 for a transmission.
     support
-        Samples that count; all if left out.
+        Mask of the samples that count. Default: all samples.
 
     Returns
     -------
     float
-        inf where both are the same.
+        Ratio in dB; infinite if both pictures are equal.
 
     Raises
     ------
@@ -51,14 +57,19 @@ def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support:
 
 
 def ssim(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
-    """Structural similarity (Wang et al. 2004, Gaussian windows of 1.5 samples): 1 where both are the same.
+    """Return the structural similarity (Wang et al. 2004), with Gaussian windows of 1.5 samples.
 
     Parameters
     ----------
     found, truth, full_scale
-        As of :func:`psnr_db`; pictures are planes of 11 x 11 samples at least.
+        As in :func:`psnr_db`; the pictures have at least 11 x 11 samples.
     support
-        Samples whose windows count; all if left out.
+        Mask of the samples whose windows count. Default: all samples.
+
+    Returns
+    -------
+    float
+        Similarity; 1 if both pictures are equal.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Part of an object field that a lens transmits, from an engine's forward and adjoint, rays, or an aperture.
 
 Rays determine the directions in which light of an object point passes the lens. The field is divided into
-overlapping blocks with windows whose squares add up to 1. Each block keeps the plane waves with directions
-that pass from the block's centre. For a sharp aperture the result agrees with forward and adjoint propagation
-by an engine at a few hundredths of the cost: the correlations differ by less than 1e-4.
+overlapping blocks, with windows whose squares add up to 1. Each block keeps the plane waves whose directions
+pass the lens from the centre of the block. For a sharp aperture the result agrees with that of an engine's
+forward and adjoint, at a few hundredths of the cost: the correlations differ by less than 1e-4.
 """
 
 from __future__ import annotations
@@ -28,27 +28,28 @@ from wavesim.scene.scene import Scene
 from wavesim.targets.patterns import band_limit
 
 ORDER = 4
-"""Of the polynomials in the object point that tell open directions: to 1e-6 over the paper's field."""
+"""Order of the polynomials in the object point; their error is 1e-6 over the field of the paper's lens."""
 
 ARMS = 72
-"""Rays along the rim of an object point's light."""
+"""Number of rays along the rim of an object point's light."""
 
 BLOCK_ZONES = 2.0
-"""Width of a block over sqrt(wavelength x working distance): results hardly depend on it."""
+"""Width of a block over sqrt(wavelength x working distance). Results hardly depend on it."""
 
 
 @dataclass(frozen=True, eq=False)
 class TransmittedDirections:
-    """Into which directions the light of object points may go, to get through a lens.
+    """Directions in which light of object points passes a lens.
 
     Attributes
     ----------
     region : Region
-        Disc about the points that were traced.
+        Disc of the object around the points that were traced.
     coefficients : ndarray, shape (terms, ARMS, 2)
-        Of polynomials in the object point: direction cosines (y, x) along the border, times the index.
+        Coefficients of polynomials in the object point. The polynomials give the direction cosines (y, x)
+        along the border, times the refractive index.
     width_mm : float
-        Over which an object point's directions may stand for its neighbours'.
+        Width in mm over which the directions of an object point hold for its neighbours.
     """
 
     region: Region
@@ -56,7 +57,7 @@ class TransmittedDirections:
     width_mm: float
 
     def border(self, point_mm: Array) -> Array:
-        """Cosines (y, x) along the border for one object point (y, x), shape (ARMS, 2)."""
+        """Return cosines (y, x) along the border for an object point (y, x) in mm, shape (ARMS, 2)."""
         terms = object_terms(self.region.scaled(point_mm[None]), ORDER)[0]
         return np.asarray(np.tensordot(terms, self.coefficients, axes=1))
 
@@ -67,14 +68,19 @@ def transmitted_directions(scene: Scene, about: Grid | None = None) -> Transmitt
     Parameters
     ----------
     scene
-        The lens, as it is.
+        The scene with the actual lens.
     about
-        Part of the object, a plane; all of it if left out. Points beyond the lens's field are not traced.
+        Part of the object, a plane. Default: the whole object. Points beyond the lens's field are not traced.
+
+    Returns
+    -------
+    TransmittedDirections
+        Directions that pass the lens.
 
     Raises
     ------
     InputError
-        If the object is a line, or the lens sees too few of the points.
+        If the object is a line, or the lens transmits light of too few of the points.
     """
     grid = about or scene.object_grid
     if grid.is_line:
@@ -104,12 +110,20 @@ def transmitted_part(field: Field, by: Engine | TransmittedDirections | float) -
     Parameters
     ----------
     field
-        Behind the object: its transmission times the illumination.
+        Field behind the object: its transmission times the illumination.
     by
-        An engine: the field is carried forward and back by its adjoint, so that everything that the engine
-        models counts. Or the directions that rays find open (:func:`transmitted_directions`): stop and
-        vignetting count, at a small part of the cost. Or a numerical aperture:
-        :func:`~wavesim.targets.patterns.band_limit`.
+        Description of the lens:
+
+        - An engine. Its forward and adjoint include all effects that it models.
+        - Directions from :func:`transmitted_directions`. They include stop and vignetting, at a small
+        fraction of
+          the cost.
+        - A numerical aperture (:func:`~wavesim.targets.patterns.band_limit`).
+
+    Returns
+    -------
+    Field
+        The transmitted part, on the grid of the field.
 
     Raises
     ------
@@ -124,7 +138,7 @@ def transmitted_part(field: Field, by: Engine | TransmittedDirections | float) -
 
 
 def _by_directions(field: Field, by: TransmittedDirections) -> Field:
-    """Block by block; the first begin half a block in front of the field."""
+    """Filter a field block by block; the first blocks begin half a block before the field."""
     grid, values = field.grid, field.values
     half = scipy.fft.next_fast_len(max(4, round(0.5 * by.width_mm / grid.pitch_mm)))
     window = np.sin(np.pi * (np.arange(2 * half) + 0.5) / (2 * half)).astype(values.real.dtype)
@@ -154,13 +168,13 @@ def _by_directions(field: Field, by: TransmittedDirections) -> Field:
 
 
 def _cut(start: int, half: int, count: int) -> tuple[slice, slice]:
-    """Samples of a block that lie in a field, among the field's and among its own."""
+    """Return the samples of a block that lie in a field: among those of the field, and of the block."""
     inside = slice(max(start, 0), min(start + 2 * half, count))
     return inside, slice(inside.start - start, inside.stop - start)
 
 
 def _filtered(block: NDArray, open_waves: NDArray[np.bool_]) -> NDArray:
-    """Keep some of a block's plane waves, in the order of their direction cosines; overwrites the block."""
+    """Return a block with some of its plane waves, in the order of their cosines; overwrites the block."""
     spectrum = scipy.fft.fft2(block, overwrite_x=True)
     spectrum *= scipy.fft.ifftshift(open_waves)
     return np.asarray(scipy.fft.ifft2(spectrum, overwrite_x=True))

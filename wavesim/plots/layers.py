@@ -19,7 +19,7 @@ BRIGHTEST = 0.9999
 """Quantile of amplitudes at the upper end of the colours, so that single samples may exceed it."""
 
 MOST_ASKED = 1_000_000
-"""Most samples from which ranges are found."""
+"""Largest number of samples from which ranges are computed."""
 
 Plane = Literal["object", "sensor"]
 
@@ -68,18 +68,23 @@ class PictureLayer:
 def field_layers(
     values: Any, pitch_um: float, centre_um: tuple[float, float] = (0.0, 0.0), name: str = ""
 ) -> list[PictureLayer]:
-    """Amplitude of a field, and its phase unless that is 0 everywhere.
+    """Return the amplitude of a field as a layer, and its phase unless it is 0 everywhere.
 
     Parameters
     ----------
     values
-        Complex or real, shape (ny, nx), y increasing with the row.
+        Complex or real values, shape (ny, nx); y increases with the row.
     pitch_um
-        Sample pitch (um).
+        Sample pitch in um.
     centre_um
-        Middle of the samples (x, y).
+        Centre of the samples (x, y) in um.
     name
-        Written before "amplitude" and "phase".
+        Text before "amplitude" and "phase" in the names of the layers.
+
+    Returns
+    -------
+    list of PictureLayer
+        One or two layers.
     """
     upright, some = values[::-1], _some(values)
     brightest = max(float(np.quantile(np.abs(some), BRIGHTEST)), 1e-12)
@@ -107,16 +112,18 @@ def field_layers(
 
 
 def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 0.0)) -> PictureLayer:
-    """Electrons on the pixels of a frame, on a logarithmic scale from the noise of a dark pixel upward.
+    """Return the electrons in the pixels of a frame as a layer, on a logarithmic scale.
+
+    The scale begins at the noise of a dark pixel.
 
     Parameters
     ----------
     frame
         A recorded frame.
     name
-        What the layer is called.
+        Name of the layer.
     centre_um
-        Middle of the pixels (x, y).
+        Centre of the pixels (x, y) in um.
     """
     settings = frame.settings
     gain, offset = settings.gain_electrons_per_count, settings.offset_counts
@@ -136,7 +143,7 @@ def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 
 
 
 def _some(values: Any) -> Any:
-    """Evenly spread samples, of which there are not too many."""
+    """Return evenly spaced samples, at most `MOST_ASKED` or so."""
     step = max(1, math.ceil(math.sqrt(values.size / MOST_ASKED)))
     return values[::step, ::step]
 

@@ -1,8 +1,8 @@
-"""Pictures of a whole field as one page for a browser that zooms, and needs nothing beside itself.
+"""Pictures of a whole field as one self-contained page for a browser, which zooms.
 
-The page holds every picture as tiles of 8 bits, each level half of the one before it, and draws those that
-the screen shows. A level of 8 bits is 0 where there is no value, and 1 to 255 from the low to the high end of
-the layer's range.
+The page contains each picture as tiles of 8 bits, with each level half the size of the previous one, and
+draws the tiles that the screen shows. A sample of a tile is 0 where there is no value, and 1 to 255 from the
+low to the high end of the layer's range.
 """
 
 from __future__ import annotations
@@ -71,25 +71,41 @@ def write_zoom_page(
     figures: Sequence[tuple[str, str]] = (),
     most_bytes: int = MOST_BYTES,
 ) -> ZoomSummary:
-    """Write a page that shows pictures, zooms into them, and loads nothing from anywhere.
+    """Write a self-contained HTML page that shows pictures and zooms into them.
 
     Parameters
     ----------
     layers
-        One or more, between which the reader switches.
+        Pictures, one or more, between which the reader switches. :func:`wavesim.plots.field_layers` and
+        :func:`wavesim.plots.frame_layer` make them.
     path
         File to write, with the suffix .html.
     title
-        Written on top.
+        Title of the page.
     figures
-        Names and values to be shown beside the pictures.
+        Names and values of a table beside the pictures.
     most_bytes
-        Of tiles. If they take more, the finest levels of all layers are left out.
+        Largest total size of the tiles. If they need more, the page omits the finest levels of all layers.
+
+    Returns
+    -------
+    ZoomSummary
+        Names of the layers, number of tiles, size of the file, and the levels that the page contains.
 
     Raises
     ------
     InputError
-        If there is no layer, the suffix is another, or the file cannot be written.
+        If there is no layer, the suffix is not .html, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim import write_zoom_page
+    >>> from wavesim.plots import field_layers
+    >>> wave = np.exp(1j * np.linspace(0.0, 6.0, 300 * 400).reshape(300, 400))
+    >>> page = write_zoom_page(field_layers(wave, pitch_um=0.5), folder / "wave.html", "A wave")  # any folder
+    >>> page.layers, page.tiles
+    (('amplitude', 'phase'), 2)
     """
     if Path(path).suffix.lower() != ".html":
         raise InputError(f"cannot write {path}: a page that zooms is written as .html alone")

@@ -100,9 +100,9 @@ def picture_levels(values: Any, quantity: str, least: int = TILE) -> list[Level]
     values
         Complex or real, shape (ny, nx).
     quantity
-        "amplitude" is the modulus, whose halvings are its means; "phase_rad" the angle (of real values: the
-        values themselves), whose halvings are the angle of the complex mean, since angles have no mean;
-        anything else the real values.
+        "amplitude": the modulus; further levels are its means. "phase_rad": the angle of complex values, or
+        real values as angles; further levels are the angle of the complex mean, since angles have no mean.
+        Any other name: the real values and their means.
     least
         Largest side of the last level.
     """
@@ -130,30 +130,41 @@ def write_pyramid(
     quantities: Sequence[str] = ("amplitude", "phase_rad"),
     **description: Any,
 ) -> None:
-    """Write a field or picture as an OME-TIFF in tiles, with halvings for viewers that zoom.
+    """Write a field or a picture as a tiled OME-TIFF pyramid, for viewers that zoom.
 
-    Samples are 32-bit floating point numbers, one channel for each quantity; tiles of 512 x 512 are deflated,
-    levels stand as SubIFDs. Beyond 4 GB of samples the file is a BigTIFF. The first row, which viewers show
-    on top, is that of the smallest y.
+    Samples are 32-bit floating point numbers, with one channel for each quantity. Each level has half the
+    size of the previous one, and is stored as a SubIFD in deflated tiles of 512 x 512 samples. A file of more
+    than 4 GB is a BigTIFF. The first row, which viewers show at the top, has the smallest y.
 
     Parameters
     ----------
     values
-        Complex or real, shape (ny, nx).
+        Complex or real values, shape (ny, nx).
     path
-        File to write.
+        File to write, such as `field.ome.tif`.
     pitch_um
-        Sample pitch (um).
+        Sample pitch in um.
     quantities
-        "amplitude", "phase_rad" (see :func:`picture_levels`); any other name means the real values
-        themselves.
+        Names of the channels. "amplitude" and "phase_rad" are computed from the values
+        (:func:`picture_levels`). A channel of any other name contains the real values themselves.
     **description
         Further entries of the file's description (JSON).
 
     Raises
     ------
     InputError
-        If the values are no picture, the quantities do not suit them, or the file cannot be written.
+        If the values are not a plane of numbers, the quantities do not suit them, or the file cannot be
+        written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tifffile
+    >>> from wavesim import write_pyramid
+    >>> wave = np.exp(1j * np.linspace(0.0, 6.0, 300 * 400).reshape(300, 400))
+    >>> write_pyramid(wave, folder / "wave.ome.tif", pitch_um=0.5)  # any folder
+    >>> tifffile.imread(folder / "wave.ome.tif").shape
+    (2, 300, 400)
     """
     _check_values(values, pitch_um, quantities)
     channels = [picture_levels(values, quantity) for quantity in quantities]

@@ -1,4 +1,4 @@
-"""The reconstruction pupil: what a perturbed lens leaves of a point after reconstruction, in milliseconds."""
+"""The reconstruction pupil: point spread of a reconstruction through the nominal lens, in milliseconds."""
 
 import lazy_loader
 

@@ -1,11 +1,12 @@
-"""The linearised chain for many changes of path that are polynomials, with derivatives.
+"""The linearised chain for many path changes that are polynomials, with derivatives.
 
-A change of path on a meridian is a polynomial in the object coordinate x and the nominal cosine p for each
-plane (:mod:`wavesim.pupil.meridian`). If its coefficients are known, a perturbed lens costs no ray.
+The path change on a meridian is a polynomial in the object coordinate x and the nominal cosine p for each
+plane (:mod:`wavesim.pupil.meridian`). If its coefficients are known, a perturbed lens needs no rays.
 Correlations of found and true object are those of
-:meth:`wavesim.pupil.linearised_chain.LinearisedChain.correlations`, in single precision. Their derivatives by
-the coefficients follow by adjoint differentiation. The part of a change of path that intensities show, to
-which a calibration fits its parameters, is a quadratic form of the coefficients.
+:meth:`wavesim.pupil.linearised_chain.LinearisedChain.correlations`, in single precision. Their derivatives
+with respect to the coefficients follow by adjoint differentiation. Intensities depend on a part of the path
+change, to which a calibration fits its parameters. The square of this part is a quadratic form of the
+coefficients.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ TERMS = (ORDERS[0] + 1) * (ORDERS[1] + 1)
 """Number of polynomial terms x^i p^j of one plane; i runs fastest."""
 
 BLOCK = 16
-"""Lenses whose fields are held at one time."""
+"""Number of lenses whose fields are in memory at one time."""
 
 
 def polynomial_terms(x: Array, p: Array) -> Array:
-    """Return the terms x^i p^j at some places, shape (places, TERMS).
+    """Return the terms x^i p^j at some points, shape (points, TERMS).
 
     Parameters
     ----------
-    x : ndarray, shape (places,)
+    x : ndarray, shape (points,)
         Object coordinate over half the length of the line.
-    p : ndarray, shape (places,)
+    p : ndarray, shape (points,)
         Nominal direction cosine over the numerical aperture.
     """
     return np.stack([x**i * p**j for j in range(ORDERS[1] + 1) for i in range(ORDERS[0] + 1)], axis=1)
@@ -42,9 +43,9 @@ def polynomial_terms(x: Array, p: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ChainDraws:
-    """One meridian through lenses whose path changes are given as coefficients, in waves.
+    """The chain on a meridian, for lenses whose path changes are given as coefficients in waves.
 
-    Coefficients of all planes follow each other, `TERMS` for each plane.
+    The coefficients of all planes follow each other, `TERMS` for each plane.
 
     Attributes
     ----------
@@ -60,15 +61,15 @@ class ChainDraws:
         Parameters
         ----------
         coefficients : ndarray, shape (lenses, terms)
-            Change of path of each lens.
+            Path change of each lens, in waves.
         derivatives : bool
-            Whether derivatives are wanted, which take twice the time of the correlations.
+            Whether to compute derivatives, which take twice the time of the correlations.
 
         Returns
         -------
         correlations : ndarray, shape (lenses,)
         by : ndarray, shape (lenses, terms)
-            Derivatives by the coefficients; zeros where they are not wanted.
+            Derivatives with respect to the coefficients; zeros if they are not computed.
         """
         found, by = np.empty(len(coefficients)), np.zeros(coefficients.shape)
         for start in range(0, len(coefficients), BLOCK):
@@ -78,7 +79,7 @@ class ChainDraws:
 
     @cached_property
     def visible(self) -> Array:
-        """Square of what intensities see of a change of path (:meth:`LinearisedChain.visible`)."""
+        """Quadratic form of the square of the visible path change (:meth:`LinearisedChain.visible`)."""
         chain = self.chain
         pairs = zip(chain.meridian.planes, chain.noise, strict=True)
         blocks = [self._visible(plane, noise) for plane, noise in pairs]
@@ -97,7 +98,7 @@ class ChainDraws:
         correlations, by_signal = registered(signals, self._true)
         if not derivatives:
             return correlations.mean(axis=0), np.zeros(coefficients.shape)
-        # Derivatives of the mean correlation by all amplitudes, shape (objects, pixels, lenses).
+        # Derivatives of the mean correlation with respect to all amplitudes, shape (objects, pixels, lenses).
         by_amplitude = np.real(np.swapaxes(self._finding, 1, 2) @ by_signal.conj()) / len(self._true)
         by = []
         for k, (one, field) in enumerate(zip(fields, sums, strict=True)):
@@ -163,7 +164,8 @@ def registered(found: ComplexArray, true: ComplexArray) -> tuple[Array, ComplexA
     -------
     correlations : ndarray, shape (objects, lenses)
     by : ndarray, shape (objects, samples, lenses)
-        Derivatives by the real part of the found signals, plus i times those by the imaginary part.
+        Derivatives with respect to the real part of the found signals, plus i times those with respect to the
+        imaginary part.
     """
     width = true.shape[1]
     spectrum = np.fft.fft(true, 2 * width)[:, :, None]
@@ -190,7 +192,7 @@ class _Field:
     phasors: ComplexArray
 
     def by_coefficients(self, fields: ComplexArray, by_amplitude: Array) -> Array:
-        """Derivatives by the coefficients, from those by the amplitudes; both of shape (pixels, objects)."""
+        """Return derivatives by the coefficients from those by the amplitudes, shape (pixels, objects)."""
         size = np.abs(fields)
         along = by_amplitude * fields.conj() / np.maximum(size, DARK * size.max())
         both = along.astype(np.complex64) @ self.plane.objects.T
@@ -214,7 +216,7 @@ class _SinglePlane:
         self.powers = np.vander(meridian.coordinates_mm / (0.5 * meridian.length_mm), ORDERS[0] + 1, True)
 
     def field(self, coefficients: Array) -> _Field:
-        """Elements through a lens, for coefficients of shape (orders of p, orders of x)."""
+        """Return the elements through a lens, for coefficients of shape (orders of p, orders of x)."""
         along = (2.0 * np.pi * coefficients @ self.powers.T).astype(np.float32)
         path = np.empty(self.cosines.shape, np.float32)
         path[...] = along[-1]

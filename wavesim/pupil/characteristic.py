@@ -1,9 +1,13 @@
-"""Point characteristic V(c, s) of a lens, from rays, and the reconstruction pupil of a perturbed one.
+"""Point characteristic V(c, s) of a lens, from rays, and the reconstruction pupil of a perturbed lens.
 
 V(c, s) is the optical path from an object point c to a sensor point s (Hamilton's point characteristic).
-Its gradients are the ray's directions at both ends: dV/dc = -p and dV/ds = n q. The field of a plane
-object O near c is then U(s) = (1/lambda) a(s) exp(i k V(c, s)) times the spectrum of O at p(s), with
-a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) by conservation of energy along the rays.
+Its gradients are the directions of the ray at both ends: dV/dc = -p and dV/ds = n q. The field of a plane
+object O near c is U(s) = (1/lambda) a(s) exp(i k V(c, s)) times the spectrum of O at p(s). The amplitude
+a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) follows from the conservation of energy along rays.
+
+References
+----------
+M. Born and E. Wolf, "Principles of Optics", 7th edition (1999), section 4.1.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import NOMINAL, Placement, placed
 
 DIFFERENCE_STEP = 1e-4
-"""Of direction cosines, for central differences of traces; their error is some 1e-8 of the derivative."""
+"""Step of direction cosines for central differences of rays; its relative error is about 1e-8."""
 
 RIM_POINTS = 256
 
@@ -39,25 +43,25 @@ class PointCharacteristic:
     Attributes
     ----------
     grid : PupilGrid
-        Directions at the object: ``grid.cosines`` holds p = (L, M).
+        Directions at the object: ``grid.cosines`` are p = (L, M).
     status : ndarray of int8, shape (samples, samples)
-        :class:`lensdesign.raytrace.status.Status` of every ray of the grid; the n inside are OK.
+        :class:`lensdesign.raytrace.status.Status` of each ray of the grid; the n samples inside are OK.
     object_point_mm : ndarray, shape (3,)
-        The point c.
+        Object point c in mm.
     plane_z_mm : float
-        z of the plane.
+        Position z of the plane in mm.
     index_behind : float
         Refractive index n between the lens and the plane.
     sensor_points_mm : ndarray, shape (n, 2)
-        Where the rays meet the plane, s.
+        Intersections s of the rays with the plane, in mm.
     path_mm : ndarray, shape (n,)
-        Optical path V(c, s).
+        Optical path V(c, s) in mm.
     directions : ndarray, shape (n, 3)
         Direction cosines q behind the lens.
     jacobian_mm : ndarray, shape (n, 2, 2)
-        ds/dp.
+        Derivatives ds/dp in mm.
     direction_jacobian : ndarray, shape (n, 2, 2)
-        dq/dp, of the two transverse cosines.
+        Derivatives dq/dp of the two transverse cosines.
     """
 
     grid: PupilGrid
@@ -73,12 +77,12 @@ class PointCharacteristic:
 
     @cached_property
     def determinant_mm2(self) -> Array:
-        """Determinant of ds/dp, shape (n,); one sign throughout unless the map of rays folds."""
+        """Determinant of ds/dp in mm^2, shape (n,). Its sign changes only where the map of rays folds."""
         return np.asarray(np.linalg.det(self.jacobian_mm))
 
     @cached_property
     def amplitude_per_mm(self) -> Array:
-        """Amplitude a in 1/mm, shape (n,); inf on a caustic."""
+        """Amplitude a in 1/mm, shape (n,); infinite on a caustic."""
         cosines = self.grid.axial_cosine / (self.index_behind * self.directions[:, 2])
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(cosines / np.abs(self.determinant_mm2)), float)
@@ -103,12 +107,18 @@ class PointCharacteristic:
 
     @cached_property
     def wavefront_curvature_per_mm(self) -> float:
-        """Largest second derivative of V along the plane, over the bundle."""
+        """Largest second derivative of V along the plane, over the bundle, in 1/mm."""
         hessian = self.index_behind * (self.direction_jacobian @ self.inverse_jacobian)
         return float(np.max(np.linalg.norm(hessian, axis=(1, 2))))
 
     def aiming_map(self) -> AimingMap:
-        """Starting values for the aiming of perturbed rays; FoldError if the map of rays folds."""
+        """Return the starting values for the aiming of perturbed rays.
+
+        Raises
+        ------
+        FoldError
+            If the map of rays folds.
+        """
         return AimingMap(
             cosines=np.ascontiguousarray(self.grid.cosines.T),
             points_mm=np.ascontiguousarray(self.sensor_points_mm.T),
@@ -131,20 +141,25 @@ def point_characteristic(
     Parameters
     ----------
     lens
-        The lens; its stop and the other clear semi-diameters bound the bundle.
+        The lens. Its stop and the other clear semi-diameters limit the bundle.
     field_mm
-        Object point (x, y) on the object plane.
+        Object point (x, y) on the object plane, in mm.
     wavelength_um
-        Vacuum wavelength; the design's first one if left out.
+        Vacuum wavelength in um. Default: the design's first wavelength.
     plane_distance_mm
-        Distance of the plane from the exit vertex.
+        Distance of the plane from the exit vertex in mm.
     samples
-        Samples along each side of the square grid that covers the bundle's direction cosines.
+        Samples along each side of the square grid that covers the bundle's direction cosines, 8 to 4096.
+
+    Returns
+    -------
+    PointCharacteristic
+        The rays that reach the plane.
 
     Raises
     ------
     InputError
-        If a value is not usable, or no ray gets through.
+        If a value is out of its range, or no ray passes the lens.
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     field = np.asarray(field_mm, float)
@@ -184,7 +199,7 @@ def point_characteristic(
 def _bounding_square(
     lens: Lens, field: Array, wavelength_um: float, samples: int
 ) -> tuple[tuple[float, float], float]:
-    """Centre and spacing of the grid that covers the cosines of all rays through the stop's rim."""
+    """Return centre and spacing of the grid that covers the cosines of all rays through the stop's rim."""
     angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     _, rim = launch(lens, field, np.column_stack([np.cos(angle), np.sin(angle)]), wavelength_um)
     low, high = rim[:, :2].min(axis=0), rim[:, :2].max(axis=0)
@@ -195,7 +210,7 @@ def _bounding_square(
 def ray_derivatives(
     system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float
 ) -> tuple[Array, Array]:
-    """ds/dp and dq/dp by central differences, one-sided where a neighbour does not arrive."""
+    """Return ds/dp and dq/dp by central differences; one-sided where a neighbour does not arrive."""
     base, _ = shoot(system, point, cosines, plane_z_mm, clip=False)
     parts: list[tuple[Array, Array]] = []
     for axis in np.eye(2):
@@ -216,27 +231,51 @@ def ray_derivatives(
 
 
 class PupilSampler:
-    """Reconstruction pupils of perturbed copies of one lens, the nominal part done once.
+    """Reconstruction pupils of perturbed copies of one lens.
 
-    What it neglects: the small patch of the object around the point is taken to see one pupil
-    (isoplanatic), and interface losses are those of an ideal coating.
+    The nominal rays are traced once. All points of a small patch around the object point have the same pupil
+    (isoplanatic approximation), and surfaces transmit all light.
 
     Parameters
     ----------
-    lens, field_mm, wavelength_um, plane_distance_mm, samples
-        As in :func:`point_characteristic`. The plane stands still when the lens moves.
+    lens
+        The nominal lens. Its stop and the other clear semi-diameters limit the bundle.
+    field_mm
+        Object point (x, y) on the object plane, in mm.
+    wavelength_um
+        Vacuum wavelength in um. Default: the design's first wavelength.
+    plane_distance_mm
+        Distance of the sensor plane from the exit vertex of the nominal lens, in mm. The plane does not move
+        with the lens.
+    samples
+        Samples along each side of the square grid of direction cosines, 8 to 4096.
+
+    Attributes
+    ----------
+    lens : Lens
+        The nominal lens.
+    nominal : PointCharacteristic
+        The nominal rays.
+    grid : PupilGrid
+        Direction cosines at the object, which all pupils share.
 
     Raises
     ------
     InputError
-        If a value is not usable, or no ray gets through.
+        If a value is out of its range, or no ray passes the lens.
     FoldError
         If the nominal rays fold on the plane.
 
     Examples
     --------
-    >>> sampler = PupilSampler(lens, field_mm=(0.0, 1.0))                   # doctest: +SKIP
-    >>> strehl(refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil)          # doctest: +SKIP
+    Strehl ratio of a tilted lens at a field point off the axis:
+
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, refocus, strehl
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> sampler = PupilSampler(lens, field_mm=(0.0, 1.0), samples=64)
+    >>> round(strehl(refocus(sampler.pupil(Pose(tilt_x_deg=0.1))).pupil), 2)
+    0.25
     """
 
     def __init__(
@@ -253,21 +292,27 @@ class PupilSampler:
         self._map = self.nominal.aiming_map()
 
     def pupil(self, placement: Placement | Pose = NOMINAL) -> ReconstructionPupil:
-        """Reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
+        """Return the reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
 
-        The perturbed ray that reaches s(p) is found by a quasi-Newton iteration with the nominal
-        Jacobian, and what is left of the way is bridged by V'(s) = V'(s') + n q'.(s - s').
+        A quasi-Newton iteration with the nominal Jacobian finds the perturbed ray that ends near s(p), at s'.
+        Its path is extended by V'(s) = V'(s') + n q'.(s - s').
 
         Parameters
         ----------
         placement
-            Lens, object, sensor and light; or the pose of the lens alone. Of another wavelength, what counts
-            is the path in waves, V'/wavelength' - V/wavelength, here as a length at the nominal wavelength.
+            Lens, object, sensor and light; or the pose of the lens alone. At another wavelength the
+            difference of the paths in waves counts, V'/wavelength' - V/wavelength. It is returned as a length
+            at the nominal wavelength.
+
+        Returns
+        -------
+        ReconstructionPupil
+            The pupil, which includes piston, shift and defocus.
 
         Raises
         ------
         InputError
-            If a value is not usable, or no ray arrives through both lenses.
+            If a value is invalid, or no ray arrives through both lenses.
         RayAimError
             If aiming does not converge.
         """

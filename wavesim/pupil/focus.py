@@ -1,7 +1,7 @@
-"""The focus in which a reconstruction is best by what it is judged by.
+"""Search of the focus in which a reconstruction has the highest score, such as contrast.
 
-:func:`wavesim.refocus` makes the phase as flat as it gets, in the least squares sense. Contrast or a
-Strehl ratio may be better beside that plane, and whoever refocuses by eye, or by a merit, finds it there.
+:func:`wavesim.refocus` makes the phase as flat as possible in the least-squares sense. Contrast or a Strehl
+ratio may be higher in another plane, which refocusing by eye or by a merit finds.
 """
 
 from __future__ import annotations
@@ -16,32 +16,33 @@ from lensdesign.errors import SamplingError
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, Refocused
 
 FOCUS_RANGE = 1.5
-"""How far the best focus is sought to either side of where a pupil is, in wavelength / NA^2."""
+"""Largest distance of the best focus from the pupil's plane, to either side, in wavelength / NA^2."""
 
 STEPS = 4
-"""To either side; between the best of them and its neighbours a parabola tells."""
+"""Number of trial planes to either side. A parabola interpolates between the best one and its neighbours."""
 
 
 def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil], float]) -> Refocused:
-    """The pupil in the object plane where a score is highest, its place across the axis kept.
+    """Return the pupil in the object plane with the highest score; its lateral position does not change.
 
     Parameters
     ----------
     pupil
-        A pupil that is registered (:func:`wavesim.refocus`): the plane is sought within `FOCUS_RANGE` of
-        where that has put it.
+        A registered pupil (:func:`wavesim.refocus`). The search covers `FOCUS_RANGE` to either side of its
+        plane.
     score
-        Of a pupil; the higher the better. A plane in which it raises a SamplingError is passed over.
+        Function of a pupil; the best pupil has the highest score. Planes in which it raises a SamplingError
+        are skipped.
 
     Returns
     -------
     Refocused
-        Shift and refocus beside those that were taken out already.
+        The pupil, and the shift and refocus distance in addition to those that were removed before.
 
     Raises
     ------
     SamplingError
-        If the score cannot be had where the pupil is.
+        If the score cannot be computed in the plane of the given pupil.
     """
     slopes, across = axial_path(pupil)
 
@@ -61,7 +62,7 @@ def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil]
 
 
 def reach_um(grid: PupilGrid) -> float:
-    """Return the largest distance from the nominal focus at which the best focus is searched."""
+    """Return the largest distance in um, from the nominal focus, at which the best focus is searched."""
     return FOCUS_RANGE * grid.wavelength_um / grid.half_width**2
 
 
@@ -71,9 +72,9 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
     Returns
     -------
     slopes : ndarray, shape (3,)
-        Of piston, x and y that went out of the axial cosine.
+        Coefficients of piston, x and y that were removed from the axial cosine.
     path : ndarray, shape (n,)
-        What is left of it at the samples; 0 where they are not valid.
+        Remaining path change at the samples; 0 where they are not valid.
     """
     basis, valid = pupil.grid.basis, pupil.valid
     # On a line one of the cosines is 0 everywhere, and has no slope.
@@ -85,7 +86,8 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
 def sought(score: Callable[[float], float], reach: float) -> tuple[float, float]:
     """Return the position within a reach of 0 at which a score is highest, and the score.
 
-    `STEPS` points to either side tell about where, a parabola through the best and its neighbours where.
+    `STEPS` points to either side give the approximate position; a parabola through the best point and its
+    neighbours refines it.
     """
 
     def tolerant(distance: float) -> float:

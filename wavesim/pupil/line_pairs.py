@@ -1,14 +1,14 @@
 """Line pairs through a reconstruction pupil, in coherent light.
 
-The object is a square of bright bars on a dark ground: `bars` bars of width w with gaps of width w
-between them, as long as they are wide together, (2 bars - 1) w. A plane wave along the axis lights it, so
-its spectrum is centred at p = 0 for every field point. The image is the sum over the pupil of the bars'
-exact spectrum, the pupil, and exp(i k p.x); intensity 1 is that of a large bright area.
+The object is a square target of bright bars on a dark ground: `bars` bars of width w with gaps of width w.
+The bars have the length (2 bars - 1) w, which is also the width of the target. A plane wave along the axis
+illuminates the target, so that its spectrum is centred at p = 0 for each field point. The image is the sum
+over the pupil of the bars' exact spectrum, the pupil, and exp(i k p.x). A large bright area has intensity 1.
 
-Coma moves lines of each width by an amount of their own without blurring them, and defocus, seen from an
-off-axis point, moves them too. Contrast is therefore measured where the lines are: displaced by the
-slope of the phase over the orders (0 and +-1) that make them. Even parts of the phase do not displace, so
-contrast that they reverse stays visible as such.
+Coma displaces lines by an amount that depends on their width, without blur. So does defocus at an off-axis
+point. Contrast is therefore measured at the displaced lines. Their displacement is the slope of the phase
+over the diffraction orders that form the lines (0 and +-1). Even parts of the phase do not displace lines, so
+that contrast which they reverse remains visible.
 """
 
 from __future__ import annotations
@@ -34,29 +34,43 @@ from wavesim.pupil.pupil import (
 def line_pair_contrast(
     pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation = "x", bars: int = 5
 ) -> float:
-    """Contrast of a line pair target: (bright - dark) / (bright + dark).
+    """Return the contrast of a line pair target in coherent light: (bright - dark) / (bright + dark).
 
-    Bright is the mean intensity at the middles of the bars, dark that at the middles of the gaps between
-    them, on the line across the target's centre, displaced by :func:`line_pair_displacement_um`. Lines
-    that show reversed (false resolution) have a negative contrast.
+    "bright" is the mean intensity at the centres of the bars, and "dark" that at the centres of the gaps.
+    Both are taken on the line across the centre of the target, displaced by
+    :func:`line_pair_displacement_um`. Reversed lines (false resolution) have a negative contrast.
 
     Parameters
     ----------
     pupil
         A registered pupil (:func:`wavesim.refocus` or :func:`wavesim.pupil.remove_shift`).
     line_width_um
-        Width of a bar and of a gap; the period is twice that.
+        Width of a bar and of a gap in um; the period is twice as large.
     orientation
-        Axis along which the bars follow each other.
+        Axis along which the bars are repeated, "x" or "y".
     bars
         Number of bars, at least 2.
+
+    Returns
+    -------
+    float
+        Contrast, -1 to 1.
 
     Raises
     ------
     InputError
-        If the width, orientation or number of bars is not usable.
+        If the width, the orientation or the number of bars is invalid.
     SamplingError
         If the target is wider than the grid's period, or the phase is sampled too coarsely.
+
+    Examples
+    --------
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, line_pair_contrast, refocus
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> pupil = refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil
+    >>> round(line_pair_contrast(pupil, 0.775), 2), round(line_pair_contrast(pupil, 0.5), 1)
+    (0.98, 0.2)
     """
     axis = axis_of(orientation)
     target = _target(pupil.grid, float(line_width_um), axis, bars)
@@ -71,10 +85,15 @@ def line_pair_contrast(
 def line_pair_displacement_um(
     pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation = "x", bars: int = 5
 ) -> float:
-    """Displacement of the imaged lines of a target perpendicular to them.
+    """Return the displacement of the imaged lines of a target, perpendicular to the lines, in um.
 
-    From the least-squares slope of the phase, weighted with the target's power spectrum over its orders
-    0 and +-1.
+    It follows from the least-squares slope of the phase, weighted with the target's power spectrum over its
+    orders 0 and +-1.
+
+    Parameters
+    ----------
+    pupil, line_width_um, orientation, bars
+        As in :func:`line_pair_contrast`.
 
     Raises
     ------
@@ -104,11 +123,19 @@ def line_pair_profile(
     bars: int = 5,
     points: int = 401,
 ) -> tuple[Array, Array]:
-    """Intensity along the line across the bars, two bars' widths beyond the target on each side.
+    """Return the intensity along the line across the bars, and two line widths beyond the target.
+
+    Parameters
+    ----------
+    pupil, line_width_um, orientation, bars
+        As in :func:`line_pair_contrast`.
+    points
+        Number of points.
 
     Returns
     -------
     coordinates_um, intensity : ndarray, shape (points,)
+        Coordinates in um, and intensity relative to that of a large bright area.
 
     Raises
     ------
@@ -130,14 +157,21 @@ def line_pair_image(
     bars: int = 5,
     points: int = 201,
 ) -> tuple[Array, Array]:
-    """Picture of the target, two bars' widths beyond it on each side.
+    """Return the image of the target, and of two line widths beyond it on each side.
+
+    Parameters
+    ----------
+    pupil, line_width_um, orientation, bars
+        As in :func:`line_pair_contrast`.
+    points
+        Number of points along each side.
 
     Returns
     -------
     coordinates_um : ndarray, shape (points,)
-        Along x and along y.
+        Coordinates along x, which are also those along y, in um.
     intensity : ndarray, shape (points, points)
-        Row: y, column: x.
+        Intensity relative to that of a large bright area; row: y, column: x.
 
     Raises
     ------
@@ -158,20 +192,23 @@ def line_pair_image(
 def smallest_resolved_line_width_um(
     pupil: ReconstructionPupil, orientation: Orientation = "x", limit: float = 0.2, bars: int = 5
 ) -> float:
-    """Smallest line width down to which every wider line reaches a contrast.
+    """Return the smallest line width, in um, down to which all lines reach a contrast.
 
-    Widths fall by 2 % a step from four times the coherent cut-off, where the period is 4 wavelength / NA;
-    finer lines that reach the limit again after a failure are false resolution and do not count.
+    The search starts at four times the coherent cut-off, where the period is 4 wavelength / NA, and reduces
+    the width by 2 % in each step. It ends at the first width that fails, since finer lines that reach the
+    contrast again are false resolution.
 
     Parameters
     ----------
+    pupil, orientation, bars
+        As in :func:`line_pair_contrast`.
     limit
         Contrast that counts as resolved.
 
     Returns
     -------
     float
-        In um; inf if even the widest line is not resolved.
+        Line width in um; infinite if even the widest line is not resolved.
 
     Raises
     ------
@@ -191,10 +228,15 @@ def smallest_resolved_line_width_um(
 class _Target:
     """Quantities that do not depend on the phase of the pupil.
 
-    `bar_spectrum` and `length_spectrum` are the bars' and their whole length's spectrum over the cosines
-    along the two axes, times spacing / wavelength; `kernel` (2 bars - 1, samples) leads from the pupil
-    summed over the other axis to the field at the middles of bars, then of gaps; `order_weights` is the
-    bars' power over their orders 0 and +-1, and 0 beyond.
+    Attributes
+    ----------
+    bar_spectrum, length_spectrum : ndarray, shape (samples,)
+        Spectrum of the bars along their axis, and of their length along the other axis, times
+        spacing / wavelength.
+    kernel : ndarray, shape (2 bars - 1, samples)
+        Matrix from the pupil, summed over the other axis, to the field at the centres of bars, then of gaps.
+    order_weights : ndarray, shape (samples,)
+        Power of the bars over their orders 0 and +-1, and 0 beyond.
     """
 
     bar_spectrum: Array
@@ -222,9 +264,9 @@ def _target(grid: PupilGrid, width_um: float, axis: int, bars: int) -> _Target:
 
 
 def _bar_spectrum(grid: PupilGrid, width_um: float, axis: int, bars: int, *, whole: bool) -> Array:
-    """Spectrum of the bars, or of their whole length, along one axis, times spacing / wavelength.
+    """Return the spectrum of the bars, or of their length, along one axis, times spacing / wavelength.
 
-    Integral of exp(-i k L x) over bars centred on 0; real, because the target is symmetric.
+    It is the integral of exp(-i k L x) over bars centred at 0, and real since the target is symmetric.
     """
     frequency = grid.axes[axis] / grid.wavelength_um
     scale = grid.spacing / grid.wavelength_um
@@ -237,7 +279,7 @@ def _bar_spectrum(grid: PupilGrid, width_um: float, axis: int, bars: int, *, who
 
 
 def _along(values: NDArray, axis: int) -> NDArray:
-    """Values on the grid with rows along `axis`, so that a product with a column sums over the other."""
+    """Return values on the grid with rows along `axis`; a product with a column sums over the other axis."""
     return values if axis == 1 else values.T
 
 

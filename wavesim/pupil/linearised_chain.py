@@ -1,20 +1,20 @@
-"""How much of an object a reconstruction by the nominal lens is expected to lose, from the linearised chain.
+"""Expected loss of an object's content in a reconstruction by the nominal lens, from a linearised model.
 
 Random objects on a meridian (:mod:`wavesim.pupil.meridian`), under even light in a field stop, give
-amplitudes A = |E t| on the sensor's planes, with shot noise. About each object the reconstruction is linear:
-amplitudes that are off by dA change what it finds by
+amplitudes A = |E t| on the sensor's planes, with shot noise. Near each object the reconstruction is linear:
+an error dA of the amplitudes changes the object found by
 
-    dt = (J* W J + 1 / tau^2)^-1 J* W dA,     J = Re(conj(E t) E / |E t|),
+    dt = (J* W J + 1 / tau^2)^-1 J* W dA,     J = Re(conj(E t) E / |E t|).
 
-with weights W by the noise of each plane, tau how far objects scatter, and dt real for an amplitude object.
-The scale of the amplitudes is free. dA is not linearised: it is that of the perturbed lens's full phases. So
-what intensities cannot tell, such as phase that depends on the sensor's point alone, costs nothing; what the
-object takes up is lost; what it cannot take up, the phase of an amplitude object, costs little. Light and
-field stop are known: where they seem to move, the object suffers, though an object alone might as well be
-elsewhere.
+W are weights by the noise of each plane, tau is the standard deviation of objects, and dt is real for an
+amplitude object. The scale of the amplitudes is free. dA is not linearised: it follows from the full phases
+of the perturbed lens. An effect that intensities cannot show, such as a phase that depends on the sensor
+point only, therefore costs nothing. Information that the object absorbs is lost. An effect that the object
+cannot absorb, such as phase for an amplitude object, costs little. Light and field stop are known. An
+apparent displacement of both therefore reduces the correlation, although an object alone could be displaced.
 
-The loss is 1 less the correlation of found and true object, their means taken out, as the lens passes them,
-registered sideways.
+The loss is 1 minus the correlation of found and true object. Both are compared as the lens transmits them,
+without their means, and registered laterally.
 """
 
 from __future__ import annotations
@@ -32,44 +32,44 @@ from wavesim.pupil.pupil import ComplexArray
 from wavesim.scene.settings import Kind
 
 OBJECTS, SEED = 6, 0
-"""Random objects over which the loss is averaged."""
+"""Number of random objects over which the loss is averaged, and their seed."""
 
 BARS_UM, BAR_EVERY_UM = (0.7, 3.0), 10.0
-"""Widths of bars, three of a kind, and how many such sets there are along the line."""
+"""Range of the bars' widths, with three bars of each width, and length of the line for each set of bars."""
 
 WITHIN, JUDGED = 0.72, 0.92
-"""Shares of the line in which sets of bars are, and in which objects are compared."""
+"""Fractions of the line that contain sets of bars, and in which objects are compared."""
 
 DEPTH, PHASE_RAD, CLEAR = 0.9, 1.2, 0.4
-"""Amplitude that bars of an amplitude object take; phase and amplitude that those of a complex one do."""
+"""Reduction of amplitude by bars of an amplitude object; phase and reduction by those of a complex one."""
 
 SCATTER = 0.3
-"""Standard deviation of objects about what one expects."""
+"""Standard deviation of objects from their expected values."""
 
 FINER = 8
-"""Places at which objects are registered, for each sample."""
+"""Number of trial shifts per sample in the registration of objects."""
 
 DARK = 1e-9
-"""Of the largest amplitude: below it an amplitude has no direction."""
+"""Fraction of the largest amplitude below which the phase of an amplitude is undefined."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedChain:
-    """The chain on a meridian, from random objects to what a reconstruction finds.
+    """The linearised model on a meridian, from random objects to the objects that a reconstruction finds.
 
     Attributes
     ----------
     meridian : Meridian
         Lens, line and planes.
     kind : {"amplitude", "complex"}
-        Of the object.
+        Kind of the object.
     electrons : float
-        In the brightest pixel of each plane.
+        Electrons in the brightest pixel of each plane.
 
     Raises
     ------
     InputError
-        If a value is not usable.
+        If a value is out of its range.
     """
 
     meridian: Meridian
@@ -82,7 +82,7 @@ class LinearisedChain:
 
     @cached_property
     def objects(self) -> Array | ComplexArray:
-        """Bars of many widths at random, shape (samples, objects)."""
+        """Random objects: bars of many widths, shape (samples, objects)."""
         x_um, random = 1e3 * self.meridian.coordinates_mm, np.random.default_rng(SEED)
         length_um = 1e3 * self.meridian.length_mm
         bars = np.zeros((len(x_um), OBJECTS))
@@ -98,7 +98,7 @@ class LinearisedChain:
 
     @cached_property
     def noise(self) -> tuple[float, ...]:
-        """Standard deviation of amplitudes on each plane, whose brightest pixel the light alone makes."""
+        """Standard deviation of the amplitudes of each plane, whose brightest pixel has `electrons`."""
         light = [np.abs(plane.matrix.sum(axis=1)).max() for plane in self.meridian.planes]
         return tuple(float(0.5 * brightest / np.sqrt(self.electrons)) for brightest in light)
 
@@ -108,7 +108,7 @@ class LinearisedChain:
         return self.amplitudes(None)
 
     def amplitudes(self, waves: Sequence[Array] | None) -> Array:
-        """Amplitudes of all objects, with a change of path (:meth:`Meridian.waves`) or none."""
+        """Return the amplitudes of all objects, with a path change (:meth:`Meridian.waves`) or without."""
         parts = []
         for number, plane in enumerate(self.meridian.planes):
             matrix = plane.matrix
@@ -119,7 +119,7 @@ class LinearisedChain:
 
     @cached_property
     def passed(self) -> ComplexArray:
-        """Part of an object that the lens transmits, shape (samples, samples)."""
+        """Matrix from an object to the part that the lens transmits, shape (samples, samples)."""
         planes = self.meridian.planes
         return np.asarray(sum(p.matrix.conj().T @ p.matrix for p in planes) / len(planes))
 
@@ -145,11 +145,19 @@ class LinearisedChain:
         return found
 
     def visible(self, waves: Sequence[Array]) -> Array:
-        """Change of path that affects intensities: minus its mean over the object at each pixel, weighted.
+        """Return the part of a path change that affects intensities, weighted by the noise.
+
+        It is the path change minus its mean over the object at each pixel.
+
+        Parameters
+        ----------
+        waves
+            Path change of each plane in waves (:meth:`Meridian.waves`).
 
         Returns
         -------
         ndarray, shape (elements of all planes,)
+            Weighted path change.
         """
         parts = []
         for plane, noise, path in zip(self.meridian.planes, self.noise, waves, strict=True):
@@ -160,7 +168,7 @@ class LinearisedChain:
         return np.concatenate(parts)
 
     def correlations(self, waves: Sequence[Array]) -> Array:
-        """Correlation of each object with what is found of it through a lens with a change of path."""
+        """Return the correlation of each object with the one found through a lens with a path change."""
         changes = (self.amplitudes(waves) - self.nominal).T
         x = self.meridian.coordinates_mm
         judged = np.abs(x) <= 0.5 * JUDGED * self.meridian.length_mm
@@ -174,21 +182,21 @@ class LinearisedChain:
 
 
 def expected_loss(chains: Sequence[LinearisedChain], waves: Sequence[Sequence[Array]]) -> float:
-    """1 less the correlation that is expected of an object in the plane.
+    """Return 1 minus the expected correlation of an object in the plane.
 
-    Errors of meridians at right angles to each other add.
+    The losses on perpendicular meridians add.
 
     Parameters
     ----------
     chains
-        One for each meridian.
+        One chain for each meridian.
     waves
-        Change of path of each, as of :meth:`Meridian.waves`.
+        Path change of each chain in waves (:meth:`Meridian.waves`).
 
     Returns
     -------
     float
-        From 0 to 1.
+        Loss, 0 to 1.
     """
     if not chains:
         raise InputError("expected_loss: needs one meridian at least")
@@ -204,6 +212,7 @@ def registered_correlations(found: Array | ComplexArray, true: Array | ComplexAr
     Parameters
     ----------
     found, true : ndarray, shape (pairs, samples)
+        Signals without their means.
     """
     count, width = found.shape
     product = np.fft.fft(found, 2 * width) * np.fft.fft(true, 2 * width).conj()

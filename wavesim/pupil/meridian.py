@@ -1,15 +1,15 @@
 """Waves on a meridian of the object and the sensor, through a nominal lens and perturbed copies of it.
 
-The meridian is a line across the object about a field point, and the points s of the sensor that its rays
-reach whose direction cosines lie along the line. On it the lens is a matrix
+The meridian is a line across the object through a field point, and the points s of the sensor that its rays
+reach with direction cosines along the line. On it the lens is a matrix
 
     E(s, x) = sqrt(|dp/ds| dx ds / lambda) exp(i k V(x, s))
 
-for each plane in which the sensor records, with the point characteristic V along rays: no slope is taken, no
-patch is isoplanatic. A perturbed lens multiplies its elements by exp(2 pi i w(x, s)), w = (V' - V) / lambda,
-smooth in x and in the nominal cosine p(x, s), of which rays to a few points tell it by a polynomial.
+for each recording plane, with the point characteristic V from rays. It contains no isoplanatic or paraxial
+approximation. A perturbed lens multiplies the elements by exp(2 pi i w(x, s)), w = (V' - V) / lambda. Since w
+is smooth in x and in the nominal cosine p(x, s), rays to a few points determine it as a polynomial.
 
-Left out: rays beside the line, changes of amplitude and of the stop's rim.
+The model neglects rays beside the line, and changes of the amplitude and of the stop's rim.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ FINENESS = 0.8
 """Pitch of the object's samples over half the period of the finest fringes that the aperture holds."""
 
 FAN = 241
-"""Rays of a nominal fan; between them path and cosine are splines."""
+"""Number of rays of a nominal fan; splines interpolate path and cosine between them."""
 
 PIXELS_PER_SAMPLE = 4
-"""Of the sensor, that are looked at on each plane; where there are more, they are evenly left out."""
+"""Number of pixels of each plane that are used for each sample of the object; others are omitted evenly."""
 
 FEWEST_FANS = 4
-"""Between so many fans, or more, a path is a polynomial of the object point."""
+"""Least number of fans between which a path is a polynomial of the object point."""
 
 NODES, ORDERS = (5, 15), (3, 6)
-"""Object points and cosines at which perturbed rays are traced, and orders of the polynomial between them."""
+"""Object points and cosines at which perturbed rays are traced, and orders of the polynomial."""
 
 FEWEST_RAYS = 3
-"""Times the polynomial's terms."""
+"""Least number of rays over the number of the polynomial's terms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +57,17 @@ class MeridianPlane:
     Attributes
     ----------
     number : int
-        Among the planes, from 0.
+        Index of the plane, from 0.
     matrix : ndarray, shape (pixels, samples)
-        E, unitary but for the stop.
+        E, unitary except for the stop.
     cosines : ndarray, shape (pixels, samples)
-        p(x, s) over the numerical aperture; 0 where no ray goes.
+        Direction cosine p(x, s) over the numerical aperture; 0 where there is no ray.
     maps : tuple of AimingMap
-        For each object point of `NODES`, the nominal rays.
+        Nominal rays of each object point of `NODES`.
     paths_mm : tuple of ndarray
-        Their optical paths.
+        Optical paths of these rays in mm.
     nodes : tuple of ndarray, shape (2, rays)
-        x and p of them, over half the line's length and the numerical aperture.
+        x over half the line's length, and p over the numerical aperture, of these rays.
     """
 
     number: int
@@ -87,25 +87,25 @@ class Meridian:
     lens : Lens
         The nominal lens.
     field_mm : (x, y)
-        The line's middle on the object plane.
+        Centre of the line on the object plane, in mm.
     length_mm : float
-        Of the line.
+        Length of the line in mm.
     azimuth_deg : float
-        Of its direction from the x axis towards y.
+        Angle of the line from the x axis towards y, in degrees.
     planes_mm : tuple of float
-        Where the sensor records, from the exit vertex; the design's planes if empty.
+        Distances of the recording planes from the exit vertex in mm; the design's planes if empty.
     wavelength_um : float, optional
-        The design's first one if left out.
+        Vacuum wavelength in um. Default: the design's first wavelength.
     pixels_per_sample : float
-        Pixels of each plane that are used, for each sample of the object; the others are left out evenly.
+        Number of pixels of each plane that are used for each sample of the object; others are omitted evenly.
     fans : int
-        Object points from which nominal rays are traced; between them path and cosine are polynomials of the
-        object point. 0 traces a fan from each sample.
+        Number of object points from which nominal rays are traced. Between them, path and cosine are
+        polynomials of the object point. 0 traces a fan from each sample.
 
     Raises
     ------
     InputError
-        If a value is not usable, or no ray gets through.
+        If a value is out of its range, or no ray passes the lens.
     FoldError
         If rays of the line fold on a plane.
     """
@@ -127,7 +127,7 @@ class Meridian:
 
     @cached_property
     def wavelength(self) -> float:
-        """Pitch of the samples, in um."""
+        """Vacuum wavelength in um."""
         return self.wavelength_um or self.lens.wavelengths_um[0]
 
     @cached_property
@@ -145,12 +145,12 @@ class Meridian:
 
     @cached_property
     def planes(self) -> tuple[MeridianPlane, ...]:
-        """The nominal lens, for each plane."""
+        """Nominal model of each plane."""
         distances = self.planes_mm or self.lens.sensor.plane_distances_mm
         return tuple(self._plane(*numbered) for numbered in enumerate(distances))
 
     def waves(self, placement: Placement) -> list[Array]:
-        """Change of path through a perturbed lens, in waves, but for a constant on each plane.
+        """Return the path change through a perturbed lens in waves, up to a constant for each plane.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Meridian:
         Returns
         -------
         list of ndarray, shape (pixels, samples)
-            For each plane; where there is no light, nothing meaningful.
+            Path change for each plane; without meaning where there is no light.
 
         Raises
         ------
@@ -208,7 +208,7 @@ class Meridian:
     def _between(
         self, pixels: Array, fans: Sequence[tuple[Array, Array, Array, Array]], nodes: list[float]
     ) -> tuple[ComplexArray, Array]:
-        """Elements at all samples from fans at a few object points."""
+        """Return the elements at all samples from fans at a few object points."""
         from numpy.polynomial.chebyshev import chebvander
 
         order = len(nodes) - 1
@@ -249,7 +249,7 @@ class Meridian:
     def _elements(
         self, pixels: Array, places: Array, behind: Array, path: Array, cosines: Array
     ) -> tuple[Array, Array, Array]:
-        """Root of the density of rays, path and cosine at pixels."""
+        """Return the root of the density of rays, the path and the cosine at pixels."""
         from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
         along = CubicHermiteSpline(places, path, behind)(pixels)
@@ -257,7 +257,7 @@ class Meridian:
         return np.sqrt(np.abs(here(pixels, 1))), along, here(pixels)
 
     def _nodes(self, z_mm: float) -> tuple[tuple[AimingMap, ...], tuple[Array, ...], tuple[Array, ...]]:
-        """Nominal rays to which perturbed ones are aimed."""
+        """Return the nominal rays to which perturbed rays are aimed."""
         points, directions = (np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in NODES)
         maps, paths, nodes = [], [], []
         for x in points:

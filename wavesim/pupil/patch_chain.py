@@ -1,19 +1,20 @@
-"""A small patch of the object, carried through a perturbed lens and back through the nominal one.
+"""A small patch of the object, propagated through a perturbed lens and back through the nominal lens.
 
-Both ways go along rays (Eikonal tiles, see :mod:`wavesim.engines.tiles.engine`), for the patch's middle c:
-U'(s) = (1/lambda) a'(s) exp(i k V'(s)) times the spectrum of O at p'(s) forward, and back
+Both propagations use rays from the patch's centre c (Eikonal tiles, :mod:`wavesim.engines.tiles.engine`). The
+forward field is U'(s) = (1/lambda) a'(s) exp(i k V'(s)) times the spectrum of O at p'(s). The reconstruction
+is
 
     O_rec(d) = (1/lambda^2) Int dp |ds/dp| a a' exp(i k (V' - V)) Spectrum[O](p'(s(p))) exp(i k p.d),
 
-the integral over the nominal lens's cosines p. With d no larger than the patch, a regular grid in p whose
-period (window) is twice the patch holds the integrand, so that the field on the sensor, thousands of samples
-across, is needed at some hundred points s(p) across only. There it is known from rays exactly. Paths of
-second order in d enter by their mean over the stop.
+an integral over the cosines p of the nominal lens. Since d is not larger than the patch, a regular grid in p
+samples the integrand if its period (window) is twice the patch. The field on the sensor, which has thousands
+of samples along a side, is therefore needed at about a hundred points s(p) along a side, where rays give it
+exactly. Path terms of second order in d enter as their mean over the stop.
 
-Unlike :class:`wavesim.PupilSampler`'s isoplanatic pupil, this has the object's light go where the perturbed
-lens sends it: its spectrum is taken at p', with amplitude a' and the perturbed stop. On a meridional line
-1/lambda^2 becomes 1/lambda. The way back is the adjoint of :class:`wavesim.Engine`: through an unperturbed
-lens, the weight cos(t_obj) / (n cos(t_out)) is left inside the stop.
+Unlike the isoplanatic pupil of :class:`wavesim.PupilSampler`, this model takes the object's spectrum at the
+directions p' of the perturbed rays, with their amplitude a' and the perturbed stop. On a meridional line
+1/lambda^2 becomes 1/lambda. The backward propagation is the adjoint of :class:`wavesim.Engine`. An
+unperturbed lens therefore leaves the weight cos(t_obj) / (n cos(t_out)) inside the stop.
 """
 
 from __future__ import annotations
@@ -40,40 +41,44 @@ from wavesim.scene.engine import ErrorTerm
 from wavesim.scene.placement import NOMINAL, Placement, placed
 
 WINDOW = {True: 6.0, False: 3.0}
-"""Period of what comes back, in widths of the patch, on a line and in the plane. The pupil's phase is held up
-to a displacement of half of it. On a line the stop's rim weighs more, and samples cost less."""
+"""Period of the returned field in widths of the patch, on a line and in the plane. The phase of the pupil is
+sampled up to a displacement of half a period. On a line the stop's rim matters more, and samples cost less.
+"""
 
 LEAST_WINDOW = 2.0
-"""What is displaced by half of this still misses the patch when it comes in again at the other side."""
+"""Least period in widths of the patch: light that is displaced by half a period and wraps around still misses
+the patch."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatchChain:
-    """The chain from a patch through perturbed lenses and back through the nominal one.
+    """Propagation of a patch of the object through perturbed lenses, and back through the nominal lens.
+
+    The nominal rays are traced once. :mod:`wavesim.pupil.patch_chain` describes the model.
 
     Attributes
     ----------
     lens : Lens
         The nominal lens.
     field_mm : (x, y)
-        The patch's middle on the object plane; on a line x is 0.
+        Centre of the patch on the object plane, in mm; on a line x is 0.
     wavelength_um : float, optional
-        The design's first one if left out.
+        Vacuum wavelength in um. Default: the design's first wavelength.
     plane_distance_mm : float
-        Of the plane where the field is handed over, from the exit vertex. It stands still when the lens
-        moves.
+        Distance in mm from the exit vertex to the sensor plane. The plane does not move with the lens.
     patch_um : float
-        Side of the patch, or its length on a line.
+        Side of the patch, or its length on a line, in um.
     samples : int, optional
-        Of the stop, along each side of the square grid of direction cosines; made odd. Left out, as many as
-        the patch needs; more hold larger displacements without registration, and show the stop's rim finer.
+        Samples along each side of the square grid of direction cosines; made odd. Default: as many as the
+        patch needs. More samples allow larger displacements without registration, and resolve the stop's rim
+        better.
     line : bool
-        A meridional line along y in place of the plane.
+        Whether the patch is a meridional line along y instead of a square.
 
     Raises
     ------
     InputError
-        If a value is not usable, or no ray gets through.
+        If a value is out of its range, or no ray passes the lens.
     SamplingError
         If `samples` are too few for the patch.
     FoldError
@@ -81,9 +86,15 @@ class PatchChain:
 
     Examples
     --------
-    >>> chain = PatchChain(lens, field_mm=(0.0, 1.0))                        # doctest: +SKIP
-    >>> trial = chain.perturbed(Pose(tilt_x_deg=0.1))                        # doctest: +SKIP
-    >>> chain_contrast(trial, line_width_um=0.775)                           # doctest: +SKIP
+    Contrast of lines on a meridian that a tilted lens has recorded:
+
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PatchChain
+    >>> from wavesim.pupil import chain_contrast
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> chain = PatchChain(lens, field_mm=(0.0, 1.0), patch_um=16.0, line=True)
+    >>> round(chain_contrast(chain.perturbed(Pose(tilt_x_deg=0.1)), line_width_um=0.775), 1)
+    0.6
     """
 
     lens: Lens
@@ -100,7 +111,7 @@ class PatchChain:
 
     @cached_property
     def rays(self) -> NominalRays:
-        """The nominal rays of the patch's middle."""
+        """The nominal rays from the patch's centre."""
         stop = (self.lens, self.field_mm, self.wavelength_um, self.plane_distance_mm)
         coarse = point_characteristic(*stop, samples=8).grid
         each = self.patch_um * 2.0 * coarse.half_width / coarse.wavelength_um
@@ -118,34 +129,53 @@ class PatchChain:
 
     @cached_property
     def patch(self) -> PatchGrid:
-        """Samples of the object."""
+        """Samples of the patch."""
         return PatchGrid(self.patch_um, self.rays.base.grid.wavelength_um, self.line)
 
     def bars(self, line_width_um: float, orientation: Orientation = "y", bars: int = 5) -> ComplexArray:
-        """Bright bars on a dark ground in the patch's middle; edges are shared between samples.
+        """Return the transmission of bright bars on a dark ground, at the centre of the patch.
 
-        Bars follow each other along the axis `orientation` (on a line, y), with gaps of their own width, and
-        are as long as they are wide together.
+        Gaps are as wide as bars, and the target is square. A sample at the edge of a bar has the fraction of
+        its cell that the bar covers.
+
+        Parameters
+        ----------
+        line_width_um
+            Width of a bar and of a gap in um.
+        orientation
+            Axis along which the bars are repeated; "y" on a line.
+        bars
+            Number of bars.
+
+        Returns
+        -------
+        ndarray
+            Complex transmission in the shape of the patch.
 
         Raises
         ------
         InputError
-            If a value is not usable, or the bars do not fit into the patch.
+            If a value is out of its range, or the bars do not fit into the patch.
         """
         return self.patch.bars(line_width_um, orientation, bars)
 
     def perturbed(self, placement: Placement | Pose = NOMINAL) -> PerturbedPatch:
-        """The chain through one perturbed lens, its rays traced.
+        """Trace one perturbed lens, and return the map from the patch to its reconstruction.
 
         Parameters
         ----------
         placement
-            As of :meth:`wavesim.PupilSampler.pupil`.
+            Lens, object, sensor and light; or the pose of the lens alone.
+
+        Returns
+        -------
+        PerturbedPatch
+            Map from an object on the patch to the reconstructed field.
 
         Raises
         ------
         InputError
-            If a value is not usable, or no ray arrives through both lenses.
+            If a value is invalid, or no ray arrives through both lenses.
         RayAimError
             If the perturbation is so large that rays cannot be aimed at the nominal sensor points.
         FoldError
@@ -165,20 +195,37 @@ class PatchChain:
         return PerturbedPatch(self.patch, self.rays, aimed, pupil, 1e-3 * self.lens.sensor.pixel_pitch_um)
 
     def carried(self, object_values: ArrayLike, placement: Placement | Pose = NOMINAL) -> ComplexArray:
-        """Return the field that the nominal lens reconstructs on the patch, neither shifted nor refocused.
+        """Return the field that the nominal lens reconstructs on the patch, without registration.
 
-        Raises as :meth:`perturbed` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
+        Parameters
+        ----------
+        object_values
+            Complex transmission in the shape of the patch.
+        placement
+            As in :meth:`perturbed`.
+
+        Returns
+        -------
+        ndarray
+            Complex amplitude in the shape of the patch.
+
+        Raises
+        ------
+        InputError, SamplingError, RayAimError, FoldError
+            As :meth:`perturbed` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
         """
         return self.perturbed(placement).returned(object_values).values
 
     def error_terms(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
-        """Neglected effects, with estimates of the relative error of the returned field.
+        """Return the neglected effects, with estimates of the relative error of the returned field.
+
+        The neglected terms of both propagations nearly cancel where the object returns without displacement.
+        The estimate does not use this.
 
         Parameters
         ----------
         displacement_um
-            By how much the object comes back displaced. Where it comes back to where it was, what is left
-            out on the two ways all but cancels; the estimate leaves that out of account.
+            Displacement of the returned object in um.
         """
         axes = len(self.rays.axes)
         bend = self.rays.bend_deviation_per_mm.reshape(-1, axes * axes)
@@ -207,25 +254,25 @@ def chain_contrast(
     electrons: float | None = None,
     rng: np.random.Generator | None = None,
 ) -> float:
-    """Contrast of bars in what comes back: (bright - dark) / (bright + dark).
+    """Return the contrast of bars in the returned field: (bright - dark) / (bright + dark).
 
-    Bright is the mean intensity at the middles of the bars, dark that at the middles of the gaps, on the line
-    across the target's centre and where the lines show
-    (:meth:`wavesim.pupil.patch_return.ReturnedPatch.displacement_um`), as in
-    :func:`wavesim.line_pair_contrast`. Negative where bright and dark trade places.
+    "bright" is the mean intensity at the centres of the bars, and "dark" that at the centres of the gaps, as
+    in :func:`wavesim.line_pair_contrast`. Both are taken at the displaced lines
+    (:meth:`wavesim.pupil.patch_return.ReturnedPatch.displacement_um`). Reversed lines have a negative
+    contrast.
 
     Parameters
     ----------
     trial
-        The chain through one perturbed lens.
+        The patch through one perturbed lens.
     line_width_um, orientation, bars
-        As :meth:`PatchChain.bars`.
+        As in :meth:`PatchChain.bars`.
     refocused
-        Whether defocus is taken out by least squares of the phase; displacement always is.
+        Whether to remove defocus by a least-squares fit to the phase. Displacement is always removed.
     best
-        Whether the focus is then sought that makes the contrast best, as :func:`wavesim.pupil.best_focus`.
+        Whether to search the focus with the highest contrast afterwards, as :func:`wavesim.pupil.best_focus`.
     electrons, rng
-        As :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
+        As in :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
 
     Raises
     ------

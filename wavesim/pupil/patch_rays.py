@@ -1,9 +1,9 @@
-"""Rays of a patch's middle through a nominal lens, and through perturbed copies aimed at the same points.
+"""Rays from a patch's centre through a nominal lens, and through perturbed copies to the same sensor points.
 
-The nominal rays form a regular grid in object-side direction cosines p. Each ends at a sensor point s(p); the
-rays through a perturbed lens that end there leave the object in directions p'(s), and carry the path V'(s)
-and the amplitude a'(s) = sqrt(|dp'/ds| cos(t_obj) / (n cos(t_out))), exact but for `PATH_TOLERANCE_WAVES`.
-On a meridional line there is only y, and dp'/ds is that of y alone.
+The nominal rays form a regular grid in object-side direction cosines p. Each ends at a sensor point s(p). The
+rays through a perturbed lens to the same points leave the object in directions p'(s). They have the path
+V'(s) and the amplitude a'(s) = sqrt(|dp'/ds| cos(t_obj) / (n cos(t_out))), with path errors below
+`PATH_TOLERANCE_WAVES`. On a meridional line there is only y, and dp'/ds is the derivative along y.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import Placement
 
 STEP = 1e-5
-"""Of direction cosines, for one-sided differences; their error is some 1e-5 of the derivative."""
+"""Step of direction cosines for one-sided differences; its relative error is about 1e-5."""
 
 BEND_STEP_MM = 1e-3
 
@@ -37,13 +37,13 @@ class AimedRays:
     Attributes
     ----------
     path_mm : ndarray, shape (n,)
-        Optical path V' to the sensor point.
+        Optical path V' to the sensor point in mm.
     cosines : ndarray, shape (2, n)
         Object-side direction cosines p' = (L, M).
     amplitude : ndarray, shape (n,)
-        a' in 1/mm, on a line in 1/sqrt(mm); 0 where not valid.
+        Amplitude a' in 1/mm, on a line in 1/sqrt(mm); 0 where not valid.
     valid : ndarray of bool, shape (n,)
-        Rays that arrive; other values of a ray that does not mean nothing.
+        Rays that arrive; the other values of the remaining rays have no meaning.
     """
 
     path_mm: Array
@@ -54,14 +54,14 @@ class AimedRays:
 
 @dataclass(frozen=True, eq=False)
 class NominalRays:
-    """The nominal rays, and what aims perturbed ones at their ends.
+    """The nominal rays, and starting values for the aiming of perturbed rays.
 
     Attributes
     ----------
     base : PointCharacteristic
-        The rays; on a line, those of the grid's middle column alone.
+        The rays; on a line, only those of the grid's middle column.
     line : bool
-        Whether there is only y.
+        Whether the patch is a meridional line along y.
     system : CompiledSystem
         The nominal lens.
     """
@@ -72,12 +72,12 @@ class NominalRays:
 
     @cached_property
     def axes(self) -> list[int]:
-        """The transverse coordinates that there are, of (x, y)."""
+        """Indices of the transverse coordinates (x, y) that exist."""
         return [1] if self.line else [0, 1]
 
     @cached_property
     def map(self) -> AimingMap:
-        """Starting values for the aiming of perturbed rays; FoldError if the map of rays folds."""
+        """Starting values for the aiming of perturbed rays; raises FoldError if the map of rays folds."""
         return self.base.aiming_map()
 
     @property
@@ -87,20 +87,20 @@ class NominalRays:
 
     @cached_property
     def spread(self) -> Array:
-        """ds/dp, or its determinant in the plane, in mm or mm^2, shape (n,)."""
+        """Derivative ds/dp in mm on a line, or its determinant in mm^2 in the plane, shape (n,)."""
         if self.line:
             return np.ascontiguousarray(self.base.jacobian_mm[:, 1, 1])
         return self.base.determinant_mm2
 
     @cached_property
     def amplitude(self) -> Array:
-        """a in 1/mm, on a line in 1/sqrt(mm), shape (n,)."""
+        """Amplitude a in 1/mm, on a line in 1/sqrt(mm), shape (n,)."""
         ratio = self.base.grid.axial_cosine / (self.base.index_behind * self.base.directions[:, 2])
         return np.asarray(np.sqrt(ratio / np.abs(self.spread)))
 
     @cached_property
     def bend_per_mm(self) -> Array:
-        """Second derivatives of V to the object point, at fixed sensor points; shape (n, d, d)."""
+        """Second derivatives of V with respect to the object point, in 1/mm; shape (n, d, d)."""
         base, columns = self.base, []
         for axis in self.axes:
             step = BEND_STEP_MM * np.eye(3)[axis]
@@ -121,9 +121,21 @@ class NominalRays:
         return np.asarray(self.bend_per_mm - self.bend_per_mm.mean(axis=0))
 
     def aimed(self, system: CompiledSystem, placement: Placement) -> AimedRays:
-        """Perturbed rays to the sensor's points, by a quasi-Newton iteration with the nominal Jacobian.
+        """Aim perturbed rays at the sensor points, by a quasi-Newton iteration with the nominal Jacobian.
 
-        What a tilted sensor does to the amplitude is left out.
+        The effect of a tilted sensor on the amplitude is neglected.
+
+        Parameters
+        ----------
+        system
+            The perturbed lens.
+        placement
+            Positions of object and sensor.
+
+        Returns
+        -------
+        AimedRays
+            Paths, directions and amplitudes.
 
         Raises
         ------
@@ -142,7 +154,7 @@ class NominalRays:
     def _with_amplitude(
         self, system: CompiledSystem, point: Array, plane_z_mm: float, found: Aimed
     ) -> AimedRays:
-        """Aimed rays with what is left of their way, and their amplitude."""
+        """Return aimed rays with their path extended to the sensor points, and their amplitude."""
         rays, cosines, miss = found.rays, found.cosines, found.miss_mm
         index = float(system.index[0, -1])
         slopes, valid = [], found.arrived.copy()
@@ -190,8 +202,8 @@ def nominal_rays(
     Raises
     ------
     InputError
-        As :func:`wavesim.pupil.characteristic.point_characteristic`; or, on a line, if the field point
-        lies beside x = 0 or the lens is not symmetric about it.
+        As :func:`wavesim.pupil.characteristic.point_characteristic`; or, on a line, if the field point lies
+        beside x = 0 or the lens is not symmetric about it.
     FoldError
         If the nominal rays fold on the plane.
     """
@@ -204,7 +216,7 @@ def nominal_rays(
 
 
 def _meridian(base: PointCharacteristic) -> PointCharacteristic:
-    """The rays of the middle column alone."""
+    """Return only the rays of the middle column."""
     if base.object_point_mm[0] != 0.0:
         raise InputError(
             f"field_mm = ({base.object_point_mm[0]:g}, {base.object_point_mm[1]:g}): the field point of a "

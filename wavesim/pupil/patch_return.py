@@ -1,4 +1,4 @@
-"""The patch of the object, and what comes back of it through one perturbed lens and the nominal one."""
+"""A patch of the object, and its reconstruction through one perturbed lens and the nominal lens."""
 
 from __future__ import annotations
 
@@ -21,23 +21,25 @@ from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil, plane_waves, 
 Registration = Literal["none", "shift", "focus"]
 
 PITCH_WAVES = 0.2
-"""Largest pitch of the patch's grid, in wavelengths: edges of bars fold back from beyond all real angles."""
+"""Largest pitch of the patch's grid in wavelengths. The edges of bars alias only from beyond all real
+angles.
+"""
 
 TRANSFORM_ERROR = 1e-6
 
 
 @dataclass(frozen=True)
 class PatchGrid:
-    """Samples of a square patch of the object, or of a line along y, about its middle.
+    """Samples of a square patch of the object, or of a line along y, around its centre.
 
     Attributes
     ----------
     side_um : float
-        To the outer borders of the cells.
+        Side of the patch in um, to the outer borders of its cells.
     wavelength_um : float
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     line : bool
-        Whether there is only y.
+        Whether the patch is a line along y.
     """
 
     side_um: float
@@ -46,13 +48,13 @@ class PatchGrid:
 
     @cached_property
     def coordinates_um(self) -> Array:
-        """Coordinates of the samples along each axis: an odd number, at the centres of cells."""
+        """Coordinates of the samples along each axis, in um: an odd number, at the centres of cells."""
         count = math.ceil(self.side_um / (PITCH_WAVES * self.wavelength_um)) | 1
         return np.asarray((np.arange(count) - count // 2) * (self.side_um / count))
 
     @property
     def pitch_um(self) -> float:
-        """Distance of neighbouring samples."""
+        """Distance of neighbouring samples in um."""
         return self.side_um / len(self.coordinates_um)
 
     @property
@@ -61,7 +63,7 @@ class PatchGrid:
         return (len(self.coordinates_um),) * (1 if self.line else 2)
 
     def bars(self, line_width_um: float, orientation: Orientation, bars: int) -> ComplexArray:
-        """Bright bars on a dark ground; see :meth:`wavesim.pupil.patch_chain.PatchChain.bars`."""
+        """Return bright bars on a dark ground, see :meth:`wavesim.pupil.patch_chain.PatchChain.bars`."""
         axis = axis_of(orientation)
         if self.line and axis == 0:
             raise InputError("orientation = 'x': a meridional line has bars along 'y' only")
@@ -80,7 +82,7 @@ class PatchGrid:
         return np.asarray(np.outer(along, across) if axis == 0 else np.outer(across, along), complex)
 
     def _covered(self, low_um: float, high_um: float) -> Array:
-        """Share of each sample's cell between two borders."""
+        """Return the fraction of each sample's cell that lies between two borders."""
         middle, half = self.coordinates_um, 0.5 * self.pitch_um
         overlap = np.minimum(middle + half, high_um) - np.maximum(middle - half, low_um)
         return np.maximum(overlap, 0.0) / self.pitch_um
@@ -95,13 +97,13 @@ class PerturbedPatch:
     patch : PatchGrid
         Samples of the object.
     rays : NominalRays
-        Of the nominal lens.
+        Rays of the nominal lens.
     aimed : AimedRays
-        The perturbed lens's rays to the nominal sensor points.
+        Rays of the perturbed lens to the nominal sensor points.
     pupil : ReconstructionPupil
         V' - V over the nominal direction cosines.
     pixel_mm : float
-        Pitch of the sensor's pixels, for noise.
+        Pitch of the sensor's pixels in mm, for the noise.
     """
 
     patch: PatchGrid
@@ -179,12 +181,12 @@ class PerturbedPatch:
         return ReturnedPatch(self.patch, self.rays, self.aimed, pupil, field, shift, distance)
 
     def _registered(self, registration: Registration) -> tuple[ReconstructionPupil, Array, float]:
-        """The pupil without displacement and, if asked for, defocus; displacement and refocusing, in um."""
+        """Return the pupil without displacement and, if requested, defocus; and both distances in um."""
         if registration == "none":
             return self.pupil, np.zeros(2), 0.0
         if registration not in ("shift", "focus"):
             raise InputError(f"registration = {registration!r}: allowed: none, shift, focus")
-        # The nominal lens, as seen from where the object shows, differs a little from that of the middle.
+        # From the displaced object the nominal lens differs slightly from that at the centre.
         moved_mm = 1e-3 * self._fitted(self.pupil, registration)[1][self.rays.axes]
         seen = 0.5 * (self.rays.bend_deviation_per_mm @ moved_mm) @ moved_mm
         return self._fitted(replace(self.pupil, opd_mm=self.pupil.opd_mm - seen), registration)
@@ -226,15 +228,16 @@ class ReturnedPatch:
     patch : PatchGrid
         Samples of the object.
     rays, aimed : NominalRays, AimedRays
-        Of the nominal lens, and of the perturbed one.
+        Rays of the nominal lens, and of the perturbed lens.
     pupil : ReconstructionPupil
-        The pupil, registered if that was asked for.
+        The pupil, registered if requested.
     spectrum : ndarray, shape (samples, samples)
-        Of the field that came back, over the nominal direction cosines (row: M, column: L).
+        Spectrum of the returned field over the nominal direction cosines (row: M, column: L).
     shift_um : ndarray, shape (2,)
-        By how much (x, y) the object showed displaced, where that was taken out.
+        Displacement (x, y) of the object in um that was removed.
     refocus_um : float
-        By how much the plane of best focus lay from the object plane, positive towards the lens.
+        Distance in um that was removed, from the object plane to the plane of best focus; positive towards
+        the lens.
     """
 
     patch: PatchGrid
@@ -246,7 +249,7 @@ class ReturnedPatch:
     refocus_um: float
 
     def at(self, x_um: Array, y_um: Array) -> ComplexArray:
-        """The field on the grid of two axes, from the patch's middle; shape (ny, nx), on a line (ny,)."""
+        """Return the field on the grid of two axes from the centre, shape (ny, nx); on a line (ny,)."""
         grid = self.rays.base.grid
         down = plane_waves(grid.axes[1], y_um, grid.wavelength_um)
         if self.patch.line:
@@ -258,7 +261,7 @@ class ReturnedPatch:
         return np.asarray(field * bend.conj())
 
     def moved_along(self, distance_um: float) -> ReturnedPatch:
-        """The same in the plane that lies a distance farther along the axis, its place across it kept."""
+        """Return the field in a plane farther along the axis, at the same lateral position."""
         slopes, path = self._axial_path
         phase = 2.0 * np.pi * distance_um / self.patch.wavelength_um * path
         spectrum = self.spectrum.copy()
@@ -284,13 +287,13 @@ class ReturnedPatch:
     def displacement_um(self, orientation: Orientation, cosine_limit: float) -> float:
         """Return the displacement of the imaged object along an axis, for light below a direction cosine.
 
-        From the least-squares slope of the pupil's phase, weighted with the light's power; as
-        :func:`wavesim.pupil.line_pair_displacement_um`.
+        It follows from the least-squares slope of the pupil's phase, weighted with the power of the light, as
+        in :func:`wavesim.pupil.line_pair_displacement_um`.
 
         Raises
         ------
         InputError
-            If no such light comes back.
+            If no such light returns.
         """
         axis, grid = axis_of(orientation), self.rays.base.grid
         within: NDArray[np.bool_] = np.abs(self.aimed.cosines[axis]) < cosine_limit
@@ -308,7 +311,7 @@ class ReturnedPatch:
 
 
 def mean_bend(rays: NominalRays, x_um: Array, y_um: Array) -> ComplexArray:
-    """exp(i k d.H.d / 2) on the grid of two axes, or along y: the path of second order in d, H its mean."""
+    """Return exp(i k d.H.d / 2) on the grid of two axes, or along y; H is the mean second derivative of V."""
     mean = rays.bend_per_mm.mean(axis=0)
     scale = 1e-3 * np.pi / rays.base.grid.wavelength_um
     if rays.line:

@@ -1,13 +1,13 @@
-"""The reconstruction pupil: what a perturbed lens does to a reconstruction through the nominal one.
+"""The reconstruction pupil: effect of a perturbed lens on a reconstruction through the nominal lens.
 
-A reconstruction carries the field that the perturbed lens leaves on the sensor back through the nominal
-lens. Near one object point it thereby multiplies the object's plane-wave spectrum by exp(i k dV(p)),
-with p the object-side direction cosines and dV the difference of the two point characteristics. Inside
-the stop the amplitude is uniform, because the adjoint undoes the nominal lens's own amplitude. The
-Fourier transform of the pupil over p is the reconstruction's coherent point spread.
+A reconstruction propagates the field that the perturbed lens gives on the sensor back through the nominal
+lens. Near one object point this multiplies the object's plane-wave spectrum by exp(i k dV(p)). Here p are the
+object-side direction cosines, and dV is the difference of the two point characteristics. Inside the stop the
+amplitude is uniform, because the adjoint compensates the amplitude of the nominal lens. The Fourier transform
+of the pupil over p is the coherent point spread function of the reconstruction.
 
-A point source moved by (x, y, z) has dV = -(L x + M y + N z), N = sqrt(1 - L^2 - M^2); this fixes the
-signs of every shift and refocus here.
+A point source moved by (x, y, z) has dV = -(L x + M y + N z) with N = sqrt(1 - L^2 - M^2). This defines the
+signs of all shifts and refocus distances.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class PupilGrid:
 
     Attributes
     ----------
-    centre : tuple of float
-        Direction cosines (L, M) of the grid's centre.
+    centre : (L, M)
+        Direction cosines of the grid's centre.
     spacing : float
-        Between neighbouring cosines; samples sit at the middle of their cells.
+        Difference of neighbouring cosines. Samples lie at the centres of their cells.
     inside : ndarray of bool, shape (samples, samples)
-        Which samples the nominal lens carries to the sensor; row: M, column: L.
+        Samples whose rays reach the sensor through the nominal lens; row: M, column: L.
     wavelength_um : float
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     """
 
     centre: tuple[float, float]
@@ -49,24 +49,24 @@ class PupilGrid:
 
     @property
     def samples(self) -> int:
-        """Samples along each axis."""
+        """Number of samples along each axis."""
         return len(self.inside)
 
     @property
     def half_width(self) -> float:
-        """Half the side of the grid, in direction cosines: the numerical aperture, on the axis."""
+        """Half of the grid's side in direction cosines; the numerical aperture for a point on the axis."""
         return 0.5 * self.spacing * self.samples
 
     @cached_property
     def axes(self) -> tuple[Array, Array]:
-        """L of each column and M of each row."""
+        """L of each column and M of each row, each of shape (samples,)."""
         offset = self.spacing * (np.arange(self.samples) - 0.5 * (self.samples - 1))
         x, y = (np.asarray(middle + offset, float) for middle in self.centre)
         return x, y
 
     @cached_property
     def index(self) -> NDArray[np.intp]:
-        """Flat positions of the n samples inside."""
+        """Flat indices of the n samples inside."""
         return np.flatnonzero(self.inside)
 
     @cached_property
@@ -83,28 +83,46 @@ class PupilGrid:
 
     @property
     def window_um(self) -> float:
-        """Period in the object plane after which everything computed on this grid repeats."""
+        """Period in the object plane, in um, with which all results of this grid repeat."""
         return self.wavelength_um / self.spacing
 
     @cached_property
     def basis(self) -> Array:
-        """Return the terms that registration removes: 1, and L, M, N minus their means; shape (4, n)."""
+        """Terms that registration removes: 1, and L, M, N minus their means; shape (4, n)."""
         rows = np.vstack([self.cosines.T, self.axial_cosine])
         return np.vstack([np.ones(len(self.index)), rows - rows.mean(axis=1, keepdims=True)])
 
 
 @dataclass(frozen=True, eq=False)
 class ReconstructionPupil:
-    """Optical path difference over the grid of object-side direction cosines.
+    """Optical path difference between a perturbed and the nominal lens, over the directions at the object.
+
+    :meth:`wavesim.PupilSampler.pupil` computes it. See :mod:`wavesim.pupil.pupil` for its meaning.
 
     Attributes
     ----------
     grid : PupilGrid
-        Where the samples sit; shared by all pupils of one sampler.
+        Grid of direction cosines; shared by all pupils of one sampler.
     opd_mm : ndarray, shape (n,)
-        dV at each of the grid's n samples inside; meaningless where not `valid`.
+        Optical path difference dV in mm at the grid's n samples inside; without meaning where not `valid`.
     valid : ndarray of bool, shape (n,)
-        Samples whose ray arrives through the nominal and through the perturbed lens.
+        Samples whose rays reach the sensor through both lenses.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, no sample is valid, or a valid path difference is not finite.
+
+    Examples
+    --------
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> pupil = sampler.pupil(Pose(tilt_y_deg=0.1))
+    >>> pupil.opd_mm.shape == pupil.valid.shape == (len(pupil.cosines),)
+    True
+    >>> round(pupil.throughput, 2)
+    1.0
     """
 
     grid: PupilGrid
@@ -130,17 +148,17 @@ class ReconstructionPupil:
 
     @property
     def wavelength_um(self) -> float:
-        """Vacuum wavelength."""
+        """Vacuum wavelength in um."""
         return self.grid.wavelength_um
 
     @property
     def throughput(self) -> float:
-        """Share of the nominal samples that the perturbed lens carries too."""
+        """Fraction of the nominal lens's rays that pass the perturbed lens as well."""
         return float(np.mean(self.valid))
 
     @cached_property
     def opd_waves(self) -> Array:
-        """Optical path difference in waves less its mean, shape (n,); 0 where not valid."""
+        """Optical path difference minus its mean, in waves, shape (n,); 0 where not valid."""
         waves = self.opd_mm * (1e3 / self.wavelength_um)
         if np.all(self.valid):
             return np.asarray(waves - waves.mean())
@@ -160,7 +178,7 @@ class ReconstructionPupil:
 
     @cached_property
     def valid_on_grid(self) -> Array:
-        """1 where the grid holds a valid sample and 0 elsewhere, shape (samples, samples)."""
+        """1 at the valid samples of the grid and 0 elsewhere, shape (samples, samples)."""
         return self._on_grid(self.valid.astype(float))
 
     @cached_property
@@ -181,32 +199,32 @@ class ReconstructionPupil:
         return self._on_grid(self.phasor)
 
     def _on_grid(self, values: NDArray) -> NDArray:
-        """Values of the samples laid out on the grid (row: M, column: L)."""
+        """Return values of the samples on the grid (row: M, column: L)."""
         field = np.zeros(self.grid.inside.shape, dtype=values.dtype)
         field.ravel()[self.grid.index] = values
         return field
 
     def _largest_step(self, axis: int) -> float:
-        """Largest change of phase, in waves, between valid neighbours along an axis."""
+        """Return the largest change of phase, in waves, between valid neighbours along an axis."""
         waves, valid = np.moveaxis(self.waves_on_grid, axis, 0), np.moveaxis(self.valid_on_grid, axis, 0)
         return float(np.max(np.abs(waves[1:] - waves[:-1]) * (valid[1:] * valid[:-1])))
 
 
 @dataclass(frozen=True)
 class Refocused:
-    """A registered pupil, and what had to be taken out of it.
+    """A registered pupil, and the terms that were removed from it.
 
     Attributes
     ----------
     pupil : ReconstructionPupil
-        The pupil without piston, shift and, if asked for, defocus.
+        The pupil without piston and shift, and without defocus where that was removed.
     shift_um : ndarray, shape (2,)
-        By how much (x, y) the reconstruction shows the object displaced.
+        Displacement (x, y) of the reconstructed object in um.
     refocus_um : float
-        By how much the plane of best focus lies from the nominal object plane, positive towards the lens;
-        0 where the focus was left alone.
+        Distance in um from the nominal object plane to the plane of best focus, positive towards the lens; 0
+        if the focus was not changed.
     piston_um : float
-        Optical path difference common to all rays.
+        Optical path difference in um that all rays have in common.
     """
 
     pupil: ReconstructionPupil
@@ -216,29 +234,49 @@ class Refocused:
 
 
 def refocus(pupil: ReconstructionPupil) -> Refocused:
-    """Bring a pupil to the object plane and place in which its phase is flattest.
+    """Remove piston, shift and defocus from a pupil, by least squares over its valid samples.
 
-    Piston, shift and defocus leave by least squares over the valid samples. Defocus is exact: moving the
-    object along the axis by dz changes the path by -dz sqrt(1 - L^2 - M^2), not by its parabola. That is the
-    plane of the smallest root mean square, and near that of the highest Strehl ratio; contrast may be best
-    beside it (:func:`wavesim.pupil.best_focus`). Eqs. 5 and 6 instead seek the plane in which a
-    reconstructed picture is sharpest (:func:`wavesim.reconstruction.refocus_field`).
+    A displacement of the object by dz along the axis changes the path by -dz sqrt(1 - L^2 - M^2); no parabola
+    is assumed. The root mean square of the result is the smallest possible one, and its Strehl ratio is near
+    the highest. The contrast of lines may be higher in another plane (:func:`wavesim.pupil.best_focus`). To
+    refocus a reconstructed picture, use :func:`wavesim.refocus_field`.
+
+    Parameters
+    ----------
+    pupil
+        The pupil.
+
+    Returns
+    -------
+    Refocused
+        The registered pupil, and its shift, refocus distance and piston in um.
 
     Raises
     ------
     InputError
         If too few samples are valid.
+
+    Examples
+    --------
+    A tilt of the lens displaces the reconstructed object:
+
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, refocus
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> registered = refocus(sampler.pupil(Pose(tilt_y_deg=0.1)))
+    >>> round(float(registered.shift_um[0]))
+    -9
     """
     return _register(pupil, terms=3)
 
 
 def remove_shift(pupil: ReconstructionPupil) -> Refocused:
-    """Take piston and shift out of a pupil and leave its focus alone; see :func:`refocus`."""
+    """Remove piston and shift from a pupil, but not its defocus; see :func:`refocus`."""
     return _register(pupil, terms=2)
 
 
 def _register(pupil: ReconstructionPupil, terms: int) -> Refocused:
-    """Fit piston and the first `terms` of L, M and N, and take them out."""
+    """Fit and remove piston and the first `terms` of L, M and N."""
     grid, valid = pupil.grid, pupil.valid
     count = np.count_nonzero(valid)
     if count <= 2 * terms:
@@ -263,52 +301,102 @@ def _register(pupil: ReconstructionPupil, terms: int) -> Refocused:
 
 
 def rms_waves(pupil: ReconstructionPupil) -> float:
-    """Standard deviation of the optical path difference over the valid samples, in waves.
+    """Return the standard deviation of the optical path difference over the valid samples, in waves.
 
-    Only piston is left out; register the pupil first to leave out shift and defocus.
+    It includes shift and defocus, unless the pupil is registered.
+
+    Parameters
+    ----------
+    pupil
+        The pupil, usually registered by :func:`refocus`.
+
+    Returns
+    -------
+    float
+        Standard deviation in waves.
+
+    Examples
+    --------
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, refocus, rms_waves
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> pupil = sampler.pupil(Pose(tilt_y_deg=0.1))
+    >>> round(rms_waves(pupil), 1), round(rms_waves(refocus(pupil).pupil), 2)
+    (4.4, 0.16)
     """
     return float(np.sqrt(np.mean(pupil.opd_waves[pupil.valid] ** 2)))
 
 
 def strehl(pupil: ReconstructionPupil) -> float:
-    """Strehl ratio |mean exp(i k dV)|^2 over the valid samples.
+    """Return the Strehl ratio |mean exp(i k dV)|^2 over the valid samples.
 
-    This is the intensity at the nominal place; register the pupil first (:func:`refocus` or
-    :func:`remove_shift`) for the ratio at the image's own place.
+    It is the intensity of the point spread function at the nominal image point, relative to that of a perfect
+    pupil. For the ratio at the displaced image point, register the pupil first (:func:`refocus` or
+    :func:`remove_shift`).
+
+    Parameters
+    ----------
+    pupil
+        The pupil, usually registered.
+
+    Returns
+    -------
+    float
+        Strehl ratio, 0 to 1.
 
     Raises
     ------
     SamplingError
         If the phase is sampled too coarsely.
+
+    Examples
+    --------
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, refocus, strehl
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> round(strehl(refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil), 2)
+    0.41
     """
     return float(np.abs(np.sum(pupil.function) / np.count_nonzero(pupil.valid)) ** 2)
 
 
 def psf(pupil: ReconstructionPupil, half_width_um: float, points: int = 129) -> tuple[Array, Array]:
-    """Intensity of the coherent point spread about the nominal place.
+    """Return the intensity of the coherent point spread function around the nominal image point.
 
     Parameters
     ----------
     pupil
-        A registered pupil, or the spread may lie outside the window.
+        The pupil. Without registration (:func:`refocus`) the peak may lie outside the window.
     half_width_um
-        Half the side of the square window in the object plane.
+        Half of the side of the square window in the object plane, in um.
     points
         Number of points along each side.
 
     Returns
     -------
     coordinates_um : ndarray, shape (points,)
-        Along x and along y.
+        Coordinates along x, which are also those along y, in um.
     intensity : ndarray, shape (points, points)
-        1 at the peak of a perfect pupil; row: y, column: x.
+        Intensity relative to the peak of a perfect pupil; row: y, column: x.
 
     Raises
     ------
     SamplingError
         If the window is wider than the grid's period, or the phase is sampled too coarsely.
     InputError
-        If `half_width_um` or `points` is no size.
+        If `half_width_um` is not above 0, or `points` is below 2.
+
+    Examples
+    --------
+    The value at the centre of the window is the Strehl ratio:
+
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, psf, refocus
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> pupil = refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil
+    >>> coordinates_um, intensity = psf(pupil, half_width_um=2.0, points=41)
+    >>> intensity.shape, round(float(intensity[20, 20]), 2)
+    ((41, 41), 0.41)
     """
     if not (np.isfinite(half_width_um) and half_width_um > 0.0) or points < 2:
         raise InputError(
@@ -324,21 +412,23 @@ def psf(pupil: ReconstructionPupil, half_width_um: float, points: int = 129) -> 
 def mtf(
     pupil: ReconstructionPupil, frequencies_lp_per_mm: ArrayLike, orientation: Orientation = "x"
 ) -> Array:
-    """Modulation transfer of the intensity point spread: the pupil's normalised autocorrelation.
+    """Return the modulation transfer function: the modulus of the pupil's normalised autocorrelation.
 
-    What an incoherent object would see; its cut-off is 2 NA / wavelength.
+    It applies to an incoherent object. The cut-off is 2 NA / wavelength.
 
     Parameters
     ----------
+    pupil
+        The pupil, usually registered by :func:`refocus`.
     frequencies_lp_per_mm
-        Spatial frequencies in the object plane, not negative.
+        Spatial frequencies in the object plane in line pairs per mm, not negative.
     orientation
-        Axis along which the object varies.
+        Axis along which the object varies, "x" or "y".
 
     Returns
     -------
     ndarray
-        Modulus, 1 at frequency 0, in the shape of the frequencies.
+        Modulation in the shape of the frequencies; 1 at frequency 0.
 
     Raises
     ------
@@ -346,6 +436,15 @@ def mtf(
         If a frequency is negative or not finite, or the orientation is unknown.
     SamplingError
         If the phase is sampled too coarsely.
+
+    Examples
+    --------
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import PupilSampler, mtf, refocus
+    >>> sampler = PupilSampler(load_design("designs/paper_singlet.toml"), samples=64)
+    >>> pupil = refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil
+    >>> mtf(pupil, [0.0, 500.0, 1500.0]).round(1).tolist()
+    [1.0, 0.3, 0.0]
     """
     frequencies = np.asarray(frequencies_lp_per_mm, float)
     if not np.all(np.isfinite(frequencies)) or np.any(frequencies < 0.0):
@@ -361,7 +460,13 @@ def mtf(
 
 
 def validate_pupil_width(grid: PupilGrid, width_um: float, what: str) -> None:
-    """SamplingError if something in the object plane is wider than the grid's period."""
+    """Check that a width in the object plane does not exceed the grid's period.
+
+    Raises
+    ------
+    SamplingError
+        If it does; `what` names the object in the message.
+    """
     if width_um > grid.window_um:
         needed = int(np.ceil(grid.samples * width_um / grid.window_um))
         raise SamplingError(
@@ -371,5 +476,5 @@ def validate_pupil_width(grid: PupilGrid, width_um: float, what: str) -> None:
 
 
 def plane_waves(cosines: Array, coordinates_um: Array, wavelength_um: float) -> ComplexArray:
-    """exp(i k L x) for coordinates (rows) and cosines (columns)."""
+    """Return exp(i k L x) for coordinates (rows) and cosines (columns)."""
     return np.asarray(np.exp((2j * np.pi / wavelength_um) * np.outer(coordinates_um, cosines)))

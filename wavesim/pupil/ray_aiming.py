@@ -16,10 +16,10 @@ from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from wavesim.scene.placement import Placement
 
 PATH_TOLERANCE_WAVES = 1e-4
-"""What aiming at a sensor point may leave in an optical path difference."""
+"""Largest error of an optical path difference due to aiming at a sensor point, in waves."""
 
 AIM_STEPS = 8
-"""Most traces that aiming may take; two suffice for perturbations that a mount allows."""
+"""Largest number of traces for aiming; two suffice for perturbations that a mount allows."""
 
 
 class RayAimError(InputError):
@@ -28,20 +28,20 @@ class RayAimError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Aimed:
-    """Rays that end at, or next to, their sensor points.
+    """Rays that end at their sensor points, or close to them.
 
     Attributes
     ----------
     rays : RayTrace
-        As traced, to the sensor's plane if it is not tilted.
+        Traced rays, to the sensor's plane without its tilt.
     cosines : ndarray, shape (2, n)
-        Direction cosines at the object with which they were traced.
+        Direction cosines at the object.
     miss_mm : ndarray, shape (2, n)
-        What is left of the way to the sensor points; 0 for rays that do not arrive.
+        Remaining distance to the sensor points in mm; 0 for rays that do not arrive.
     path_mm : ndarray, shape (n,)
-        Optical path to the sensor points themselves: V'(s) = V'(s') + n q'.(s - s').
+        Optical path to the sensor points themselves in mm: V'(s) = V'(s') + n q'.(s - s').
     arrived : ndarray of bool, shape (n,)
-        Which rays do.
+        Rays that arrive.
     """
 
     rays: RayTrace
@@ -53,22 +53,22 @@ class Aimed:
 
 @dataclass(frozen=True, eq=False)
 class AimingMap:
-    """The nominal rays, from which perturbed ones are aimed by a quasi-Newton iteration.
+    """The nominal rays, from which perturbed rays are aimed by a quasi-Newton iteration.
 
     Attributes
     ----------
     cosines : ndarray, shape (2, n)
         Direction cosines of the nominal rays at the object.
     points_mm : ndarray, shape (2, n)
-        Where they meet the sensor.
+        Intersections of the nominal rays with the sensor, in mm.
     inverse_per_mm : ndarray, shape (2, 2, n)
-        Derivatives of the one by the other.
+        Derivatives of the cosines with respect to the points, in 1/mm.
     object_point_mm : ndarray, shape (3,)
-        Where they start.
+        Object point in mm.
     plane_z_mm : float
-        z of the sensor's plane.
+        Position z of the sensor's plane in mm.
     reach_mm : float
-        How near to its sensor point a ray must come.
+        Largest allowed distance of a ray from its sensor point in mm.
     """
 
     cosines: Array
@@ -86,7 +86,12 @@ class AimingMap:
         system
             The perturbed lens.
         placement
-            Of object and sensor.
+            Positions of object and sensor.
+
+        Returns
+        -------
+        Aimed
+            The rays.
 
         Raises
         ------
@@ -101,7 +106,7 @@ class AimingMap:
         flat, cosines = not np.any(depth), self.cosines
         index = float(system.index[0, -1])
         for step in range(AIM_STEPS):
-            # Only aimed rays tell what the perturbed stop lets through.
+            # Only aimed rays show what the perturbed stop transmits.
             rays, real = shoot(system, point, cosines, plane_z, clip=step > 0)
             arrived = rays.ok & real
             miss = targets - rays.position[:, :2].T
@@ -134,9 +139,14 @@ def shoot(
     plane_z_mm: float,
     clip: bool,
 ) -> tuple[RayTrace, NDArray[np.bool_]]:
-    """Trace from one point along direction cosines, shape (2, n).
+    """Trace rays from one point along direction cosines, shape (2, n).
 
-    Also tells which cosines are those of a real ray; the others go along the axis, and count for nothing.
+    Returns
+    -------
+    rays : RayTrace
+        The rays. Those whose cosines exceed 1 are traced along the axis.
+    real : ndarray of bool, shape (n,)
+        True where the cosines are those of a real ray.
     """
     axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
     real = axial_square > 0.0
@@ -148,19 +158,19 @@ def shoot(
 
 
 def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
-    """Sensor points on a sensor that is tilted about the middle of its plane.
+    """Return sensor points on a sensor that is tilted about the centre of its plane.
 
     Parameters
     ----------
     points_mm : ndarray, shape (2, n)
-        x and y on the sensor.
+        Coordinates x and y on the sensor in mm.
     tilt_deg
-        Right-handed rotation about x, then about the y axis that turned with it.
+        Right-handed rotation about x, then about the rotated y axis, in degrees.
 
     Returns
     -------
     ndarray, shape (3, n)
-        From the middle of the sensor's plane.
+        Positions relative to the centre of the sensor's plane, in mm.
     """
     flat = np.vstack([points_mm, np.zeros((1, points_mm.shape[1]))])
     if not any(tilt_deg):

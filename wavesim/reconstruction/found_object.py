@@ -35,6 +35,8 @@ class Focus(NamedTuple):
 class FoundObject:
     """The object found from frames, and the quality of the result.
 
+    :func:`wavesim.reconstruct_frames` returns it.
+
     Attributes
     ----------
     settings : ReconstructionSettings
@@ -42,15 +44,15 @@ class FoundObject:
     patch : Patch
         Samples of the object and its field stop.
     transmission : Field
-        Transmission of the object, or of the requested region; 0 where there is no light.
-    inside : ndarray of bool
+        Complex transmission of the object, or of the requested region; 0 where there is no light.
+    inside : ndarray of bool, shape (ny, nx)
         Samples of the transmission within the field stop.
     planes : tuple of PlaneFrames
         Distance, exposures and saturation of each plane.
     recorded : tuple of Measurement
         Measured amplitudes of the planes.
     residual_maps : tuple of ndarray
-        For each plane, modelled less measured amplitude.
+        For each plane, modelled less measured amplitude, in the unit of the measured amplitude.
     curve : tuple of float
         Misfit (method object) or correlation A6 (method paper) of every iteration.
     verdict : GoodnessOfFit
@@ -58,11 +60,11 @@ class FoundObject:
     focus : Focus, optional
         Distance at which the object is sharpest, if it was requested.
     of_method : dict
-        Figures that only one method has.
+        Results that only this method has.
     true : Field, optional
         The true object on the same samples, if it was given.
     truth : dict
-        Figures of the comparison with the true object; empty without it.
+        Comparison with the true object: correlation, PSNR, SSIM, displacement; empty without a true object.
     charts : tuple
         Elements of the USAF chart in the middle, and of those at other positions.
     diversity : float
@@ -72,8 +74,21 @@ class FoundObject:
     memory : Memory
         Estimate of the memory.
     predicted_error : float
-        Upper bound of the engine's relative L2 error on the nearest plane, for light with as much intensity
-        at the rim of the aperture as the frames show.
+        Upper bound of the engine's relative L2 error on the nearest plane. It applies to light with as much
+        intensity at the rim of the aperture as the frames show.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, reconstruct_frames
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, "star", planes_mm=(0.03,), **patch)
+    >>> found = reconstruct_frames(lens, taken.frames, kind="amplitude", iterations=10, **patch)
+    >>> found.verdict.explained, found.transmission.grid == taken.patch.grid
+    (True, True)
+    >>> found.residual_maps[0].shape == taken.frames[0].counts.shape
+    True
     """
 
     settings: ReconstructionSettings
@@ -96,7 +111,7 @@ class FoundObject:
     predicted_error: float
 
     def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON: planes, focus, true object and charts."""
+        """Return all figures of quality as plain values for JSON: planes, focus, true object and charts."""
         settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
         return {
             "method": settings.method,

@@ -91,7 +91,10 @@ def reconstruct_frames(
     on_estimate: Callable[[Memory], None] | None = None,
     **changes: Any,
 ) -> FoundObject:
-    """Reconstruct the object behind frames: amplitude, phase, residuals, refocusing, and an assessment.
+    """Reconstruct the object that was recorded in frames, and assess the result.
+
+    Method "object" seeks the transmission of the object itself (:func:`wavesim.reconstruct`). Method "paper"
+    retrieves the field behind the lens and propagates it back (:func:`wavesim.retrieve`).
 
     Parameters
     ----------
@@ -102,12 +105,13 @@ def reconstruct_frames(
     settings
         All settings; default: `ReconstructionSettings()`.
     truth
-        Transmission of the true object on the patch's samples, or its file or folder.
+        Transmission of the true object on the patch's samples, or its file or folder. The result is compared
+        with it.
     calibration
-        Bench or mounting of the lens, from :func:`wavesim.calibrate_frames`.
+        Bench or mounting of the lens, from :func:`wavesim.calibrate_frames`. Default: as designed.
     folder
         Folder of the checkpoint (`CHECKPOINT`) and of arrays that do not fit in memory. The same call
-        continues an interrupted run. The checkpoint stays there.
+        continues an interrupted run. The checkpoint is not removed.
     progress
         Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
     on_estimate
@@ -118,7 +122,7 @@ def reconstruct_frames(
     Returns
     -------
     FoundObject
-        The object, its residuals, and its verdict.
+        Complex transmission of the object, residuals of each plane, and the verdict.
 
     Raises
     ------
@@ -131,6 +135,20 @@ def reconstruct_frames(
     -----
     FootprintWarning, DiversityWarning
         If the frames contain less information than they could.
+
+    Examples
+    --------
+    An amplitude object from a single frame:
+
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, reconstruct_frames
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, "star", planes_mm=(0.03,), **patch)
+    >>> truth = taken.target.transmission
+    >>> found = reconstruct_frames(lens, taken.frames, kind="amplitude", iterations=10, truth=truth, **patch)
+    >>> found.truth["object_correlation"] > 0.9
+    True
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
     validate_frames(lens, frames, settings)

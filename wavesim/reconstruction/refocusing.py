@@ -41,8 +41,8 @@ class Refocusing:
         Field propagated to the best distance.
     distance_mm : float
         Best distance along +z, in mm.
-    distances_mm, svfg : ndarray
-        Distances and their SVFG.
+    distances_mm, svfg : ndarray, shape (n,)
+        Distances in mm, and the SVFG at each of them.
     """
 
     field: Field
@@ -96,16 +96,17 @@ def refocus_field(
 ) -> Refocusing:
     """Propagate a reconstruction to the distance at which it is sharpest.
 
-    For a field of more than `MOST_JUDGED` samples along a side, the SVFG is that of its middle.
+    The measure of sharpness is the singular value fusion of the gradient (:func:`svfg`, Eqs. 5 and 6 of the
+    paper). For a field of more than `MOST_JUDGED` samples along a side, only its middle is measured.
 
     Parameters
     ----------
     field
         Reconstructed complex amplitude on a plane.
     interval_mm
-        Smallest and largest distance along +z from the field's plane, in mm. (-0.2, 0.2) covers an error of
-        the working distance of up to 0.2 mm. The interval must contain the focus, since the curve is flat
-        far from it.
+        Smallest and largest distance along +z from the field's plane, in mm; (-0.2, 0.2) covers an error of
+        the working distance of up to 0.2 mm. The interval must contain the focus, since the curve of
+        sharpness is flat far from it.
     step_mm
         Step of the distances in mm, about a depth of focus (wavelength / NA^2).
     progress
@@ -120,6 +121,18 @@ def refocus_field(
     ------
     InputError
         If the interval or the step is invalid, or the field is on a line.
+
+    Examples
+    --------
+    A chart that was reconstructed 20 um behind its plane:
+
+    >>> from wavesim import Field, Grid, propagate, refocus_field, usaf_chart
+    >>> from wavesim.targets import usaf_elements
+    >>> grid = Grid((256, 256), 2.5e-4, 0.0)
+    >>> chart = Field(grid, usaf_chart(grid, usaf_elements([8]), "dark"), wavelength_um=0.532)
+    >>> blurred = propagate(chart, 0.02, check=False)
+    >>> round(refocus_field(blurred, (-0.03, -0.01)).distance_mm, 3)
+    -0.02
     """
     from scipy.optimize import minimize_scalar
 

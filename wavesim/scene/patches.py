@@ -48,17 +48,18 @@ def patch_scene(
     lens
         The nominal lens.
     patch_mm
-        Side of the patch.
+        Side of the patch in mm.
     field_mm
-        Height of the patch's centre, along y.
+        Height of the patch's centre along y, in mm.
     plane_distance_mm
-        Distance from the exit vertex to the exit plane.
+        Distance from the exit vertex to the exit plane in mm.
     wavelength_um
-        Vacuum wavelength. Default: the design's first wavelength.
+        Vacuum wavelength in um. Default: the design's first wavelength.
     meridional
         Whether the scene is a line along y instead of a plane.
     object_pitch_um
-        Pitch of the object grid. Default: the pitch that samples light of the design's numerical aperture.
+        Pitch of the object grid in um. Default: 80 % of the pitch that just samples light of the design's
+        numerical aperture.
 
     Returns
     -------
@@ -76,7 +77,7 @@ def patch_scene(
     Examples
     --------
     >>> from lensdesign import load_design
-    >>> from wavesim.scene import patch_scene
+    >>> from wavesim import patch_scene
     >>> scene = patch_scene(load_design("designs/paper_singlet.toml"), 0.01, meridional=True)
     >>> scene.object_grid.shape
     (24,)

@@ -18,28 +18,42 @@ def _validate_numbers(name: str, values: Any, count: int | None, allowed: str) -
 
 @dataclass(frozen=True)
 class Placement:
-    """Deviations of one lens, its object and its sensor from their designed positions.
+    """Deviations of one lens, its object, its sensor and its light from the design.
 
     Attributes
     ----------
-    pose, surface_perturbations
-        Displacement and manufacturing errors of the lens, as in :func:`lensdesign.trace`, for one lens. The
-        indices are those at the design's wavelength; perturbations state their change at another one.
+    pose : Pose
+        Displacement and tilt of the lens.
+    surface_perturbations : mapping of int to SurfacePerturbation
+        Manufacturing errors by the index of the surface from 0, as in :func:`lensdesign.trace`, for one lens.
+        Refractive indices are those at the design's wavelength; perturbations state the changes of index at
+        another wavelength.
     object_shift_mm, sensor_shift_mm : (x, y, z)
-        Shifts of object and sensor. Equal shifts of both are equivalent to the opposite shift of the lens.
+        Shifts of object and sensor in mm. Equal shifts of both are equivalent to the opposite shift of the
+        lens.
     plane_distances_mm : tuple of float
-        Change of the distance from the lens for each recording plane. Planes beyond the list use the z
+        Change of the distance from the lens in mm, for each recording plane. Planes beyond the list use the z
         component of `sensor_shift_mm`.
     sensor_tilt_deg : (x, y)
-        Right-handed rotation of the sensor about x, then about the rotated y axis, through the centre of its
-        plane.
+        Right-handed rotation of the sensor about x, then about the rotated y axis, in degrees. The axes pass
+        through the centre of the sensor's plane.
     wavelength_um : float or None
-        Vacuum wavelength of the light. Default: the wavelength of the nominal scene.
+        Vacuum wavelength of the light in um. Default: the wavelength of the nominal scene.
 
     Raises
     ------
     InputError
-        If a shift or a tilt has the wrong number of components, or one that is not finite.
+        If a shift or a tilt has the wrong number of components, or a component is not finite.
+
+    Examples
+    --------
+    A tilted lens, and a sensor whose first plane is 20 um too far away:
+
+    >>> from lensdesign import Pose
+    >>> from wavesim import Placement
+    >>> mounted = Placement(Pose(tilt_y_deg=0.1), plane_distances_mm=(0.02,))
+    >>> mounted.plane_distance_mm(0), mounted.plane_distance_mm(1)
+    (0.02, 0.0)
     """
 
     pose: Pose = Pose()
@@ -57,7 +71,7 @@ class Placement:
         _validate_numbers("plane_distances_mm", self.plane_distances_mm, None, "finite numbers")
 
     def plane_distance_mm(self, index: int) -> float:
-        """Return the change of a plane's distance from the lens; `index` counts planes from 0."""
+        """Return the change of a plane's distance from the lens in mm; `index` counts planes from 0."""
         is_listed = index < len(self.plane_distances_mm)
         return self.plane_distances_mm[index] if is_listed else self.sensor_shift_mm[2]
 

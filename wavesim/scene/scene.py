@@ -24,7 +24,8 @@ Coating = Literal["ideal", "bare"]
 class Scene:
     """A lens, and the two grids between which a field is propagated.
 
-    All positions are actual ones; :func:`placed_scene` derives them from a nominal scene and a placement.
+    :func:`wavesim.patch_scene` makes the scene of a patch of the object. All positions of a scene are actual
+    ones; :func:`placed_scene` derives them from a nominal scene and a placement.
 
     Attributes
     ----------
@@ -33,19 +34,31 @@ class Scene:
     object_grid, exit_grid : Grid
         Grids in front of the lens and behind it; both lines, or both planes.
     wavelength_um : float
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     pose, surface_perturbations
         Displacement and manufacturing errors of one lens, as in :func:`lensdesign.trace`. They do not move
         the grids.
     coating : {"ideal", "bare"}
-        "ideal" surfaces transmit all light. "bare" surfaces transmit by Fresnel's equations (TE on a
-        line, the mean of both polarizations on a plane).
+        "ideal" surfaces transmit all light. "bare" surfaces transmit according to Fresnel's equations: TE
+        polarization on a line, the mean of both polarizations on a plane.
 
     Raises
     ------
     InputError
-        If one grid is a line and the other a plane, or a grid lies inside the lens, or the perturbations hold
+        If one grid is a line and the other a plane, a grid lies inside the lens, or the perturbations contain
         several trials.
+
+    Examples
+    --------
+    A tilted lens between two meridional lines:
+
+    >>> from lensdesign import Pose, load_design
+    >>> from wavesim import Grid, Scene, engine_for
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> line, behind = Grid((100,), 2e-4, lens.object_z_mm), Grid((7200,), 3e-3, lens.exit_vertex_z_mm + 2.0)
+    >>> scene = Scene(lens, line, behind, wavelength_um=0.532, pose=Pose(tilt_x_deg=0.1))
+    >>> engine_for(scene, "eikonal").predicted_error() < 0.1
+    True
     """
 
     lens: Lens
@@ -88,7 +101,7 @@ class Scene:
 
     @property
     def wavenumber_per_mm(self) -> float:
-        """2 pi over the vacuum wavelength."""
+        """Vacuum wavenumber in 1/mm: 2 pi over the vacuum wavelength."""
         return 2e3 * np.pi / self.wavelength_um
 
 

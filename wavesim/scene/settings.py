@@ -6,6 +6,7 @@ help.
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -59,7 +60,20 @@ class SettingError(InputError):
 
 
 class Settings(Section):
-    """A section of settings whose numbers have a magnitude that computations can handle."""
+    """A section of settings whose numbers have a magnitude that computations can handle.
+
+    The docstring of each class lists its settings, with their defaults and descriptions.
+    """
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        super().__pydantic_init_subclass__(**kwargs)
+        text, heading, examples = inspect.cleandoc(cls.__doc__ or "").partition("\n\nExamples\n")
+        settings = "\n".join(
+            f"{name} : default {field.default!r}\n    {field.description or ''}"
+            for name, field in cls.model_fields.items()
+        )
+        cls.__doc__ = f"{text}\n\nAttributes\n----------\n{settings}{heading}{examples}\n"
 
     @field_validator("*")
     @classmethod
@@ -302,7 +316,20 @@ class ImageSettings(
     PatchSettings,
     ObjectSettings,
 ):
-    """Settings of :func:`wavesim.image`."""
+    """Settings of :func:`wavesim.image`. Lengths are in the unit that their names state.
+
+    Every setting is also an option of `wavesim image`. A description that begins with a name, such as
+    "gaussian:" or "slices:", is for a setting of this illumination, object or engine only.
+
+    Examples
+    --------
+    >>> from wavesim import ImageSettings
+    >>> settings = ImageSettings(patch_mm=0.5, exposures=(30.0, 1.0))
+    >>> settings.exposures, settings.bits, settings.replaced(bits=10).bits
+    ((1.0, 30.0), 12, 10)
+    >>> ImageSettings.model_fields["patch_mm"].description
+    'Side of the object patch; default: the whole field.'
+    """
 
 
 class ChoiceSettings(PatchSettings, ObjectSettings):
@@ -372,7 +399,20 @@ class FramedSettings(EngineSettings, PatchSettings):
 
 
 class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
-    """Settings of :func:`wavesim.reconstruct_frames`."""
+    """Settings of :func:`wavesim.reconstruct_frames`. Lengths are in the unit that their names state.
+
+    Every setting is also an option of `wavesim reconstruct`. A description that begins with a name, such as
+    "object:" or "slices:", is for a setting of this method, illumination or engine only.
+
+    Examples
+    --------
+    >>> from wavesim import ReconstructionSettings
+    >>> settings = ReconstructionSettings(patch_mm=0.5, kind="amplitude")
+    >>> settings.most_iterations, settings.replaced(method="paper").most_iterations
+    (80, 500)
+    >>> ReconstructionSettings.model_fields["kind"].description
+    'object: complex or amplitude.'
+    """
 
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
     iterations: int | None = Field(

@@ -37,7 +37,7 @@ class SaturationWarning(UserWarning):
 
 
 class Electronics(Section):
-    """Conversion of light into counts by a sensor.
+    """Conversion of light into counts by a sensor, after the linear camera model of EMVA standard 1288.
 
     Attributes
     ----------
@@ -46,14 +46,21 @@ class Electronics(Section):
     read_noise_electrons
         Standard deviation of the amplifier's noise, in electrons.
     bits
-        Bits of a count.
+        Bits of a count, 1 to 16; the largest count is 2**bits - 1.
     offset_counts
         Offset of all counts, which prevents clipping of dark noise at 0.
     gain_electrons_per_count
-        Electrons that raise a pixel by one count; default: full well corresponds to the largest count.
+        Electrons that raise a pixel by one count. Default: full well gives the largest count.
     fill_factor
-        Linear fill factor of a pixel: side of its photosensitive square over the pitch; 0 is a point.
-        Files may also use the key `active_width`.
+        Linear fill factor of a pixel (0 to 1): side of its photosensitive square over the pitch. A pixel of
+        fill factor 0 is a point. Files may also use the key `active_width`.
+
+    Examples
+    --------
+    >>> from wavesim import Electronics
+    >>> camera = Electronics(full_well_electrons=10_000, bits=10, offset_counts=64)
+    >>> round(camera.gain, 1), camera.saturation_counts
+    (10.4, 1022)
     """
 
     full_well_electrons: Positive = 10_000.0
@@ -83,7 +90,7 @@ class Electronics(Section):
 
     @property
     def saturation_counts(self) -> int:
-        """Lowest count of a pixel that may be clipped, at full well or at the largest count."""
+        """Lowest count at which a pixel may be clipped: by full well, or by the largest count."""
         clear = self.full_well_electrons - CLEAR * self.read_noise_electrons
         return int(min(max(math.floor(self.offset_counts + clear / self.gain), 1), 2**self.bits - 1))
 

@@ -97,14 +97,14 @@ def read_frames(
     assumed: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> tuple[Frame, ...]:
-    """Read frames and check that they belong together; return them by plane distance, then by exposure.
+    """Read frames, and check that they belong together.
 
     Parameters
     ----------
     paths
         TIFF or PNG files.
     settings
-        Settings of the recording that override those in the files.
+        Settings of the recording, which override those in the files. Default: `FrameSetSettings()`.
     lens
         Design that supplies missing values: the pixel pitch; the wavelength, if the design has one; and the
         plane distances in the order of the files, if their numbers agree.
@@ -116,14 +116,15 @@ def read_frames(
     Returns
     -------
     tuple of Frame
-        The frames, with pixel maps and corrected exposures.
+        The frames in the order of their plane distances, then of their exposures. They have pixel maps and
+        corrected exposures.
 
     Raises
     ------
     InputError
-        If a file cannot be read or is named twice, two frames differ in size, pitch or wavelength, those of
-        one plane show different pictures, a frame is empty, or a plane is saturated in all of its frames; or
-        if there are not as many distances or exposures as frames.
+        If a file cannot be read or is named twice, if a frame is empty, or if a plane is saturated in all of
+        its frames. Also if two frames differ in size, pitch or wavelength, if frames of one plane show
+        different pictures, or if there are not as many distances or exposures as frames.
 
     Warns
     -----
@@ -133,6 +134,18 @@ def read_frames(
         If pixels are hot or dead, or exposures differ from the stated ones.
     AssumedWarning
         For each frame with values that the design or `assumed` supplied.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image, read_frames, write_frame
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> taken = image(lens, "star", patch_mm=0.03, planes_mm=(0.03, 0.3), engine="eikonal", error=0.1)
+    >>> paths = [folder / "near.tif", folder / "far.tif"]  # any folder
+    >>> for frame, path in zip(taken.frames, paths):
+    ...     write_frame(frame, path)
+    >>> [frame.settings.plane_distance_mm for frame in read_frames(paths)]
+    [0.03, 0.3]
     """
     settings = (settings or FrameSetSettings()).replaced(**changes)
     if lens is not None:

@@ -49,16 +49,16 @@ class FrameSettings(Section):
     Attributes
     ----------
     pixel_pitch_um
-        Pixel pitch.
+        Pixel pitch in um.
     plane_distance_mm
-        Distance from the exit vertex to the plane of the frame, as the stage states it.
+        Distance in mm from the exit vertex to the plane of the frame, as the stage states it.
     wavelength_um
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     exposure
         Electrons in a pixel for an intensity of 1. For a real camera, any number proportional to the exposure
         time, in the same unit for all frames that are used together.
     bits
-        Bits of a count; the largest count is 2**bits - 1.
+        Bits of a count, 1 to 16; the largest count is 2**bits - 1.
     offset_counts
         Count of a dark pixel.
     gain_electrons_per_count
@@ -69,6 +69,16 @@ class FrameSettings(Section):
         Lowest count of a pixel that may be clipped; default: the largest count.
     title
         Free text.
+
+    Examples
+    --------
+    >>> from wavesim import FrameSettings
+    >>> settings = FrameSettings(
+    ...     pixel_pitch_um=3.2, plane_distance_mm=2.0, wavelength_um=0.532, exposure=1.0,
+    ...     bits=12, offset_counts=64, gain_electrons_per_count=2.5,
+    ... )
+    >>> settings.top_counts, settings.replaced(saturation_counts=4000).clipped_counts
+    (4095, 4000)
     """
 
     pixel_pitch_um: Positive
@@ -93,12 +103,12 @@ class FrameSettings(Section):
 
     @property
     def top_counts(self) -> int:
-        """The largest count."""
+        """Largest count, 2**bits - 1."""
         return int(2**self.bits - 1)
 
     @property
     def clipped_counts(self) -> int:
-        """Lowest count of a pixel that may be clipped."""
+        """Lowest count of a pixel that may be clipped: `saturation_counts`, or the largest count."""
         return self.saturation_counts or self.top_counts
 
 
@@ -109,7 +119,8 @@ class Frame:
     Attributes
     ----------
     counts : ndarray of uint16, shape (ny, nx)
-        Rows along y and columns along x, both increasing, as in a :class:`~wavesim.fields.field.Grid`.
+        Counts of the pixels. Rows lie along y and columns along x, both increasing, as in a
+        :class:`~wavesim.fields.field.Grid`.
     settings : FrameSettings
         Recording conditions.
     maps : PixelMaps, optional
@@ -119,6 +130,18 @@ class Frame:
     ------
     InputError
         If the counts are not a 2D array of uint16, or exceed the largest count.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim import Frame, FrameSettings
+    >>> settings = FrameSettings(
+    ...     pixel_pitch_um=3.2, plane_distance_mm=2.0, wavelength_um=0.532, exposure=1.0,
+    ...     bits=12, offset_counts=64, gain_electrons_per_count=2.5,
+    ... )
+    >>> frame = Frame(np.array([[64, 900], [2000, 4095]], np.uint16), settings)
+    >>> frame.saturated.tolist()
+    [[False, False], [False, True]]
     """
 
     counts: Counts
@@ -158,10 +181,30 @@ def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
 
     The first row of the file, which viewers show at the top, has the smallest y.
 
+    Parameters
+    ----------
+    frame
+        The frame. Its pixel maps are not written.
+    path
+        File to write; an existing file is replaced.
+
     Raises
     ------
     InputError
         If the file cannot be written; an existing file is then unchanged.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim import Frame, FrameSettings, write_frame
+    >>> from wavesim.sensor import read_frame
+    >>> settings = FrameSettings(
+    ...     pixel_pitch_um=3.2, plane_distance_mm=2.0, wavelength_um=0.532, exposure=1.0,
+    ...     bits=12, offset_counts=64, gain_electrons_per_count=2.5,
+    ... )
+    >>> write_frame(Frame(np.full((3, 4), 900, np.uint16), settings), folder / "frame.tif")  # any folder
+    >>> read_frame(folder / "frame.tif").settings == settings
+    True
     """
     from PIL import Image
 
@@ -189,7 +232,7 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
         The file.
     assumed
         Settings of the design, used where neither the file nor `given` states a required setting.
-    given
+    **given
         Settings by their names in :class:`FrameSettings`. They override the settings in the file.
 
     Returns

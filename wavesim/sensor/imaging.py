@@ -45,6 +45,8 @@ from wavesim.targets.patch import Patch, Target, lit, lit_patch, make_target
 class Imaged:
     """Simulated frames of an object, with the settings and models that produced them.
 
+    :func:`wavesim.image` returns it.
+
     Attributes
     ----------
     settings : ImageSettings
@@ -69,6 +71,17 @@ class Imaged:
         Estimated memory of the run.
     predicted_error : float
         Upper bound of the relative L2 error of this object's field on the first plane.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> taken = image(lens, "star", patch_mm=0.03, planes_mm=(0.03,), engine="eikonal", error=0.1)
+    >>> taken.target.transmission.grid.shape == taken.patch.grid.shape
+    True
+    >>> taken.frames[0].counts.shape == taken.sensor.pixels[::-1]
+    True
     """
 
     settings: ImageSettings
@@ -119,12 +132,12 @@ def image(
         The nominal lens.
     object_
         Name of a built-in object ("usaf", "star", "phase", "tissue", "empty"), path of a picture, or the
-        complex transmission of an object. The samples of a transmission are used as the patch.
+        complex transmission of an object on a plane. The grid of a transmission is used as the patch.
     settings
         All settings; default: `ImageSettings()`.
     placement
-        Deviations of lens, object, sensor and light from the design. They replace the deviations in
-        `settings`. Frames state the plane distances of the stage and the true wavelength of the light.
+        Deviations of lens, object, sensor and light from the design, instead of those in `settings`. Frames
+        state the plane distances of the stage and the true wavelength of the light.
     folder
         Folder of intermediate results of a whole field and of arrays that do not fit in memory. The same
         call continues an interrupted run. :func:`wavesim.sensor.recording.drop_parts` removes the results.
@@ -146,6 +159,19 @@ def image(
         If a setting is invalid, the sampling is too coarse, or the arrays do not fit in memory.
     KeyboardInterrupt
         If the run is interrupted; the message says what was saved.
+
+    Examples
+    --------
+    A Siemens star on two planes, at 1/64 of the size of the lens, which takes a second:
+
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import image
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> taken = image(lens, "star", patch_mm=0.03, planes_mm=(0.03, 0.3), engine="eikonal", error=0.1)
+    >>> [frame.settings.plane_distance_mm for frame in taken.frames]
+    [0.03, 0.3]
+    >>> bool(3000 < taken.frames[0].counts.max() < 4095)
+    True
     """
     settings = (settings or ImageSettings()).replaced(**changes)
     validate_lengths(lens, settings)

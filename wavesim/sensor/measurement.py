@@ -33,18 +33,29 @@ class Measurement:
     Attributes
     ----------
     distance_mm : float
-        Distance from the plane in which the field is reconstructed.
-    amplitude : ndarray
-        Square root of the intensity, in the shape of the grid. All planes have the same unit.
-    sigma : ndarray, optional
-        Standard deviation of each amplitude, in its unit; infinite in unknown pixels, such as saturated or
-        dead ones. Default: equal deviations in all pixels.
+        Distance along +z, in mm, from the plane in which the field is reconstructed.
+    amplitude : ndarray, shape (ny, nx)
+        Square root of the intensity. All planes have the same unit.
+    sigma : ndarray, shape (ny, nx), optional
+        Standard deviation of each amplitude, in its unit. It is infinite in unknown pixels, such as
+        saturated or dead ones. Default: equal deviations in all pixels.
     shift_mm : (x, y)
-        Lateral displacement of the sensor's centre from its nominal position.
-    background : ndarray, optional
-        Background intensity on each pixel, in units of the squared amplitude.
+        Lateral displacement of the sensor's centre from its nominal position, in mm.
+    background : ndarray, shape (ny, nx), optional
+        Background intensity on each pixel, in the unit of the squared amplitude.
     tilt_deg : (x, y)
         Tilt of the sensor about its centre, see :class:`wavesim.scene.Placement`.
+
+    Examples
+    --------
+    An amplitude with one saturated pixel:
+
+    >>> import numpy as np
+    >>> from wavesim import Measurement
+    >>> amplitude = np.sqrt([[100.0, 400.0], [25.0, 900.0]])
+    >>> sigma = np.array([[0.5, 0.5], [0.5, np.inf]])
+    >>> Measurement(2.0, amplitude, sigma).known.tolist()
+    [[True, True], [True, False]]
     """
 
     distance_mm: float

@@ -267,7 +267,9 @@ def _resolved_by_grid(elements: Sequence[UsafElement], grid: Grid, condition: st
 
 
 def usaf_chart(grid: Grid, elements: Sequence[UsafElement], polarity: Polarity = "bright") -> ComplexArray:
-    """Return the transmission of elements on a grid. Edges are integrated exactly over the cells.
+    """Return the transmission of a USAF 1951 chart (MIL-STD-150A) on a grid.
+
+    The value of a cell is its mean transmission: cells at the edge of a bar are partly transparent.
 
     Parameters
     ----------
@@ -289,6 +291,16 @@ def usaf_chart(grid: Grid, elements: Sequence[UsafElement], polarity: Polarity =
         If there are no elements, or they reach beyond the grid.
     SamplingError
         If lines are narrower than two samples.
+
+    Examples
+    --------
+    Group 8, with lines of 1.95 um and less, on samples of 0.25 um:
+
+    >>> from wavesim import Grid, usaf_chart
+    >>> from wavesim.targets import usaf_elements
+    >>> chart = usaf_chart(Grid((256, 256), 2.5e-4, 0.0), usaf_elements([8]), "dark")
+    >>> chart.shape, round(float(chart.real.mean()), 2)
+    ((256, 256), 0.1)
     """
     if not elements:
         raise InputError("a USAF chart needs one element at least")
