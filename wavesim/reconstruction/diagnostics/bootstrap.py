@@ -5,6 +5,10 @@ the stated standard deviations. Each record is reconstructed with the same setti
 results from their object are the effect of noise and of the total variation. Their mean is included, because
 it estimates the bias of the result itself.
 
+The total variation has already rounded the reconstruction, so that it rounds it less a second time. The mean
+deviation is therefore taken from the reconstruction first, and the object that results, which is as sharp as
+the true one, is recorded and reconstructed again (an iterated bootstrap).
+
 Repeats that start at one result stay near the same minimum of the misfit. The frames are therefore also
 reconstructed from other starts. Differences between results that fit equally well add to the uncertainty. No
 uncertainty is stated if they differ much, or if the result does not explain the frames or a held-out plane.
@@ -12,6 +16,7 @@ uncertainty is stated if they differ much, or if the result does not explain the
 References
 ----------
 B. Efron and R. J. Tibshirani, "An Introduction to the Bootstrap" (Chapman and Hall, 1993), section 6.5.
+P. Hall and M. A. Martin, "On bootstrap resampling and iteration", Biometrika 75, 661 (1988).
 """
 
 from __future__ import annotations
@@ -50,8 +55,7 @@ START_SAMPLES = 4.0
 """Standard deviation, in samples, of the kernel that smooths a random start."""
 
 NOT_INCLUDED = (
-    "errors that all starts have in common are not included: a wrong model of lens, light or camera, and "
-    "the part of the rounding of edges by the total variation that a second reconstruction does not show"
+    "errors that all starts have in common are not included, such as a wrong model of lens, light or camera"
 )
 
 
@@ -114,7 +118,7 @@ def uncertainty(
     held_out
         Measured plane that was not used for `found`.
     repeats
-        Number of repeats, at least two. With n of them the standard deviation itself is known to one part in
+        Number of repeats of either pass, at least two. With n of them the standard deviation itself is known to one part in
         sqrt(2 (n - 1)).
     seed
         Seed of the noise and of a random start.
@@ -139,15 +143,15 @@ def uncertainty(
     if any(plane.sigma is None for plane in (*recorded, *([] if held_out is None else [held_out]))):
         raise InputError("uncertainty: needs sigma on every plane")
 
-    def modelled(planes: Sequence[Measurement]) -> list[RealArray]:
-        model = ForwardModel(engine, illumination, planes, found.scale, fill_factor)
-        return model.amplitudes(found.transmission.values)
+    def modelled(planes: Sequence[Measurement], values: NDArray[Any]) -> list[RealArray]:
+        return ForwardModel(engine, illumination, planes, found.scale, fill_factor).amplitudes(values)
 
-    clean = modelled(recorded)
+    own = found.transmission.values
+    clean = modelled(recorded, own)
     misfit_over_noise = _noise_ratio(recorded, clean, "the frames")
     held_out_over_noise = None
     if held_out is not None:
-        held_out_over_noise = _noise_ratio([held_out], modelled([held_out]), "the plane held out")
+        held_out_over_noise = _noise_ratio([held_out], modelled([held_out], own), "the plane held out")
     settings: dict[str, Any] = {
         "kind": kind,
         "tv_weight": tv_weight,
@@ -163,18 +167,32 @@ def uncertainty(
         )
         others += _equivalent_objects(found, other, lit)
         if progress is not None:
-            progress(index + 1, len(starts) + repeats)
-    results = []
-    for index, sequence in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
-        random = np.random.default_rng(sequence)
-        noisy_planes = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
-        repeat = reconstruct(
-            engine, illumination, noisy_planes, iterations=iterations, start=found.transmission, **settings
-        )
-        results.append(repeat.transmission.values)
-        if progress is not None:
-            progress(len(starts) + index + 1, len(starts) + repeats)
-    by_noise = _mean_square(results, found.transmission.values, lit)
+            progress(index + 1, len(starts) + 2 * repeats)
+    count, done = len(starts) + 2 * repeats, len(starts)
+
+    def repeated(values: NDArray[Any], clean: Sequence[RealArray]) -> list[NDArray[Any]]:
+        """Return reconstructions of the records of an object, each with other noise, in its phase."""
+        nonlocal done
+        results = []
+        start = found.transmission.with_values(values)
+        for sequence in np.random.SeedSequence(seed).spawn(repeats):
+            random = np.random.default_rng(sequence)
+            noisy_planes = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
+            repeat = reconstruct(
+                engine, illumination, noisy_planes, iterations=iterations, start=start, **settings
+            )
+            results.append(_in_phase(repeat.transmission.values, values, lit))
+            done += 1
+            if progress is not None:
+                progress(done, count)
+        return results
+
+    sharp = 2.0 * own - np.mean(repeated(own, clean), axis=0)
+    if kind == "amplitude":
+        sharp = np.clip(sharp.real, 0.0, max(1.0, float(own.real.max())))
+    sharp = sharp.astype(own.dtype)
+    results = repeated(sharp, modelled(recorded, sharp))
+    by_noise = np.asarray(np.mean(np.abs(np.asarray(results) - sharp) ** 2, axis=0), float)
     by_start = _variance([found.transmission.values, *others])
     return Uncertainty(
         np.sqrt(by_noise + by_start),
@@ -186,16 +204,10 @@ def uncertainty(
     )
 
 
-def _mean_square(results: Sequence[NDArray[Any]], true: NDArray[Any], lit: NDArray[np.bool_]) -> Array:
-    """Return the mean squared difference of results from their common object, after alignment of the
-    phase.
-    """
-    total = np.zeros(true.shape)
-    for values in results:
-        overlap = np.vdot(values[lit], true[lit])
-        aligned = values * (overlap / max(abs(overlap), np.finfo(float).tiny))
-        total += np.abs(aligned - true) ** 2
-    return np.asarray(total / len(results), float)
+def _in_phase(values: NDArray[Any], reference: NDArray[Any], lit: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return values whose common phase is that of a reference."""
+    overlap = np.vdot(values[lit], reference[lit])
+    return np.asarray(values * (overlap / max(abs(overlap), np.finfo(float).tiny)))
 
 
 def _variance(results: Sequence[NDArray[Any]]) -> Array:
@@ -245,8 +257,7 @@ def _equivalent_objects(
             "it is not the object that fits best; use another start, more iterations or more planes"
         )
     values, aligned = found.transmission.values, other.transmission.values
-    overlap = np.vdot(aligned[lit], values[lit])
-    aligned = aligned * (overlap / max(abs(overlap), np.finfo(float).tiny))
+    aligned = _in_phase(aligned, values, lit)
     difference = float(np.linalg.norm((values - aligned)[lit]) / np.linalg.norm(values[lit]))
     if difference > LARGEST_DIFFERENCE:
         raise UndeterminedError(
