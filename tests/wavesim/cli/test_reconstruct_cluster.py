@@ -86,7 +86,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--cluster", "tcp://nowhere:1"), "--cluster: engine eikonal is done here"),
+        (("--cluster", "tcp://nowhere:1"), "--cluster: engine eikonal"),
         (("--device", "gpu"), "engine eikonal: device = 'gpu': there is no such setting"),
     ],
 )
