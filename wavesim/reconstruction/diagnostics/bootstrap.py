@@ -118,8 +118,8 @@ def uncertainty(
     held_out
         Measured plane that was not used for `found`.
     repeats
-        Number of repeats of either pass, at least two. With n of them the standard deviation itself is known to one part in
-        sqrt(2 (n - 1)).
+        Number of repeats of either pass, at least two. With n of them the standard deviation itself is known
+        to one part in sqrt(2 (n - 1)).
     seed
         Seed of the noise and of a random start.
     progress
