@@ -31,7 +31,7 @@ def read_arrays(
     *,
     named: str = "",
     only: Collection[str] | None = None,
-    copies: float = 3.0,
+    copies: float = 3,
 ) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz file, or the array of an .npy file, up to a size.
 
