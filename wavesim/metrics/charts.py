@@ -48,9 +48,6 @@ SMOOTHING = 1.0
 """Standard deviation in samples of what smooths chart and intensity before they are correlated: edges of bars
 between samples would else change the chart's variance, and with it the correlation."""
 
-FEW_SAMPLES = 3.0
-"""Lines of fewer samples may fail because of their position among the samples."""
-
 
 @dataclass(frozen=True)
 class Registration:
@@ -297,7 +294,9 @@ def _limits(
     limits: list[Limit] = []
     if width < passed_um * ROUNDING:
         limits.append("aperture")
-    if too_fine or (shown and width < FEW_SAMPLES * sample_um):
+    # Lines of fewer samples may fail because of their position among the samples.
+    few_samples = 3.0
+    if too_fine or (shown and width < few_samples * sample_um):
         limits.append("sampling")
     elif of_chart and not shown:
         limits.append("region")

@@ -30,13 +30,8 @@ Progress = Callable[[int, int, str], None]
 Variant = tuple[str, str, dict[str, Any]]
 """Family, engine, settings."""
 
-REFERENCE_SHARE = 0.5
-"""Step of the truth, as a share of the one that the engine would choose."""
-
 REFERENCE_ZONES = 80.0
 """Its room for light that the rim turns: of a point's light on a one-quarter twin that leaves out 0.23 %."""
-
-SEED = 20260531
 
 
 @dataclass(frozen=True)
@@ -115,17 +110,19 @@ def reference_for(scene: Scene) -> Engine:
     """The wave propagation method with fine steps."""
     step_um = engine_for(scene, "wpm").settings()["step_um"]
     fine = engine_for(scene, "wpm", zones=REFERENCE_ZONES)
+    # Step of the reference as a fraction of the one that the engine would choose.
+    step_fraction = 0.5
     return engine_for(
         scene,
         "wpm",
         zones=REFERENCE_ZONES,
-        step_um=min(REFERENCE_SHARE * step_um, float(fine.settings()["step_um"])),
+        step_um=min(step_fraction * step_um, float(fine.settings()["step_um"])),
     )
 
 
 def random_field(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
     """Speckle that fills a grid and the aperture evenly, of unit mean intensity."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(20260531)
     values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
     values = band_limit(values, grid, wavelength_um, numerical_aperture)
     return Field(grid, values / np.sqrt(np.mean(np.abs(values) ** 2)), wavelength_um)

@@ -23,9 +23,6 @@ from wavesim.pupil.pupil import ComplexArray
 TERMS = (ORDERS[0] + 1) * (ORDERS[1] + 1)
 """Number of polynomial terms x^i p^j of one plane; i runs fastest."""
 
-BLOCK = 16
-"""Lenses whose fields are held at one time."""
-
 
 def polynomial_terms(x: Array, p: Array) -> Array:
     """Return the terms x^i p^j at some places, shape (places, TERMS).
@@ -71,8 +68,10 @@ class ChainDraws:
             Derivatives by the coefficients; zeros where they are not wanted.
         """
         found, by = np.empty(len(coefficients)), np.zeros(coefficients.shape)
-        for start in range(0, len(coefficients), BLOCK):
-            part = slice(start, start + BLOCK)
+        # Lenses whose fields are held at one time.
+        block = 16
+        for start in range(0, len(coefficients), block):
+            part = slice(start, start + block)
             found[part], by[part] = self._block(coefficients[part], derivatives)
         return found, by
 

@@ -18,9 +18,6 @@ from wavesim.scene.placement import Placement
 PATH_TOLERANCE_WAVES = 1e-4
 """What aiming at a sensor point may leave in an optical path difference."""
 
-AIM_STEPS = 8
-"""Most traces that aiming may take; two suffice for perturbations that a mount allows."""
-
 
 class RayAimError(InputError):
     """Rays through a perturbed lens could not be aimed at their sensor points."""
@@ -100,7 +97,9 @@ class AimingMap:
         targets, depth = own[:2] + shift[:2, None], own[2]
         flat, cosines = not np.any(depth), self.cosines
         index = float(system.index[0, -1])
-        for step in range(AIM_STEPS):
+        # Most traces that aiming may take; two suffice for perturbations that a mount allows.
+        aim_steps = 8
+        for step in range(aim_steps):
             # Only aimed rays tell what the perturbed stop lets through.
             rays, real = shoot(system, point, cosines, plane_z, clip=step > 0)
             arrived = rays.ok & real
@@ -117,7 +116,7 @@ class AimingMap:
             cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
         furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
         raise RayAimError(
-            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
+            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {aim_steps} "
             f"steps (allowed: {self.reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
         )
 

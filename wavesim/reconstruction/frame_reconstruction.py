@@ -71,9 +71,6 @@ from wavesim.targets.region import cut_field, soft_rim
 BETTER = 0.97
 """Ratio of residuals below which an unbounded amplitude object, or one from another start, is preferred."""
 
-BRIGHT = 0.99
-"""Quantile of a complex object's amplitudes that is scaled to 1 in the start of an amplitude object."""
-
 ClusterHandover = Callable[[Engine], Engine]
 """Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
 
@@ -459,7 +456,9 @@ def _solve_from_complex_object(
     complex_object = _solve(case, settings.replaced(kind="complex"), engine, reporter, None).transmission
     amplitude = np.abs(complex_object.values)
     if settings.scale is None:
-        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], BRIGHT)), 1e-6)
+        # Quantile of a complex object's amplitudes that is scaled to 1 in the start of an amplitude object.
+        bright = 0.99
+        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], bright)), 1e-6)
     start = complex_object.with_values(np.clip(amplitude, 0.0, 1.0).astype(complex_object.values.dtype))
     other = _solve(case, settings, engine, reporter, start)
     is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)
