@@ -47,8 +47,7 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
         drawn[0] = found
         if last is not None and np.array_equal(last.waves, found.waves, equal_nan=True):
             return
-        # Smallest range (±) of a wavefront's colours in waves, so that noise does not look like an
-        # aberration.
+        # Smallest range (±) of the colours in waves, so that noise does not look like an aberration.
         min_waves = 0.05
         largest = max(min_waves, float(np.nanmax(np.abs(found.waves))))
         mapper.update(low=-largest, high=largest)

@@ -138,12 +138,12 @@ def _extreme_rays(
     kept = np.zeros(across.shape[1], bool)
     # A ray is followed for all draws if it comes so close to the extreme of one of the first, or of the
     # nominal lens, in standard deviations of the extreme.
-    close = 0.5
+    deviations = 0.5
     for distance in (None, *distances_mm):
         ends = found.direction[..., :2] if distance is None else found.position_mm + distance * across
         sizes = np.hypot(ends[..., 0], ends[..., 1])
         largest = np.max(sizes, axis=1)
-        near = largest - close * np.std(largest) - ROUNDING * largest
+        near = largest - deviations * np.std(largest) - ROUNDING * largest
         kept |= np.any(sizes >= near[:, None], axis=0)
     return np.flatnonzero(kept)
 

@@ -162,8 +162,7 @@ class _PlaneAmplitudes:
     def amplitude_of(self, intensity: RealArray) -> RealArray:
         """Return the amplitude of blurred intensities in valid pixels."""
         smooth = self._blurred(intensity)
-        # Fraction of the mean intensity that is added under the root, so that dark pixels have finite
-        # derivatives.
+        # Fraction of the mean intensity added under the root: dark pixels then have finite derivatives.
         dark = 1e-6
         return np.asarray(np.sqrt(np.maximum(smooth, 0.0) + dark * smooth.mean()))
 

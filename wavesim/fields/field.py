@@ -119,11 +119,11 @@ class Grid:
             return None
         found = []
         # Largest distance from a sample, in pitches, at which a point counts as lying on it.
-        on_sample = 1e-6
+        tolerance = 1e-6
         for wide, narrow in ((wider.y_mm, self.y_mm), (wider.x_mm, self.x_mm)):
             start = (narrow[0] - wide[0]) / self.pitch_mm
             first = round(start)
-            if abs(start - first) > on_sample or first < 0 or first + len(narrow) > len(wide):
+            if abs(start - first) > tolerance or first < 0 or first + len(narrow) > len(wide):
                 return None
             found.append(slice(first, first + len(narrow)))
         return found[0], found[1]

@@ -248,8 +248,7 @@ def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, dis
 def fresnel_length_mm(wavelength_um: float, index: float, distance_mm: float, walk_mm: float) -> float:
     """Return the diffraction width of a wave's arrival point: sqrt(wavelength distance / cos^3)."""
     distance = abs(distance_mm)
-    # Lower limit of the cosine in the Fresnel length: steeper waves carry too little light to widen the
-    # period.
+    # Least cosine in the Fresnel length: steeper waves carry too little light to widen the period.
     steepest_cosine = 0.3
     cosine = max(distance / math.hypot(distance, walk_mm), steepest_cosine) if distance else 1.0
     return math.sqrt(1e-3 * wavelength_um / index * distance / cosine**3)

@@ -169,8 +169,7 @@ def band_wavenumbers(grid: Grid, wavelength_um: float) -> tuple[float, float]:
 
 def _count(phase: float, tilt_deg: tuple[float, float]) -> int:
     """Return the number of planes (odd, Chebyshev nodes) for waves that differ by a phase at the rim."""
-    # Largest error of the steepest wave of the grid's band at the worst point; the whole field is more
-    # accurate.
+    # Largest error of the band's steepest wave at the worst point; the whole field is more accurate.
     accuracy = 1e-3
     for count in range(3, MOST_PLANES + 1, 2):
         if phase**count / (math.factorial(count) * 2.0 ** (count - 1)) <= accuracy:

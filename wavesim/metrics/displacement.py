@@ -40,13 +40,13 @@ def displacement_samples(
     if one is None or other is None:
         return None
     # Samples by which a displacement is sought along each axis, at most; a quarter of a smaller field.
-    furthest = 64
-    reach = [min(furthest, count // 4) for count in known.shape]
+    most_shift = 64
+    reach = [min(most_shift, count // 4) for count in known.shape]
     overlap = _Overlap(one, other, known, reach)
     row, column, correlation = overlap.peak()
     # Correlation of the displaced fields from which on their displacement is determined.
-    determined = 0.3
-    if not correlation >= determined:
+    least_correlation = 0.3
+    if not correlation >= least_correlation:
         return None
     return overlap.between_samples(row, column)
 
@@ -76,12 +76,12 @@ def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
     """The middle of the samples that count."""
     parts = []
     # Samples along a side, at most, of the part of a field from which a displacement is found.
-    widest = 512
+    most_samples = 512
     for axis in (0, 1):
         used = np.flatnonzero(inside.any(axis=1 - axis))
         first, last = (int(used[0]), int(used[-1]) + 1) if used.size else (0, inside.shape[axis])
-        start = max(first, (first + last - widest) // 2)
-        parts.append(slice(start, min(last, start + widest)))
+        start = max(first, (first + last - most_samples) // 2)
+        parts.append(slice(start, min(last, start + most_samples)))
     return parts[0], parts[1]
 
 

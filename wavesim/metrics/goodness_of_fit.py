@@ -380,8 +380,10 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
     # Some trials must be better by a factor, because they change more than others or resemble them: each
     # plane's shift instead of the two angles of the light, which shift all planes, and the lens's decenter,
     # which does so too.
-    freer = {"shift": 1.15, "mounting": 1.65}
-    best = min(trials, key=lambda trial: trial.misfit_ratio * freer.get(trial.cause, 1.0), default=None)
+    factor_of_cause = {"shift": 1.15, "mounting": 1.65}
+    best = min(
+        trials, key=lambda trial: trial.misfit_ratio * factor_of_cause.get(trial.cause, 1.0), default=None
+    )
     # Causes that no trial can show: the model of a reconstruction has one wavelength.
     not_tried = "bandwidth of the light"
     if best is not None and best.gain > LEAST_GAIN:

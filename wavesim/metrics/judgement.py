@@ -66,8 +66,8 @@ def truth_metrics(
     )
     registered = None
     # Displacement in samples up to which a result lies where the object does.
-    same_place = 0.05
-    if displacement is not None and max(map(abs, displacement)) > same_place:
+    tolerance_samples = 0.05
+    if displacement is not None and max(map(abs, displacement)) > tolerance_samples:
         there = passed(_displaced_back(found.values, inside, displacement))
         both = inside_both(inside, displacement)
         registered = object_correlation(there, other, passed(np.float32(1.0)), both)

@@ -128,8 +128,10 @@ class LinearisedChain:
         counts = [len(plane.matrix) for plane in planes]
         weights = np.repeat(1.0 / np.array(self.noise), counts)
         # Standard deviation of objects about what one expects.
-        scatter = 0.3
-        prior = np.append(np.full(matrix.shape[1] * (1 if self.kind == "amplitude" else 2), scatter**-2), 0.0)
+        object_deviation = 0.3
+        prior = np.append(
+            np.full(matrix.shape[1] * (1 if self.kind == "amplitude" else 2), object_deviation**-2), 0.0
+        )
         found = []
         for values, amplitude in zip(self.objects.T, self.nominal.T, strict=True):
             field = matrix @ values

@@ -42,8 +42,7 @@ class PatchGrid:
     @cached_property
     def coordinates_um(self) -> Array:
         """Coordinates of the samples along each axis: an odd number, at the centres of cells."""
-        # Largest pitch of the patch's grid, in wavelengths: edges of bars fold back from beyond all real
-        # angles.
+        # Largest pitch in wavelengths: spectra of edges extend beyond all real angles and would alias.
         pitch_waves = 0.2
         count = math.ceil(self.side_um / (pitch_waves * self.wavelength_um)) | 1
         return np.asarray((np.arange(count) - count // 2) * (self.side_um / count))

@@ -220,7 +220,7 @@ class EdgePathDifference:
         unit = (self.pupil.centre - stop) / np.maximum(self.reach[arms], 1e-300)[:, None]
         alive = alive.copy()
         # Largest step of the object point, relative to the previous step.
-        longest = 3.0
+        longest_ratio = 3.0
         for depth in depths:
             inwards, detour, ok = np.zeros(len(arms)), np.zeros(len(arms)), np.zeros(len(arms), bool)
             some = np.flatnonzero(alive & np.isfinite(depth))
@@ -231,7 +231,9 @@ class EdgePathDifference:
                 guess = stop[some] + ahead[:, None] * unit[some]
                 found = self.landed(moved[some] + step, arms[some], guess, inverse[some])
                 onwards = (found.inwards - way[some]) * np.sign(depth[some])
-                alive[some] = found.ok & (onwards > 0.0) & (onwards < longest * np.abs(ahead)) & (step != 0.0)
+                alive[some] = (
+                    found.ok & (onwards > 0.0) & (onwards < longest_ratio * np.abs(ahead)) & (step != 0.0)
+                )
                 inwards[some], detour[some], ok[some] = found.inwards, found.detour, alive[some]
                 with np.errstate(divide="ignore", invalid="ignore"):
                     rate[some] = (found.inwards - way[some]) / step

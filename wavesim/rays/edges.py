@@ -82,8 +82,7 @@ class Edge:
 
     def _resolved_to(self, width_mm: float) -> Array:
         deepest = _detour(self.deep, self.terms, self.deep, self.beyond)
-        # x times the change of x over neighbouring points above which their waves from the rim cancel on
-        # average.
+        # x times its change over neighbouring points above which their waves from the rim cancel on average.
         fringes = math.pi
         most = fringes / max(self.shift_per_mm * width_mm, 1e-300)
         # x up to which F is always used: the fields of neighbouring tiles do not cancel where edges are
@@ -128,12 +127,12 @@ class Edge:
     def _clear_radius(self, resolved: Array) -> float:
         """Return the distance from the centre of a plane's pupil within which F is 1."""
         # Sampled positions along an arm.
-        looked = 65
-        distances = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, looked)
+        samples = 65
+        distances = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, samples)
         terms, deep, beyond = self.terms[:, None], self.deep[:, None], self.beyond[:, None]
         inside = _detour(distances, terms, deep, beyond) >= max(resolved)
-        first = np.where(inside.any(axis=1), np.argmax(inside, axis=1), looked - 1)
-        return max(0.0, float(np.min(self.pupil.reach * (1.0 - (first + 1) / (looked - 1)))))
+        first = np.where(inside.any(axis=1), np.argmax(inside, axis=1), samples - 1)
+        return max(0.0, float(np.min(self.pupil.reach * (1.0 - (first + 1) / (samples - 1)))))
 
     def _at(self, y: Array, x: Array, ends: tuple[Array, Array], moved: float) -> NDArray[np.complex128]:
         """Return F at points of a plane's stop, relative to the centre of the pupil."""
@@ -151,8 +150,8 @@ def _diffracted(
     """
     most = np.maximum(np.where(x < 0.0, *ends), 1e-300)
     # Fraction of the largest x over which F changes smoothly into a sharp edge.
-    eased = 0.1
-    weight = np.clip((1.0 - np.abs(x) / most) / eased, 0.0, 1.0)
+    eased_fraction = 0.1
+    weight = np.clip((1.0 - np.abs(x) / most) / eased_fraction, 0.0, 1.0)
     weight *= weight * (3.0 - 2.0 * weight) * np.sinc(np.minimum(np.abs(x) * moved / math.pi, 1.0))
     found = np.asarray(x > 0.0, complex)
     near = weight > 0.0
@@ -250,14 +249,13 @@ def _followed(detours: EdgePathDifference) -> _Followed:
     inwards, detour, moved, good = _next_to_rim(detours)
     line, arms = detours.pupil.is_line, np.arange(len(detours.reach))
     # Rate of x over the stop's coordinates where the plane is that of the rim, or rays do not determine it.
-    sharpest = 1e7
+    sharpest_rate = 1e7
     with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.where(good, np.sqrt(np.abs(detour[0])) / np.abs(inwards[0]), sharpest)
+        rate = np.where(good, np.sqrt(np.abs(detour[0])) / np.abs(inwards[0]), sharpest_rate)
     moves = np.where(good, np.sign(detour[0]) * np.sqrt(np.abs(detour[0])) / moved, 0.0)
     depths = np.full((STEPS_WITHIN[line], 2, len(arms)), np.nan)
     within, beyond = (np.linspace(0.0, 1.0, n + 1)[1:, None] for n in (len(depths), STEPS_BEYOND))
-    # Depth inside the rim to which rays by way of the rim are traced, relative to the reach, on a line and a
-    # plane.
+    # Depth inside the rim to which rays are traced, relative to the reach, on a line and on a plane.
     deepest = {True: 1.9, False: 0.9}
     depths[:, 0] = within * deepest[line] * detours.reach
     depths[:STEPS_BEYOND, 1] = -beyond * _beyond(detours.reach, line, rate)
@@ -272,7 +270,7 @@ def _followed(detours: EdgePathDifference) -> _Followed:
         for beside, steps_of in ((inwards, distance), (detour, longer))
     )
     terms, (deep, outside) = _fitted(distances, detours_of, np.sum(ok, axis=0).T, good)
-    terms[~good, 0] = sharpest
+    terms[~good, 0] = sharpest_rate
     return _Followed(terms, deep, outside, moves, good)
 
 
@@ -283,7 +281,7 @@ def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDAr
     inwards, detour = np.zeros((2, count)), np.zeros((2, count))
     moved, good = np.ones(count), np.zeros(count, bool)
     # Smallest distance in stop coordinates from which a rate can be determined.
-    least = 1e-9
+    least_distance = 1e-9
     for fraction in STEP_FRACTIONS:
         some = np.flatnonzero(detours.arrives & ~good)
         if not len(some):
@@ -292,7 +290,7 @@ def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDAr
         found = detours.landed(np.concatenate([step, -step]), np.tile(some, 2))
         way, longer, ok = (values.reshape(2, -1) for values in (found.inwards, found.detour, found.ok))
         with np.errstate(invalid="ignore"):
-            new = ok.all(axis=0) & (way[0] * way[1] < -(least**2)) & (longer[0] * longer[1] > 0.0)
+            new = ok.all(axis=0) & (way[0] * way[1] < -(least_distance**2)) & (longer[0] * longer[1] > 0.0)
         new &= np.isfinite(longer).all(axis=0)
         inwards[:, some[new]], detour[:, some[new]] = way[:, new], longer[:, new]
         moved[some[new]], good[some[new]] = step[new], True
@@ -323,7 +321,7 @@ def _fitted(
     terms, left, arms = np.zeros((len(good), order + 1)), good.copy(), np.arange(len(good))
     starts = 2, way.shape[1] - STEPS_BEYOND
     # Largest difference between the detours of the rays and of the polynomial, in radians.
-    unfollowed = 0.1
+    largest_difference = 0.1
     while np.any(left):
         for counts in np.unique(many[left], axis=0):
             some = arms[left & np.all(many == counts, axis=1)]
@@ -333,7 +331,7 @@ def _fitted(
             weight = np.abs(t)[:, :, None]
             found = np.linalg.pinv(weight * powers) @ (weight * v[:, :, None])
             off = np.abs((t * (powers @ found)[:, :, 0]) ** 2 - (t * v) ** 2).max(axis=1)
-            fits = (off < unfollowed) | (len(used) == 2)
+            fits = (off < largest_difference) | (len(used) == 2)
             terms[some[fits], : powers.shape[2]] = found[fits, :, 0]
             left[some[fits]] = False
         longer = np.argmax(many, axis=1)

@@ -218,8 +218,7 @@ def _ramp(transmission: Field) -> list[Finding]:
     """Return a finding if a complex object has a phase ramp that light or camera may have caused."""
     phase = smooth_phase_waves(transmission)
     x, y = phase[1, 0], phase[0, 1]
-    # Phase ramp in waves over half of the patch above which light or camera, rather than the object, may
-    # cause it.
+    # Phase ramp in waves over half of the patch above which light or camera may be its cause.
     ramp_waves = 0.35
     if math.hypot(x, y) < ramp_waves:
         return []

@@ -311,10 +311,9 @@ def _centroid(amplitude: Array, axes: tuple[Array, Array], known: Any = None) ->
     light = amplitude.astype(float) ** 2
     if known is not None:
         light = np.where(known, light, 0.0)
-    # Fraction of a plane's peak intensity below which light (background and noise) is ignored for the
-    # centroid.
-    faint = 0.02
-    light = np.maximum(light - faint * float(light.max()), 0.0)
+    # Light below this fraction of the peak intensity (background and noise) is ignored.
+    faint_fraction = 0.02
+    light = np.maximum(light - faint_fraction * float(light.max()), 0.0)
     total = float(light.sum())
     y, x = (float((light.sum(axis=1 - axis) * axes[axis]).sum()) / total for axis in (0, 1))
     return x, y

@@ -457,8 +457,8 @@ def _solve_from_complex_object(
     amplitude = np.abs(complex_object.values)
     if settings.scale is None:
         # Quantile of a complex object's amplitudes that is scaled to 1 in the start of an amplitude object.
-        bright = 0.99
-        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], bright)), 1e-6)
+        quantile = 0.99
+        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], quantile)), 1e-6)
     start = complex_object.with_values(np.clip(amplitude, 0.0, 1.0).astype(complex_object.values.dtype))
     other = _solve(case, settings, engine, reporter, start)
     is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)

@@ -266,8 +266,7 @@ class LinearModel:
         real = exit_field.values.real.dtype.type
         power = real(self.scale**2)
         residual, modelled, self._slopes = [], [], []
-        # Fraction of a plane's mean intensity that is added under the root, so that dark pixels have
-        # derivatives.
+        # Fraction of the mean intensity added under the root: dark pixels then have finite derivatives.
         dark = 1e-5
         for plane, weight, modelled_power in zip(model.recorded, self._root_weights, intensity, strict=True):
             total = (

@@ -358,8 +358,7 @@ def _refocus_grid(scene: Scene, settings: ReconstructionSettings, shown: Grid) -
         return shown
     aperture = min(scene.lens.object.numerical_aperture, 0.99)
     spread_mm = max(map(abs, settings.focus_mm)) * math.tan(math.asin(aperture))
-    # Margin around a region over the spread of light during refocusing, so that the region's rim does not
-    # show.
+    # Margin over the spread of light during refocusing, so that the region's rim does not show.
     spread_factor = 2.0
     return widened(shown, scene.object_grid, spread_factor * spread_mm)
 

@@ -53,11 +53,10 @@ def find_source_width(
     coherent_width = coherent_deg(light)
     width, start = coherent_width, light.with_values(np.ones_like(light.values))
     # Relative change of the width at which the search ends.
-    converged = 0.02
+    tolerance = 0.02
     # Largest factor by which the width changes at a time.
     largest_factor = 2.0
-    # Smallest width, over the one at which light is coherent over half of the object. Narrower sources are
-    # points.
+    # Smallest width over that at which half of the object is lit coherently. Narrower sources are points.
     least_width = 0.1
     for _ in range(MOST_WIDTHS):
         progress(f"width of the source: {width:.3g} deg")
@@ -83,7 +82,7 @@ def find_source_width(
         previous, width = width, width * math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
         if width < least_width * coherent_width:
             return 0.0, start
-        if abs(width - previous) < converged * previous:
+        if abs(width - previous) < tolerance * previous:
             break
     return width, start
 

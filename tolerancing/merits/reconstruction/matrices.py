@@ -74,8 +74,7 @@ class Matrices:
             self._cache[key] = MatrixOperator.of(engine)
             self._measured_seconds += time.perf_counter() - start
             self._estimated_seconds += _engine_seconds(engine)
-            # Memory limit of the cached matrices of a process; the least recently used matrix is dropped
-            # first.
+            # Memory limit of a process's matrices; the least recently used one is dropped first.
             most_bytes = 1_500_000_000
             while len(self._cache) > 1 and sum(m.matrix.nbytes for m in self._cache.values()) > most_bytes:
                 self._cache.popitem(last=False)

@@ -48,8 +48,7 @@ def select_parameters(estimates: Array, covariance: Array, pixels: int) -> Selec
     """
     precision = np.linalg.inv(covariance)
     # Multiple of the logarithm of the number of pixels. It exceeds 1 because object and bench are not exactly
-    # at their common minimum, and because a parameter that raises the misfit by so little hardly changes the
-    # object.
+    # at their common minimum, and because a parameter with so little effect hardly changes the object.
     penalty = 4.0
     cost, needed = penalty * math.log(max(pixels, 2)), np.ones(len(estimates), bool)
     values = np.array(estimates, float)

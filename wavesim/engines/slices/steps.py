@@ -250,8 +250,7 @@ class _Steps:
 
     def prepare(self, step_mm: float, like: Any) -> None:
         """Compute the factor of a step, unless it is the previous one."""
-        # Rounding of steps between planes, so that equal steps share a factor; the phase error stays below
-        # 1e-5 rad.
+        # Steps are rounded so that equal ones share a factor; the phase error stays below 1e-5 rad.
         step_grain_mm = 1e-12
         step_mm = round(step_mm / step_grain_mm) * step_grain_mm
         self.is_zero = step_mm == 0.0

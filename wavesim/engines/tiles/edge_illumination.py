@@ -96,8 +96,8 @@ def _densities(values: NDArray, tile: Tile, rim: Array, wavelength_mm: float) ->
     resolved = wavelength_mm / (min(values.shape) * tile.pitch_mm)
     # Width of the rim, relative to the aperture's radius, unless a tile's light resolves directions less
     # finely. It is measured: predictions with this value bound the errors of all objects.
-    near_rim = 0.05
-    width = max(near_rim * radius, resolved)
+    rim_width = 0.05
+    width = max(rim_width * radius, resolved)
     beyond, inside, within = (inside_border(moved(rim, by), axes) for by in (width, 0.0, -width))
     parts = (beyond & ~inside, inside & ~within, inside)
     return np.array([energy[part].mean() if part.any() else 0.0 for part in parts])

@@ -316,8 +316,7 @@ def _carrier(
     wavelength_mm = 2.0 * np.pi / wavenumber_per_mm
     constant_phase = -0.25 * np.pi * len(axes) - 0.5 * np.pi * carrier.caustics
     scale = wavelength_mm ** (-0.5 * len(axes))
-    # Fraction of the object grid's largest cosine. If all rays are below it, samples are not checked one by
-    # one.
+    # If all rays are below this fraction of the grid's largest cosine, single samples are not checked.
     within_band = 0.99
     is_within = np.abs(carrier.bundle.cosines[carrier.bundle.ok]).max() < within_band * limit
     maps = (

@@ -63,8 +63,7 @@ Cut = tuple[tuple[Tile, tuple[int, ...]], ...]
 def tile_width_for(scene: Scene) -> float:
     """Return the width in mm of tiles whose residual a few terms describe."""
     zone_mm = math.sqrt(1e-3 * scene.wavelength_um * -scene.object_grid.z_mm)
-    # Width of tiles over sqrt(wavelength x working distance) / NA, for which a few terms describe the
-    # residual.
+    # Width over sqrt(wavelength x working distance) / NA for which a few terms describe the residual.
     zones = 0.74
     return zones * zone_mm / scene.lens.object.numerical_aperture
 

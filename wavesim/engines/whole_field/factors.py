@@ -78,8 +78,7 @@ def factors_over_object(
         If more than 32 terms are needed, or polynomials cannot represent the factors; tiles are then too
         wide.
     """
-    # Orders in the object point; the first accurate one is used. The lower one needs less than half of the
-    # rays.
+    # The first accurate order in the object point is used. The lower one needs less than half of the rays.
     object_orders = (2, 4)
     for order in object_orders:
         found = _factors_of_order(order, scene, region, spans_mm, mapper, error)

@@ -30,8 +30,7 @@ def x_per_square(carrier: RayMap) -> float:
 
 def softness(carrier: RayMap) -> float:
     """Return the rise's width in the squared relative distance to the rim; 0 where it is unknown."""
-    # Largest width of the rise, in the squared relative distance from the centre to the rim; rays extend to
-    # 1.1.
+    # Largest width of the rise in the squared relative distance to the rim; rays extend to 1.1.
     softest = 0.15
     return min(SOFT / x_per_square(carrier), softest) if carrier.resolves_edge else 0.0
 

@@ -169,8 +169,8 @@ class WavePropagation(Engine):
             stairs = 2.0 * math.sin(min(0.5 * rms, 0.5 * math.pi))
             # Relative error of a staircase with short steps: 0.1 for a beam through cylinders, but 0.6 to 1
             # where light of all directions fills a lens.
-            stair_edges = 0.5
-            found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, stair_edges)))
+            edge_error = 0.5
+            found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, edge_error)))
         if self.working.reflected > 0.0:
             found.append(ErrorTerm("light totally reflected", math.sqrt(self.working.reflected)))
         if self.scene.coating == "bare" and system.surfaces > 1:

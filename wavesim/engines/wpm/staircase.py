@@ -95,8 +95,7 @@ class Staircase:
     def _validate_energy(self, energy_in: float, energy_out: float) -> None:
         first, last = self.media[0].index, self.media[-1].index
         energy_in *= max(1.0, first / last, last / first)
-        # Largest ratio of energies behind and in front of the stairs, beyond the ratio that the indices
-        # explain.
+        # Largest ratio of energies behind and in front of the stairs, apart from that of the indices.
         most_growth = 1.5
         if energy_out > most_growth * energy_in:
             raise SamplingError(

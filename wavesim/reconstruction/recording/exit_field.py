@@ -146,8 +146,7 @@ class PlaneRecord:
         """
         real = self.amplitude.dtype.type
         mean = float(np.vdot(self.amplitude, self.amplitude)) / self.amplitude.size / scale**2
-        # Fraction of a plane's mean intensity, added to measured and modelled means of pixels to bound their
-        # ratio.
+        # It is added to measured and modelled means of pixels to bound their ratio.
         dark = real(1e-6 * mean)
 
         def rows(intensity: RealArray, first: int) -> FitSums:

@@ -370,8 +370,7 @@ def _taps(fill_factor: float) -> list[float]:
     weights of the fit fall in the same way.
     """
     cycles = np.linspace(0.0, 1.0, 201)
-    # Pairs of samples at 1/2, 1 and 3/2 of a pixel from its middle. With the middle they give the mean over
-    # it.
+    # Pairs of samples at 1/2, 1 and 3/2 of a pixel from its middle; with the middle they give the mean.
     taps = 3
     cosines = 2.0 * np.cos(np.pi * np.outer(cycles, np.arange(1, taps + 1)))
     weights = 1.0 - cycles

@@ -41,17 +41,18 @@ def find_bad_pixels(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
         block, own = slice(first, last), slice(first - start, last - start)
         stacks = [stacked(plane, slice(start, stop)) for plane in planes]
         # Least deviation of a bad pixel, in standard deviations of the noise.
-        far = 10.0
+        bad_deviations = 10.0
         outlying = [
-            outlying_pixels(*stack.merged(), limit, far, DEAD, DEAD_NOISE, LIT)[:, own] for stack in stacks
+            outlying_pixels(*stack.merged(), limit, bad_deviations, DEAD, DEAD_NOISE, LIT)[:, own]
+            for stack in stacks
         ]
         hot = np.logical_and.reduce([masks[0] for masks in outlying])
         lit = np.logical_or.reduce([masks[1] for masks in outlying])
         dead = np.logical_or.reduce([masks[2] for masks in outlying]) & ~lit
         # Relative difference of a pixel's intensities in two exposures that is allowed in addition to noise.
-        unlike = 0.1
+        contradiction = 0.1
         for mask, stack in zip(found, stacks, strict=True):
-            mask[block] = hot | dead | stack.contradicting(far, unlike)[own]
+            mask[block] = hot | dead | stack.contradicting(bad_deviations, contradiction)[own]
 
     for_blocks(examine_rows, shape[0], 64)
     # Largest fraction of bad pixels; a larger one has another cause, and none is marked.
