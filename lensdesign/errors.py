@@ -72,9 +72,6 @@ UNFINISHED: set[Path] = set()
 MARK = r"(?P<process>[0-9]{1,10})-[0-9a-f]{8}"
 """Regular expression of the marks of :func:`new_mark`."""
 
-ABANDONED_SECONDS = 6 * 3600.0
-"""Age from which a temporary file is abandoned, even if a process with the number in its name exists."""
-
 
 def validate_positive(name: str, value: float) -> None:
     """Raise InputError unless a value is finite and above 0."""
@@ -201,8 +198,10 @@ def is_abandoned(path: Path, process: str | None) -> bool:
         return True
     except (OSError, OverflowError):  # a process of another user
         pass
+    # Age from which a temporary file is abandoned, even if a process with the number in its name exists.
+    abandoned_seconds = 6 * 3600.0
     # Process numbers are reused, so the age decides.
-    return age_seconds > ABANDONED_SECONDS
+    return age_seconds > abandoned_seconds
 
 
 def _remove_abandoned(folder: Path, start: str, end: str) -> None:

@@ -26,8 +26,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_element
 from lensdesign.raytrace.bundles import launch
 
-NA_TOLERANCE = 1e-3
-"""Relative amount by which the NA of the stop may be below that of the file; stops have only a few digits."""
 ROUNDING = 1e-6
 """Relative amount by which spread or footprint may exceed a limit; an optimum is on the limit to rounding."""
 
@@ -251,13 +249,15 @@ def _nothing_clipped(traced: list[_Traced]) -> Constraint:
 
 def _aperture_reached(lens: Lens, traced: list[_Traced]) -> Constraint:
     value, required = min(t.row.numerical_aperture for t in traced), lens.object.numerical_aperture
+    # Relative amount by which the NA of the stop may be below that of the file; stops have only a few digits.
+    na_tolerance = 1e-3
     return constraint(
         "numerical aperture (within 0.1 %)",
         value,
         ">=",
         required,
         "",
-        value >= required * (1.0 - NA_TOLERANCE),
+        value >= required * (1.0 - na_tolerance),
         f"numerical aperture: the stop accepts {value:.5f} from the axis, less than the design's "
         f"{required:g} by {_percent(1.0 - value / required)}",
     )

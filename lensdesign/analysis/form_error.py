@@ -18,9 +18,6 @@ from lensdesign.raytrace.bundles import pupil_rings
 Array = NDArray[Any]
 Removed = Literal["piston", "tilt", "power"]
 
-REMOVED: dict[str, tuple[int, ...]] = {"piston": (0,), "tilt": (0, 1, 2), "power": (0, 1, 2, 4)}
-"""OSA/ANSI indices of the polynomials removed from a map; each choice includes the ones before it."""
-
 
 @dataclass(frozen=True)
 class FormError:
@@ -117,7 +114,9 @@ def pv_rms_waves(
 def terms(points: Array, removed: Removed) -> Array:
     """Return the removed polynomials at points of the unit disc, shape (terms, n)."""
     rho, theta = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
-    return np.stack([zernike(index, rho, theta) for index in REMOVED[removed]])
+    # OSA/ANSI indices of the polynomials removed from a map; each choice includes the ones before it.
+    removed_indices: dict[str, tuple[int, ...]] = {"piston": (0,), "tilt": (0, 1, 2), "power": (0, 1, 2, 4)}
+    return np.stack([zernike(index, rho, theta) for index in removed_indices[removed]])
 
 
 def fitted(values: Array, points: Array, weights: Array, removed: Removed) -> Array:

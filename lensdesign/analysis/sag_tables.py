@@ -17,9 +17,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.intersection import Figure
 from lensdesign.lens.surface import Surface
 
-MOST_ROWS = 1_000_000
-"""Largest number of rows of a table."""
-
 COLUMNS = ("radial_height_mm", "sag_mm", "slope", "departure_mm", "best_fit_radius_mm")
 
 
@@ -166,10 +163,11 @@ def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
 
 def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
     validate_positive("spacing_mm", spacing_mm)
-    if semi_mm / spacing_mm > MOST_ROWS:
+    most_rows = 1_000_000
+    if semi_mm / spacing_mm > most_rows:
         raise InputError(
-            f"spacing_mm = {spacing_mm:g}: results in more than {MOST_ROWS} rows up to the semi-diameter of "
-            f"{semi_mm:g} mm; must be at least {semi_mm / MOST_ROWS:.3g}"
+            f"spacing_mm = {spacing_mm:g}: results in more than {most_rows} rows up to the semi-diameter of "
+            f"{semi_mm:g} mm; must be at least {semi_mm / most_rows:.3g}"
         )
     # The factor avoids a last step that is due to rounding only.
     steps = math.ceil(semi_mm / spacing_mm * (1.0 - 1e-12))

@@ -23,9 +23,6 @@ from lensdesign.raytrace.rays import RayTrace, trace_compiled
 
 Perturbations = Mapping[int, SurfacePerturbation] | None
 
-TABLE_HEIGHTS = 13
-"""Number of field heights of tables over the field, equally spaced from the axis to the edge."""
-
 
 @dataclass(frozen=True)
 class Spread:
@@ -482,7 +479,7 @@ def _wavelength(lens: Lens, wavelength_um: float | None) -> float:
 
 def _heights(lens: Lens, field_heights_mm: Sequence[float] | None) -> Array:
     if field_heights_mm is None:
-        return np.linspace(0.0, lens.half_field_mm, TABLE_HEIGHTS)
+        return np.linspace(0.0, lens.half_field_mm, 13)
     heights = np.atleast_1d(np.asarray(field_heights_mm, float))
     inside = (heights >= 0.0) & (heights <= lens.half_field_mm * (1.0 + 1e-12))
     if heights.ndim != 1 or not len(heights) or not np.all(inside):

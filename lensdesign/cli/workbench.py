@@ -10,9 +10,6 @@ import typer
 from lensdesign.cli.making import Design
 from lensdesign.errors import InputError
 
-WORKBENCHES = "lensdesign.workbench"
-"""Group of entry points; the entry point ``serve`` serves a design."""
-
 
 def studio(
     design: Design,
@@ -33,7 +30,7 @@ def studio(
     from importlib.metadata import entry_points
     from importlib.util import find_spec
 
-    found = tuple(entry_points(group=WORKBENCHES, name="serve"))
+    found = tuple(entry_points(group="lensdesign.workbench", name="serve"))
     if not found or find_spec("panel") is None:
         raise InputError("lensdesign studio needs an extra: pip install 'transferlens[studio]'")
     found[0].load()(Path(design), port, tolerances, show=show)

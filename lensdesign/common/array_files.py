@@ -24,12 +24,6 @@ from lensdesign.errors import InputError
 FIELD_BYTES = 3_200_000_000
 """Largest size of a field's arrays: 400 million complex values in single precision, the limit of grids."""
 
-MOST_MEMBERS = 1000
-"""Largest number of arrays of an .npz file."""
-
-COPIES = 3
-"""Number of copies of the arrays in memory while reading: packed, unpacked and converted."""
-
 
 def read_arrays(
     path: str | os.PathLike[str],
@@ -37,7 +31,7 @@ def read_arrays(
     *,
     named: str = "",
     only: Collection[str] | None = None,
-    copies: float = COPIES,
+    copies: float = 3,
 ) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz file, or the array of an .npy file, up to a size.
 
@@ -52,7 +46,8 @@ def read_arrays(
     only
         Names of the arrays to read (default: all).
     copies
-        Memory that must be free, in multiples of the size of the arrays.
+        Memory that must be free, in multiples of the size of the arrays (default: 3, since packed, unpacked
+        and converted arrays exist at the same time).
 
     Returns
     -------
@@ -103,8 +98,9 @@ def array_names(path: str | os.PathLike[str], named: str = "") -> tuple[str, ...
 
 def _members(archive: zipfile.ZipFile, only: Collection[str] | None) -> dict[str, zipfile.ZipInfo]:
     entries = archive.infolist()
-    if len(entries) > MOST_MEMBERS:
-        raise InputError(f"holds {len(entries)} entries; at most {MOST_MEMBERS} are allowed")
+    most_members = 1000
+    if len(entries) > most_members:
+        raise InputError(f"holds {len(entries)} entries; at most {most_members} are allowed")
     found = {entry.filename.removesuffix(".npy"): entry for entry in entries}
     if len(found) < len(entries):
         raise InputError("holds two arrays of one name")

@@ -35,9 +35,6 @@ may be restarted within this time."""
 LOOK_SECONDS = 0.5
 """Interval between checks for workers while waiting for a result."""
 
-FETCH_SECONDS = 5.0
-"""Time limit to fetch a finished result before its workers are checked again; doubled each time."""
-
 RETRIES = 2
 """Number of retries of a task that failed because of its machine."""
 
@@ -118,7 +115,8 @@ class Cluster:
             while not wait((future,), timeout=LOOK_SECONDS).done:
                 self.check_workers()
             return result_of(future)
-        patience = FETCH_SECONDS
+        # Time limit to fetch a finished result before its workers are checked again; doubled each time.
+        patience = 5.0
         while True:
             self.finish((future,))
             # The worker that stores a finished result may die before the result is fetched.

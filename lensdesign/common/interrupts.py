@@ -15,19 +15,11 @@ from typing import Any
 
 from lensdesign.errors import UNFINISHED
 
-END_PROCESS = os._exit
-"""Ends the process immediately."""
-
-SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
 NERVOUS_SECONDS = 1.0
 """Time after the first signal in which further signals are ignored, since a key may be pressed twice."""
 
 GRACE_SECONDS = 10.0
 """Time limit for an orderly stop; after it, the process ends immediately."""
-
-LOST_SECONDS = 0.05
-"""Time after which an interrupt that a callback has swallowed is raised again."""
 
 
 class _Stop:
@@ -62,15 +54,14 @@ class _Stop:
             self.others(unraisable)
             return
         self.lost = True
-        threading.Timer(
-            LOST_SECONDS, signal.pthread_kill, (threading.main_thread().ident, self.number)
-        ).start()
+        # An interrupt that a callback has swallowed is raised again after 0.05 s.
+        threading.Timer(0.05, signal.pthread_kill, (threading.main_thread().ident, self.number)).start()
 
     def end_at_once(self) -> None:
         """End the process immediately; workers end with the process that started them."""
         _sweep()
         os.write(2, b"interrupted; ended before all had come to its end\n")
-        END_PROCESS(self.status)
+        os._exit(self.status)
 
     @property
     def status(self) -> int:
@@ -108,7 +99,8 @@ def stoppable() -> Iterator[None]:
         yield
         return
     _stop = _Stop(sys.unraisablehook)
-    previous = {number: signal.getsignal(number) for number in SIGNALS}
+    signals = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    previous = {number: signal.getsignal(number) for number in signals}
     sys.unraisablehook = _stop.swallowed
     for number, handler in previous.items():
         # Signals stay ignored if a shell (background command) or nohup has set that.

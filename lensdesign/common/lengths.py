@@ -12,10 +12,6 @@ from dataclasses import dataclass, replace
 
 from lensdesign.errors import InputError
 
-UNIT_STEPS = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
-"""Ratios of units that are confused. The first two, of millimetres and micrometres, are the only ones tried
-for lengths with a relative range; the last one is that of angstroms."""
-
 UNITS = {"mm": "millimetres", "um": "micrometres"}
 """Names of the units in messages."""
 
@@ -64,7 +60,10 @@ class PlausibleLength:
     def hint(self, value: float, unit: str) -> str:
         """Return the end of a message with the value that may be meant; empty if no unit fits."""
         size, (low, high) = abs(value), self.usual
-        steps = UNIT_STEPS if self.always else UNIT_STEPS[:2]
+        # Ratios of units that are confused. The first two, of millimetres and micrometres, are the only ones
+        # tried for lengths with a relative range; the last one is that of angstroms.
+        unit_steps = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
+        steps = unit_steps if self.always else unit_steps[:2]
         candidates = [step for step in steps if (step < 1.0) == (size > self.highest)]
         meant = next((step * value for step in candidates if low <= step * size <= high), None)
         return "" if meant is None else f"; {meant:g} {unit} may be meant"

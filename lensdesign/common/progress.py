@@ -15,9 +15,6 @@ from lensdesign.common.text import visible
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-LINE_SECONDS = 10.0
-"""Time between lines if standard error is not a terminal."""
-
 
 class ProgressLines:
     """Prints the current text every ten seconds, with the elapsed time.
@@ -45,7 +42,8 @@ class ProgressLines:
         self._thread.join(1.0)
 
     def _print(self) -> None:
-        while not self._ended.wait(LINE_SECONDS):
+        # If standard error is not a terminal, there is a line every 10 seconds.
+        while not self._ended.wait(10.0):
             print(f"{now() - self._began:.0f} s: {visible(self._text)}", file=sys.stderr, flush=True)
 
 

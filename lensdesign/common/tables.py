@@ -25,7 +25,6 @@ _LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:[ ,.'\u2019\u00a0\u202f][0-9]{3})+(?:[.,][0-9]*)?")
 _STARTS_WITH_DIGIT = re.compile(r"[+-]?[.]?[0-9]")
-_SIGNS = ("\N{MINUS SIGN}", "\N{EN DASH}", "\N{HYPHEN}", "\N{NON-BREAKING HYPHEN}")
 
 SEPARATORS = (";", "\t", ",")
 """Allowed separators of the columns of a table with a header."""
@@ -75,7 +74,8 @@ def read_number(text: str, where: str, name: str = "") -> float:
             f"{prefix} is not a number: a comma may be a decimal comma or a thousands separator; write a "
             f"decimal point, {cell.replace(',', '.')} if that is meant"
         )
-    if cell[:1] in _SIGNS:
+    signs = ("\N{MINUS SIGN}", "\N{EN DASH}", "\N{HYPHEN}", "\N{NON-BREAKING HYPHEN}")
+    if cell[:1] in signs:
         raise InputError(f"{prefix} is not a number: its sign is a dash; write a hyphen, -")
     raise InputError(f"{prefix} is not a number")
 

@@ -7,19 +7,15 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-LONGEST_TEXT = 2000
-"""Largest number of characters of a text in messages."""
-
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""First characters of a text that a spreadsheet interprets as a formula."""
-
 
 def safe_cell(text: str) -> str:
     """Return a text, preceded by an apostrophe if a spreadsheet would interpret it as a formula.
 
     See OWASP, "CSV Injection". It is not needed for numbers.
     """
-    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
+    # First characters of a text that a spreadsheet interprets as a formula.
+    formula_starts = ("=", "+", "-", "@", "\t", "\r", "\n")
+    return f"'{text}" if text.startswith(formula_starts) else text
 
 
 def visible(text: str) -> str:
@@ -27,7 +23,8 @@ def visible(text: str) -> str:
 
     Otherwise an escape character in a title could control the terminal or make an SVG file invalid.
     """
-    kept = text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
+    most_characters = 2000
+    kept = text if len(text) <= most_characters else text[: most_characters - 3] + "..."
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
 
 

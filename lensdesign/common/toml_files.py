@@ -17,15 +17,8 @@ from lensdesign.errors import DesignError
 Model = TypeVar("Model", bound=BaseModel)
 Entry = TypeVar("Entry")
 
-MOST_PARTS = 8
-"""Largest number of parts of a dotted key; the time of tomllib grows faster than their square."""
-
-_LONG_KEY = re.compile(
-    r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){8}"""  # as many as MOST_PARTS
-)
-
-LONGEST_FAULT = 1000
-"""Largest number of characters of the line of a fault."""
+# A dotted key of more than eight parts; the time of tomllib grows faster than the square of their number.
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){8}""")
 
 MOST_FAULTS = 50
 """Largest number of faults reported for one file."""
@@ -35,7 +28,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Return the tables of a TOML file; raise a DesignError with file and line if it is not valid."""
     text = read_text(path, TOML_BYTES)
     if _LONG_KEY.search(text):
-        raise DesignError(f"{path}: not valid TOML: a dotted key of more than {MOST_PARTS} parts")
+        raise DesignError(f"{path}: not valid TOML: a dotted key of more than 8 parts")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers of too many digits, and deep nesting
@@ -114,8 +107,10 @@ def pick(registry: Mapping[str, Entry], table: Mapping[str, Any], key: str, sour
 def joined_faults(faults: Sequence[str]) -> str:
     """Return the faults of a file, one per line, up to a number and length of lines."""
     lines = [line for fault in faults for line in fault.splitlines()]
+    most_characters = 1000
     shown = [
-        line if len(line) <= LONGEST_FAULT else f"{line[:LONGEST_FAULT]}..." for line in lines[:MOST_FAULTS]
+        line if len(line) <= most_characters else f"{line[:most_characters]}..."
+        for line in lines[:MOST_FAULTS]
     ]
     if len(lines) > MOST_FAULTS:
         shown.append(f"and {len(lines) - MOST_FAULTS} more faults")

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 COLORS = ("#0B6E99", "#B5651D", "#4B7F52", "#7D4E9E", "#8A8A8A", "#B23A63")
 WIDTH, HEIGHT, MARGIN = 860, 520, 96
-TICKS = 6
 
 
 def front_figure(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> Figure:
@@ -129,7 +128,7 @@ class _Scale:
         from matplotlib.ticker import MaxNLocator
 
         found = []
-        for value in MaxNLocator(TICKS).tick_values(self.low, self.high):
+        for value in MaxNLocator(6).tick_values(self.low, self.high):
             if not self.low <= value <= self.high:
                 continue
             position = self(value)

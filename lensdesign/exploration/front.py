@@ -24,14 +24,8 @@ from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.specification import Specification
 
-ANCHOR_STARTS = 3
-"""Number of starts of the search for the best lens by a single objective."""
-
 MAX_GLASSES = 6
 """Largest number of glass choices that are explored; a first screening selects them from more choices."""
-
-MIN_IMPROVEMENT = 2e-3
-"""Smallest improvement of an objective, as a fraction of its range, that counts as an improvement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +154,7 @@ class Exploration:
                 low, high = min(values), max(values)
             yield np.linspace(low, high, count)
 
-    def _anchor(
-        self, glasses: str, base: Lens, objective: Objective, max_starts: int = ANCHOR_STARTS
-    ) -> ExploredPoint:
+    def _anchor(self, glasses: str, base: Lens, objective: Objective, max_starts: int = 3) -> ExploredPoint:
         """Search for the best lens by one objective without bounds on the others."""
         key = f"{glasses}; best {objective.name}" + (" from one start" if max_starts == 1 else "")
         specification = objective.sought(self.specification)
@@ -250,7 +242,9 @@ def front_of(explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[Ex
     signs = np.array([-1.0 if axis.objective.larger_is_better else 1.0 for axis in axes])
     costs = signs * np.array([[result.values[axis.objective.column] for axis in axes] for result in lenses])
     ranges = np.ptp(costs, axis=0)
-    slack = MIN_IMPROVEMENT * np.where(ranges > 0.0, ranges, 1.0)
+    # Smallest improvement of an objective, as a fraction of its range, that counts as an improvement.
+    min_improvement = 2e-3
+    slack = min_improvement * np.where(ranges > 0.0, ranges, 1.0)
     kept: list[int] = []
     for i in np.lexsort(costs.T[::-1]):
         others = costs[kept] if kept else np.empty((0, len(axes)))

@@ -247,9 +247,6 @@ PRIVATE = "TRANSFERLENS_"
 
 _ENDLESS = ("INF", "INFINITY")
 
-INFINITE_MM = 1e10
-"""Distance from which CODE V treats the object as infinitely far."""
-
 _WORDS = re.compile(r"""'[^']*'|"[^"]*"|;|!.*|&\s*$|[^\s;!'"&]+|['"&]""")
 
 # Weights, labels, coupling codes and settings of analyses or drawings. They do not describe the lens.
@@ -502,7 +499,9 @@ def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list
         return
     endless = bool(values) and values[0].upper() in _ENDLESS
     value = math.inf if endless else _value(values, location)
-    surface.thickness_mm = math.inf if value >= INFINITE_MM else value
+    # Distance from which CODE V treats the object as infinitely far.
+    infinite_mm = 1e10
+    surface.thickness_mm = math.inf if value >= infinite_mm else value
 
 
 def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str], location: str) -> None:

@@ -19,9 +19,6 @@ from dataclasses import dataclass
 from lensdesign.errors import InputError
 from lensdesign.files.draft import parse_number, quoted
 
-LARGEST_INDEX = 10.0
-"""Largest accepted index. No transparent medium exceeds it; a formula does near its pole."""
-
 Formula = Callable[[Sequence[float], float], float]
 
 
@@ -124,10 +121,12 @@ class PrivateGlass:
             index = formula(coefficients, wavelength_um)
         except (ValueError, ZeroDivisionError, OverflowError):
             index = math.nan
-        if not 1.0 <= index <= LARGEST_INDEX:
+        # Largest accepted index. No transparent medium exceeds it; a formula does near its pole.
+        largest_index = 10.0
+        if not 1.0 <= index <= largest_index:
             raise InputError(
                 f"{self.location}: the {name} coefficients of private glass {quoted(self.name)} give an "
-                f"index of {index:g} at {wavelength_um:g} um; allowed is 1 to {LARGEST_INDEX:g}"
+                f"index of {index:g} at {wavelength_um:g} um; allowed is 1 to {largest_index:g}"
             )
         return index, f"index {index:.7g} at {wavelength_um:g} um by the {name} formula of {self.name}", ""
 

@@ -261,12 +261,6 @@ SCBD TBTP RSCE RWCE VDSZ VPAR AUTH IWDP EERA SSID STUD
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
 
-# Keywords that start the part behind the last surface: tolerances, configurations, the merit function.
-_TAIL_STARTS = frozenset(("TOL", "TOLE", "MNUM", "MOFF"))
-
-# Solves and pickups. The file also holds their present values.
-_SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
-
 
 @dataclass
 class FileSurface:
@@ -345,19 +339,23 @@ def read_record(reader: FileReader, word: str, values: list[str], location: str,
         return
     surface = reader.surfaces[-1] if reader.surfaces else None
     line = location.rpartition(", ")[2]
+    # Keywords that start the part behind the last surface: tolerances, configurations, the merit function.
+    tail_starts = ("TOL", "TOLE", "MNUM", "MOFF")
+    # Solves and pickups. The file also holds their present values.
+    solves = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
     if word in _OF_FILE:
         _OF_FILE[word](reader, values, location)
     elif surface is not None and word in _OF_SURFACE:
         _drop_trailing_records(reader)
         _check_duplicate(surface, word, values, location)
         _OF_SURFACE[word](reader, surface, values, location)
-    elif surface is not None and word in _TAIL_STARTS:
+    elif surface is not None and word in tail_starts:
         reader.in_trailing_block = True
     elif word in _IDLE:
         return
     elif surface is None:
         reader.draft.add_loss(f"{word} {quoted(' '.join(values))} ({line})")
-    elif word in _SOLVES and not reader.in_trailing_block:
+    elif word in solves and not reader.in_trailing_block:
         reader.draft.add_remark(f"{surface.name}: {word} solve or pickup replaced by its present value")
     elif reader.in_trailing_block or not indented:
         reader.trailing_records.append(f"{surface.name}: {word} {quoted(' '.join(values))}")
@@ -385,7 +383,7 @@ def _drop_trailing_records(reader: FileReader) -> None:
 
 def _check_duplicate(surface: FileSurface, word: str, values: list[str], location: str) -> None:
     """Raise an error if a record that may occur only once occurs again with other values."""
-    if word not in _ONCE:
+    if word not in ("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM"):
         return
     first, first_location = surface.first_records.setdefault(word, (values, location))
     if first != values:
@@ -507,8 +505,6 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]
     "STOP": _stop,
     "PARM": _parameter,
 }
-
-_ONCE = frozenset(("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM"))
 
 
 def _mode(reader: FileReader, values: list[str], location: str) -> None:

@@ -25,8 +25,6 @@ from lensdesign.lens.catalogues.thermal import (
     split_temperature,
 )
 
-_AIR_NAMES = ("AIR", "VACUUM")
-
 # Books of the database's `specs` shelf and their makers. Where two makers use the same name, the first one
 # in this table is used.
 _MAKER_BOOKS = {
@@ -52,7 +50,6 @@ _MAKER_BOOKS = {
 
 # Measurements from the literature for materials that no maker's catalogue lists: page -> names.
 # Birefringent crystals have the index of their ordinary ray.
-_LITERATURE_CATALOG = "refractiveindex.info"
 _LITERATURE_PAGES = {
     ("organic", "poly_methyl_methacrylate", "Beadie"): ("PMMA", "ACRYLIC"),
     ("organic", "polycarbonate", "Sultanova"): ("POLYCARB", "PC", "POLYCARBONATE"),
@@ -132,7 +129,7 @@ class Material:
 def is_air(material: str | float | None) -> bool:
     """Return whether a material of a design file is air or a vacuum: None, AIR, VACUUM or the index 1."""
     if isinstance(material, str):
-        return material.strip().upper() in _AIR_NAMES
+        return material.strip().upper() in ("AIR", "VACUUM")
     return material is None or material == 1.0
 
 
@@ -342,7 +339,7 @@ def _database_entries() -> tuple[_Entry, ...]:
 
     for key, names in _LITERATURE_PAGES.items():
         if key in pages:
-            add(names, _LITERATURE_CATALOG, pages[key])
+            add(names, "refractiveindex.info", pages[key])
     for book, maker in _MAKER_BOOKS.items():
         for page in pages.values():
             if page.shelf == "specs" and page.book == book:

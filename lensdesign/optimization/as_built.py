@@ -20,9 +20,6 @@ from lensdesign.optimization.specification.sections import Tolerances
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
 
-READERS = "lensdesign.as_built"
-"""Group of the entry points that read a tolerance study."""
-
 
 @dataclass(frozen=True)
 class AsBuiltValues:
@@ -278,9 +275,10 @@ def read_as_built(tolerances: Tolerances) -> AsBuilt:
 def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances) -> AsBuilt:
     from importlib.metadata import entry_points
 
-    readers = tuple(entry_points(group=READERS, name="study"))
+    group = "lensdesign.as_built"
+    readers = tuple(entry_points(group=group, name="study"))
     if not readers:
-        raise DesignError(f"tolerances: no package that reads a study is installed (entry point {READERS})")
+        raise DesignError(f"tolerances: no package that reads a study is installed (entry point {group})")
     found: AsBuilt = readers[0].load()(path)
     costs = None if tolerances.costs is None else Path(tolerances.costs)
     return found.scaled(tolerances.factor).priced(costs, tolerances.cost)

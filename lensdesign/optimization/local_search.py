@@ -25,18 +25,6 @@ from lensdesign.optimization.operands.operand import KEPT
 from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.optimization.worst_rays import worse_rays
 
-EXCHANGES = 12
-"""Largest number of times that worse rays of the dense check are added to the working set."""
-
-LOCAL_EVALUATIONS = 200
-"""Largest number of evaluations of one algorithm of a chain before the next one continues."""
-
-LONE_EVALUATIONS = 2000
-"""Largest number of evaluations of a single algorithm, or of a global one."""
-
-STATIONARY = 2e-3
-"""First-order error below which a start counts as converged."""
-
 Improved = Callable[[float, float, int], None]
 
 
@@ -140,7 +128,9 @@ def search_from(
     rays, dense = problem.sample_rays(3, 5, 1, _heights(problem)), dense_rays(problem)
     chain = _chain("slsqp" if only_feasible else specification.optimize.algorithm)
     point, spent_before, limit = start, budget.spent, ""
-    for _ in range(EXCHANGES):
+    # Largest number of times that worse rays of the dense check are added to the working set.
+    most_exchanges = 12
+    for _ in range(most_exchanges):
         outcome = _solve(problem, rays, point, chain, budget, seed, on_improvement, only_feasible, on_point)
         point, limit = outcome.point, budget.used_up
         chain = _chain("slsqp") if ALGORITHMS[chain[0]].everywhere else chain
@@ -273,10 +263,14 @@ def _in_turn(
     enough: float = -math.inf,
 ) -> Outcome:
     """Run the algorithms of a chain until one converges or the objective is small enough."""
+    # Largest number of evaluations of one algorithm of a chain before the next one continues.
+    local_evaluations = 200
+    # Largest number of evaluations of a single algorithm, or of a global one.
+    lone_evaluations = 2000
     for algorithm in chain:
         everywhere = ALGORITHMS[algorithm].everywhere
         lone = everywhere or len(chain) == 1
-        outcome = run(what, point, algorithm, LONE_EVALUATIONS if lone else LOCAL_EVALUATIONS)
+        outcome = run(what, point, algorithm, lone_evaluations if lone else local_evaluations)
         point = outcome.point
         if outcome.objective <= enough or (not everywhere and _stationary(what, point)):
             break
@@ -286,7 +280,9 @@ def _in_turn(
 def _stationary(what: Callable[[Array], Evaluation], point: Array) -> bool:
     """Return whether a point meets the first-order conditions, since nlopt may stop too early."""
     e = what(point)
-    return max(e.objective, e.violation) < 0.5 * UNTRACEABLE and stationarity(e, point) <= STATIONARY
+    # First-order error below which a start counts as converged.
+    tolerance = 2e-3
+    return max(e.objective, e.violation) < 0.5 * UNTRACEABLE and stationarity(e, point) <= tolerance
 
 
 def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:

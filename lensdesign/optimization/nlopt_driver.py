@@ -20,9 +20,6 @@ from lensdesign.errors import InputError
 FEASIBLE = 1e-8
 """Largest scaled constraint of a feasible point; constraints are scaled to about 1."""
 
-ACTIVE = 1e-4
-"""Largest distance of active goals from the largest goal, and of active constraints from their limit."""
-
 UNTRACEABLE = 1e3
 """Replacement of a value that is not finite: far above any scaled goal, but without spoiling local models."""
 
@@ -217,9 +214,11 @@ def stationarity(e: Evaluation, point: Array) -> float:
     """
     from scipy.optimize import nnls
 
-    goals = e.goals >= np.max(e.goals) - ACTIVE
-    reached = e.constraints >= -ACTIVE
-    low, high = point < ACTIVE, point > 1.0 - ACTIVE
+    # Largest distance of active goals from the largest goal, and of active constraints from their limit.
+    tolerance = 1e-4
+    goals = e.goals >= np.max(e.goals) - tolerance
+    reached = e.constraints >= -tolerance
+    low, high = point < tolerance, point > 1.0 - tolerance
     eye = np.eye(len(point))
     by = np.concatenate([e.goals_by[goals], e.constraints_by[reached], -eye[low], eye[high]])
     if not np.all(np.isfinite(by)):

@@ -30,13 +30,6 @@ from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.stop_rules import Ending
 
-BINDING = 1e-4
-"""A constraint is active if the absolute value of its scaled value is smaller than this."""
-
-AGREE = 1e-3
-"""Starts agree if their goals (or, without a feasible lens, largest violations) differ by at most this "
-"fraction."""
-
 INTERRUPT = "interrupt"
 """Limit of a search that the user has stopped."""
 
@@ -92,8 +85,8 @@ class GlassChoiceResult:
         return sum(agree(f, self.best) for f in self.found)
 
 
-def agree(one: Found, other: Found, tolerance: float = AGREE) -> bool:
-    """Return whether the results of two starts are equally good within a relative tolerance."""
+def agree(one: Found, other: Found, tolerance: float = 1e-3) -> bool:
+    """Return whether two starts agree: in their goals or, without a feasible lens, in largest violations."""
     (violation, goal), (other_violation, other_goal) = one.rank, other.rank
     if violation or other_violation:
         close = abs(violation - other_violation) <= tolerance * (1.0 + other_violation)
@@ -283,6 +276,8 @@ def _result(
             unfinished.append(f"{ending.reason} left no time to search for what can be met")
     value, unit = _shown_goal(specification, lens, goals, built)
     starts = len(chosen.found)
+    # A constraint is active if the absolute value of its scaled value is smaller than this.
+    tolerance = 1e-4
     return OptimizationResult(
         lens=lens,
         variables=_variables(specification, lens),
@@ -293,7 +288,7 @@ def _result(
         feasible=check.feasible and not unchecked,
         violations=(*check.violations, *unchecked),
         check=check,
-        binding=list(binding(problem, point, best.rays, BINDING)),
+        binding=list(binding(problem, point, best.rays, tolerance)),
         unfinished=unfinished,
         as_built=built,
         not_tried=[t.glasses for t in tried if not t.found and t.limit],

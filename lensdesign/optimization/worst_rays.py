@@ -12,12 +12,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import DesignProblem, Rays
 
-TOLERANCE = 3e-5
-"""Smallest scaled excess over the working set for which a ray is added."""
-
-SECTOR_DEG = 30.0
-"""Width of the sectors of the stop, in each of which the worst ray is refined."""
-
 
 def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) -> Rays | None:
     """Return the rays that exceed every ray of the working set, one for each operand and sector of the stop.
@@ -39,8 +33,10 @@ def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) ->
         None if no ray is worse.
     """
     angle = np.degrees(np.arctan2(dense.pupil[:, 1], dense.pupil[:, 0]))
+    # Width of the sectors of the stop, in each of which the worst ray is refined.
+    sector_deg = 30.0
     # 90 degrees belongs to the sector below, since the halves of the stop are mirror images.
-    sector = np.where(angle == 90.0, 90.0 - SECTOR_DEG, angle) // SECTOR_DEG
+    sector = np.where(angle == 90.0, 90.0 - sector_deg, angle) // sector_deg
     sector += 100.0 * (np.linalg.norm(dense.pupil, axis=-1) > 1.0 - 1e-9)
     own, every = _operands(problem, point, rays), _operands(problem, point, dense)
     found: list[tuple[int, int, float]] = []
@@ -59,7 +55,9 @@ def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) ->
         return None
     numbers, indices, values = (np.array(column) for column in zip(*found, strict=True))
     refined, values = _refined(problem, point, numbers, dense.select(indices), values)
-    needed = np.array([np.max(own[number].values) for number in numbers]) + TOLERANCE
+    # Smallest scaled excess over the working set for which a ray is added.
+    tolerance = 3e-5
+    needed = np.array([np.max(own[number].values) for number in numbers]) + tolerance
     worse = refined.select(np.flatnonzero(values > needed))
     return worse.with_rays(worse) if len(worse.pupil) else None
 

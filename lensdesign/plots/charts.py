@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 INK, BEYOND = "#333333", "#C1121F"
 """Colours of items without a field height, and of values beyond a limit; they differ from field colours."""
 
-MARKERS = "os^Dv"
 TITLE_POINTS = 10.0
 
 
@@ -43,13 +42,14 @@ def spread_figure(lens: Lens) -> Figure:
     axes = figure.add_subplot()
     wavelengths = sorted(lens.wavelengths_um, reverse=True)
     largest, beyond = 0.0, []
+    markers = "os^Dv"
     for index, (wavelength, color) in enumerate(zip(wavelengths, _colors(len(wavelengths)), strict=True)):
         spread = largest_spread(lens, wavelength)
         sine = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
         axes.plot(
             spread.field_heights_mm,
             spread.per_field_deg,
-            marker=MARKERS[index % len(MARKERS)],
+            marker=markers[index % len(markers)],
             color=color,
             zorder=3,
             ms=3.5,

@@ -16,8 +16,6 @@ from lensdesign.plots.charts import label_axes, title_figure, white_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SAMPLES = 401
-
 
 def figure_map(lens: Lens, surface: int) -> Figure:
     """Plot the sag-error map of a measured surface without piston and tilt, with PV and RMS (Fig. 2g).
@@ -38,7 +36,7 @@ def figure_map(lens: Lens, surface: int) -> Figure:
     figure, semi = surface_figure(own), own.semi_diameter_mm
     if figure is None or semi is None:
         raise InputError(f"surface {surface + 1} has no measured figure")
-    axis = np.linspace(-1.0, 1.0, SAMPLES)
+    axis = np.linspace(-1.0, 1.0, 401)
     x, y = np.meshgrid(axis, axis)
     inside = np.hypot(x, y) <= 1.0
     points = np.stack([x[inside], y[inside]], axis=-1)

@@ -25,11 +25,6 @@ if TYPE_CHECKING:
 
 Faces = NDArray[np.int64]
 
-SCENE_CHORD_ERROR_UM = 1.0
-_TUBE_SIDES = 8
-_TUBE_FRACTION = 0.006
-"""Radius of the tubes that represent rays, as a fraction of the stop's semi-diameter."""
-
 
 def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write glass, stop ring, object disc, sensor planes and rays of three fields as a GLB scene in metres.
@@ -57,8 +52,11 @@ def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     if Path(path).suffix.lower() != ".glb":
         raise InputError(f"cannot write {path}: the name of a scene must end in .glb")
     scene = trimesh.Scene()
-    for part in scene_parts(lens, SCENE_CHORD_ERROR_UM):
-        mesh = _mesh(part, _TUBE_FRACTION * lens.stop_semi_diameter_mm)
+    chord_error_um = 1.0
+    # Radius of the tubes that represent rays, as a fraction of the stop's semi-diameter.
+    tube_fraction = 0.006
+    for part in scene_parts(lens, chord_error_um):
+        mesh = _mesh(part, tube_fraction * lens.stop_semi_diameter_mm)
         mesh.apply_scale(1e-3)
         scene.add_geometry(mesh, geom_name=part.name, node_name=part.name)
     data = bytes(scene.export(file_type="glb"))
@@ -78,16 +76,17 @@ def _mesh(part: ScenePart, tube_mm: float) -> trimesh.Trimesh:
 
 def _tubes(paths: Array, radius_mm: float) -> tuple[Array, Faces]:
     """Return tubes around polylines, shape (rays, corners, 3), whose ends are perpendicular to z."""
-    x, y = radius_mm * circle(_TUBE_SIDES)
-    ring = np.stack([x, y, np.zeros(_TUBE_SIDES)], axis=-1)
+    sides = 8
+    x, y = radius_mm * circle(sides)
+    ring = np.stack([x, y, np.zeros(sides)], axis=-1)
     rays, corners, _ = paths.shape
     vertices = (paths[:, :, None] + ring).reshape(-1, 3)
-    first = _TUBE_SIDES * np.arange(rays * corners).reshape(rays, corners)[:, :-1]
+    first = sides * np.arange(rays * corners).reshape(rays, corners)[:, :-1]
     # The last corners of a failed ray coincide; nothing is drawn between them.
     first = first[np.any(np.diff(paths, axis=1) != 0.0, axis=-1)][:, None]
-    here = np.arange(_TUBE_SIDES)
-    after = (here + 1) % _TUBE_SIDES
-    back = first + _TUBE_SIDES
+    here = np.arange(sides)
+    after = (here + 1) % sides
+    back = first + sides
     faces = np.stack(
         [first + here, first + after, back + after, first + here, back + after, back + here], axis=-1
     )

@@ -26,21 +26,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-RAYS_PER_FIELD = 11
 THIN, THICK = 0.8, 2.0
 """Line widths in points of outlines and rays, and of planes, ground edges and scale bar."""
 
 LABEL_POINTS = 8.0
 _GLASS, _INK, _FAINT, _PAPER = "#CFE3F1", "#333333", "#8A8A8A", "#FFFFFF"
 
-_MAX_INCHES = (9.3, 7.0)
-"""Largest width and height of the drawing without labels."""
-_MIN_INCHES = (6.4, 1.2)
 _MARGINS_INCHES = {"left": 0.38, "right": 0.08, "bottom": 0.86, "top": 0.34}
 """Margins for axis labels, legend and title; on the left, tick labels need additional space."""
 _ROW_INCHES = 0.17
 _GAP_INCHES = 0.1
-_MAX_NAME_LENGTH = 24
 
 
 @dataclass(frozen=True)
@@ -77,7 +72,7 @@ def layout_figure(lens: Lens) -> Figure:
     lens = sized_lens(lens)
     elements = glass_elements(lens)
     fans = [
-        ray_paths(lens, (0.0, fraction * lens.half_field_mm), pupil_fan(RAYS_PER_FIELD).points)
+        ray_paths(lens, (0.0, fraction * lens.half_field_mm), pupil_fan(11).points)
         for fraction in FIELD_FRACTIONS
     ]
     frame = _frame(lens, elements, fans)
@@ -144,11 +139,13 @@ def _frame(lens: Lens, elements: Sequence[Element], fans: Sequence[Array]) -> _F
         text_inches(_object_name(lens).split("\n")[1], LABEL_POINTS)[0] + 0.3,
         0.5 * min(max(crowd, 1), 4),
     )
-    width, height = _MAX_INCHES
+    # Largest width and height of the drawing without labels.
+    width, height = 9.3, 7.0
     scale = max((last - first) / (width - sum(margins)), 2.0 * reach / height)
     left, right = first - scale * margins[0], last + scale * margins[1]
-    spare = 0.5 * max(0.0, scale * _MIN_INCHES[0] - (right - left))
-    return _Frame(left - spare, right + spare, max(reach, 0.5 * scale * _MIN_INCHES[1]), scale)
+    min_inches = (6.4, 1.2)
+    spare = 0.5 * max(0.0, scale * min_inches[0] - (right - left))
+    return _Frame(left - spare, right + spare, max(reach, 0.5 * scale * min_inches[1]), scale)
 
 
 def _ticks(low: float, high: float) -> dict[float, str]:
@@ -182,10 +179,11 @@ def _labels_above(lens: Lens) -> list[_Label]:
 def _labels_below(lens: Lens, elements: Sequence[Element]) -> list[_Label]:
     """Return the labels of the glasses, ordered by z."""
     found = []
+    max_name_length = 24
     for element in elements:
         name = " ".join(str(lens.surfaces[element.surfaces[0]].material).split())
-        if len(name) > _MAX_NAME_LENGTH:
-            name = name[: _MAX_NAME_LENGTH - 1] + "…"
+        if len(name) > max_name_length:
+            name = name[: max_name_length - 1] + "…"
         outline = element.outline()
         widest = float(outline[:, 0].max())
         edge = outline[outline[:, 0] >= widest * (1.0 - 1e-9), 1]

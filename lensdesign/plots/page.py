@@ -24,9 +24,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.plots.scene import SHARP_DEG, ScenePart, scene_parts
 from lensdesign.plots.scene3d import VIEW_CHORD_FRACTION
 
-EDGE_COLORS = {"glass": "#4A7FA5", "plane": "#404040"}
-"""Colours of the edges of bodies."""
-
 
 @dataclass(frozen=True)
 class PageSummary:
@@ -110,11 +107,12 @@ def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_um: float) -> str:
 
 def _packed(part: ScenePart) -> dict[str, Any]:
     """Return a part for the page's script: 32-bit floats and integers, little endian, in base 64."""
+    edge_colors = {"glass": "#4A7FA5", "plane": "#404040"}
     return {
         "kind": part.kind,
         "label": part.label,
         "color": part.color,
-        "edge": EDGE_COLORS.get(part.kind),
+        "edge": edge_colors.get(part.kind),
         "opacity": part.opacity,
         "below": part.label_below,
         "vertices": _base64(part.vertices, "<f4"),

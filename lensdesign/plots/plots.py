@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 
 PICTURE_FORMATS = ("png", "svg")
 DOTS_PER_INCH = 200
-SENSOR_FRACTIONS = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
-"""Points of Fig. 2d, as fractions of half of the sensor's shorter side."""
-
-_WITHIN = "#7A8793"
 
 
 def draw_all(
@@ -188,7 +184,9 @@ def incidence_figure(
     plane_distance_mm = lens.sensor.plane_distances_mm[0]
     if sensor_points_mm is None:
         half_mm = 0.5 * min(lens.sensor.size_mm)
-        sensor_points_mm = [(0.0, float(f"{half_mm * fraction:.3g}")) for fraction in SENSOR_FRACTIONS]
+        # Points of Fig. 2d, as fractions of half of the sensor's shorter side.
+        sensor_fractions = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
+        sensor_points_mm = [(0.0, float(f"{half_mm * fraction:.3g}")) for fraction in sensor_fractions]
     wavelength_um = lens.wavelengths_um[0]
     limit_sine = spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um)
     arrivals = [arrival_angles(lens, p, plane_distance_mm, wavelength_um) for p in sensor_points_mm]
@@ -231,7 +229,7 @@ def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> Non
     axes.plot(*limit_deg, color=INK, lw=1.0, label=label)
     points = arrival.angles_deg[arrival.ok]
     within = np.hypot(*arrival.cosines[arrival.ok].T) <= limit_sine
-    axes.plot(*points[within].T, "o", color=_WITHIN, ms=1.8, mew=0.0, label="within the limit")
+    axes.plot(*points[within].T, "o", color="#7A8793", ms=1.8, mew=0.0, label="within the limit")
     if not np.all(within):
         axes.plot(*points[~within].T, "D", color=BEYOND, ms=2.6, mew=0.0, label="beyond the limit")
     x, y = arrival.sensor_point_mm

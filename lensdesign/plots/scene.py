@@ -27,17 +27,10 @@ if TYPE_CHECKING:
 
 Faces = NDArray[np.int64]
 
-PUPIL_RINGS = 2
-"""Number of rings of stop points that the rays of each field pass."""
-
 SHARP_DEG = 15.0
 """Angle between faces of a body in degrees above which their common edge is drawn."""
 
-_STOP_WIRE_FRACTION = 0.012
-"""Wire radius of the ring that represents the stop, as a fraction of the stop's semi-diameter."""
-
 _NO_VERTICES, _NO_FACES = np.empty((0, 3)), np.empty((0, 3), np.int64)
-_NO_LINES = np.empty((0, 2, 3))
 
 
 @dataclass(frozen=True)
@@ -132,11 +125,13 @@ def _stop(lens: Lens) -> ScenePart:
 
     semi = lens.stop_semi_diameter_mm
     z = float(lens.vertex_z_mm[lens.stop_index] + lens.surfaces[lens.stop_index].sag_mm(semi))
-    wire = _STOP_WIRE_FRACTION * semi
+    # Wire radius of the ring that represents the stop, as a fraction of the stop's semi-diameter.
+    stop_wire_fraction = 0.012
+    wire = stop_wire_fraction * semi
     torus = trimesh.creation.torus(semi + wire, wire, major_sections=96, minor_sections=12)
     vertices = torus.vertices + np.array([0.0, 0.0, z])
     label = f"stop Ø {2.0 * semi:.4g} mm"
-    return ScenePart("stop_ring", "stop", label, "#333333", 1.0, vertices, torus.faces, _NO_LINES)
+    return ScenePart("stop_ring", "stop", label, "#333333", 1.0, vertices, torus.faces, np.empty((0, 2, 3)))
 
 
 def _object_disc(lens: Lens) -> ScenePart:
@@ -164,7 +159,7 @@ def _planes(lens: Lens) -> Iterator[ScenePart]:
 
 
 def _rays(lens: Lens) -> Iterator[ScenePart]:
-    pupil = pupil_hexapolar(PUPIL_RINGS).points
+    pupil = pupil_hexapolar(2).points
     for fraction, color in zip(FIELD_FRACTIONS, FIELD_COLORS, strict=True):
         height = fraction * lens.half_field_mm
         paths = ray_paths(lens, (0.0, height), pupil)

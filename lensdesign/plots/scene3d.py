@@ -38,8 +38,6 @@ PROBE_SECONDS = 60.0
 VIEW_CHORD_FRACTION = 2e-4
 """Chord error of the glass in pictures, as a fraction of the stop's semi-diameter."""
 
-GLASS_OPACITY = 0.3
-
 
 class RenderingError(TransferLensError):
     """Raised if no 3D view can be rendered on this machine."""
@@ -130,6 +128,8 @@ def _plotter(
     plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size_px), lighting="light kit")
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
+    # Colour and width of the edges of bodies; rays have individual colours.
+    edge_styles = {"glass": ("#4A7FA5", 4.0), "plane": ("#404040", 4.0)}
     for part in parts:
         if part.glass:
             _add_glass(plotter, part)
@@ -137,21 +137,12 @@ def _plotter(
             faces = pyvista.PolyData.from_regular_faces(part.vertices, part.faces)
             plotter.add_mesh(faces, color=part.color, opacity=part.opacity, lighting=False)
         if len(part.lines):
-            color, width = _LINES.get(part.kind, (part.color, 3.0))
+            color, width = edge_styles.get(part.kind, (part.color, 3.0))
             plotter.add_mesh(_polylines(part.lines), color=color, line_width=width, lighting=False)
     screen, type_mm = _place_camera(plotter, parts)
     _add_labels(plotter, placed_labels(parts, screen, type_mm))
     plotter.reset_camera_clipping_range()
     return plotter
-
-
-_MARGIN_FACTOR = 1.14
-"""Size of the picture relative to the scene; the margin holds the labels."""
-
-_LEADER = {"color": "#8A8A8A", "line_width": 2.0, "lighting": False}
-
-_LINES = {"glass": ("#4A7FA5", 4.0), "plane": ("#404040", 4.0)}
-"""Colour and width of the edges of bodies; rays have individual colours."""
 
 
 def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
@@ -160,7 +151,7 @@ def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
     plotter.add_mesh(
         pyvista.PolyData.from_regular_faces(part.vertices, part.faces),
         color=part.color,
-        opacity=GLASS_OPACITY,
+        opacity=0.3,
         ambient=0.45,
         smooth_shading=True,
         split_sharp_edges=True,
@@ -187,7 +178,8 @@ def _add_labels(plotter: pyvista.Plotter, labels: Sequence[PlacedLabel]) -> None
         )
     for label in labels:
         if np.linalg.norm(label.end - label.foot) > 0.0:
-            plotter.add_mesh(_polylines(np.stack([label.foot, label.end])[None]), **_LEADER)
+            leader = _polylines(np.stack([label.foot, label.end])[None])
+            plotter.add_mesh(leader, color="#8A8A8A", line_width=2.0, lighting=False)
 
 
 def _type_pixels(plotter: pyvista.Plotter) -> int:
@@ -220,6 +212,8 @@ def _place_camera(plotter: pyvista.Plotter, parts: Sequence[ScenePart]) -> tuple
     plotter.enable_parallel_projection()
     plotter.camera_position = [focus + 4.0 * np.linalg.norm(half) * towards, focus, up]
     width, height = plotter.window_size
-    plotter.camera.parallel_scale = _MARGIN_FACTOR * max(half[1], half[0] * height / width)
+    # Size of the picture relative to the scene; the margin holds the labels.
+    margin_factor = 1.14
+    plotter.camera.parallel_scale = margin_factor * max(half[1], half[0] * height / width)
     plotter.reset_camera_clipping_range()
     return np.stack([right, up]), 2.0 * plotter.camera.parallel_scale / height * _type_pixels(plotter)

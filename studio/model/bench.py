@@ -24,9 +24,6 @@ from studio.model.figures import FigureRequest, Figures, patch_of, rays_of, wave
 from studio.model.values import parsed, path_of_key
 from studio.model.whatif import WhatIf
 
-SETTLE_SECONDS = 0.25
-"""Time without a change after which figures are computed with full accuracy."""
-
 Listener = Callable[[], None]
 
 
@@ -222,7 +219,9 @@ class Workbench:
 
     def _is_idle(self, done: int) -> bool:
         with self._condition:
-            self._condition.wait_for(lambda: self._ended or self._requested != done, SETTLE_SECONDS)
+            # Time without a change after which figures are computed with full accuracy.
+            settle_seconds = 0.25
+            self._condition.wait_for(lambda: self._ended or self._requested != done, settle_seconds)
             return not self._ended and self._requested == done
 
     def _quality_for(self, lens: Lens) -> ManufacturingQuality | None:

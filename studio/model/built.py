@@ -18,9 +18,6 @@ from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
 
-COARSE_STRIDE = 4
-"""While a value changes, the prediction uses every n-th draw, to first order."""
-
 
 @dataclass(frozen=True, eq=False)
 class ManufacturingQuality:
@@ -45,7 +42,9 @@ class ManufacturingQuality:
     @cached_property
     def coarse_batch(self) -> PerturbationBatch:
         """Subset of the drawn perturbations, for a prediction while a value changes."""
-        return drawn_batch(self.study, COARSE_STRIDE)
+        # While a value changes, the prediction uses every n-th draw, to first order.
+        coarse_stride = 4
+        return drawn_batch(self.study, coarse_stride)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,6 @@ TablePath = tuple[str | int, ...]
 
 Tables = dict[str, Any]
 
-MAX_STEPS = 1000
-"""Largest number of steps that can be undone."""
-
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -82,10 +79,12 @@ class Editing:
         step = Step(tables, lens_from(tables, self.path), description)
         if gesture and gesture == self.gesture:
             return replace(self, now=step, redo_steps=())
+        # Largest number of steps that can be undone.
+        max_steps = 1000
         return replace(
             self,
             now=step,
-            undo_steps=(*self.undo_steps, self.now)[-MAX_STEPS:],
+            undo_steps=(*self.undo_steps, self.now)[-max_steps:],
             redo_steps=(),
             gesture=gesture,
         )

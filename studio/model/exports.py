@@ -24,11 +24,6 @@ KINDS = {
 }
 """Kinds of exports by their names on the page, with the suffixes of their files."""
 
-MESH_ERROR_UM = 0.1
-"""Chord error of meshes, as in `lensdesign export`."""
-
-REPORT_TRIALS = 400
-
 
 def write_export(
     lens: Lens, path: Path, quality: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
@@ -73,7 +68,9 @@ def write_export(
     if path.suffix:
         from lensdesign.manufacture.exports import ExportOptions, export_lens
 
-        exported = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
+        # Chord error of meshes, as in `lensdesign export`.
+        mesh_error_um = 0.1
+        exported = export_lens(lens, path, ExportOptions(mesh_error_um, False, report))
         for statement in exported.outline:
             report(f"outline: {statement}")
         return f"wrote {path}: {exported.sentence}"
@@ -91,7 +88,8 @@ def _write_report(
     if quality is None:
         raise InputError("a tolerance report needs tolerances: choose a grade")
     with tempfile.TemporaryDirectory() as name:
-        run_trials(lens, quality, REPORT_TRIALS, Path(name), report)
+        report_trials = 400
+        run_trials(lens, quality, report_trials, Path(name), report)
         with open_store(Path(name) / "study.db") as store:
             write_report(store, folder)
     return f"wrote {folder}/report.html, report.pdf, trials.csv and steps.csv"

@@ -11,8 +11,6 @@ from typing import Any
 
 from lensdesign.errors import TransferLensError
 
-WAIT_SECONDS = 0.2
-
 
 class Job:
     """A function that runs in a child process.
@@ -65,7 +63,7 @@ class Job:
     def _follow(self) -> None:
         while self.state == "running":
             try:
-                kind, value = self._messages.get(timeout=WAIT_SECONDS)
+                kind, value = self._messages.get(timeout=0.2)
             except queue.Empty:
                 if not self._process.is_alive() and self._messages.empty():
                     self._end("failed", "the process ended before its work was done")

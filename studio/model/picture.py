@@ -13,9 +13,6 @@ from lensdesign.raytrace.bundles import launch, pupil_fan, pupil_hexapolar
 from lensdesign.raytrace.paths import FIELD_FRACTIONS, ray_paths, sized_lens
 from lensdesign.raytrace.rays import trace
 
-RAYS_PER_FIELD = 11
-SPOT_RINGS = 7
-
 
 @dataclass(frozen=True, eq=False)
 class Layout:
@@ -54,7 +51,7 @@ def layout_of(lens: Lens) -> Layout:
     """
     lens = sized_lens(lens)
     heights = heights_of(lens)
-    fan = pupil_fan(RAYS_PER_FIELD).points
+    fan = pupil_fan(11).points
     rays = tuple(ray_paths(lens, (0.0, h), fan)[..., [2, 1]] for h in heights)
     outlines = [element.outline()[:, ::-1] for element in glass_elements(lens)]
     glass = tuple(np.concatenate([upper, upper[::-1] * [1.0, -1.0]]) for upper in outlines)
@@ -70,7 +67,7 @@ def _sections(lens: Lens) -> tuple[Array, ...]:
 
 
 def _spots(lens: Lens, heights: tuple[float, ...]) -> tuple[tuple[Array, ...], ...]:
-    points = pupil_hexapolar(SPOT_RINGS).points
+    points = pupil_hexapolar(7).points
     by_field = []
     for height in heights:
         origins, directions = launch(lens, [(0.0, height)], points, lens.wavelengths_um[0])

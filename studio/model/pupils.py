@@ -19,12 +19,6 @@ from wavesim.pupil.pupil import refocus, rms_waves, strehl
 SAMPLES, COARSE = 128, 48
 """Samples across the pupil, as in `wavesim pupil`, and while a value changes."""
 
-WIDTHS = (1.0, 1.25, 1.6, 2.0, 2.8)
-"""Line widths, in units of wavelength / (2 NA)."""
-
-PATCH_UM = 16.0
-"""Side of the patch for a resolution of 0.532 um; it is proportional to the resolution."""
-
 COARSE_PATCH = 67
 """Samples of the stop for the patch while a value changes."""
 
@@ -68,7 +62,8 @@ def pupil_figures(
         If rays do not arrive.
     """
     placement = what_if.placement(lens)
-    widths = tuple(float(w * _resolution_um(lens)) for w in WIDTHS)
+    # Line widths, as multiples of the resolution wavelength / (2 NA).
+    widths = tuple(float(w * _resolution_um(lens)) for w in (1.0, 1.25, 1.6, 2.0, 2.8))
     found = []
     for height in heights_mm:
         registered = refocus(_sampler(lens, float(height), samples).pupil(placement))
@@ -142,8 +137,10 @@ def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | 
 
 @lru_cache(maxsize=4)
 def _chain(lens: Lens, height_mm: float, samples: int | None) -> PatchChain:
+    # Side of the patch for a resolution of 0.532 um; it is proportional to the resolution.
+    patch_um = 16.0
     return PatchChain(
-        lens, (0.0, height_mm), patch_um=PATCH_UM / 0.532 * _resolution_um(lens), samples=samples
+        lens, (0.0, height_mm), patch_um=patch_um / 0.532 * _resolution_um(lens), samples=samples
     )
 
 

@@ -14,7 +14,6 @@ from typing import Any
 from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.errors import InputError
 
-SUMMARIES = ("reconstruction.json", "calibration.json", "image.json")
 PICTURES = (
     "reconstruction.png",
     "residuals.png",
@@ -60,9 +59,10 @@ def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     InputError
         If the folder holds no results of these commands.
     """
-    summaries = [path for name in SUMMARIES if (path := folder / name).is_file()]
+    names = ("reconstruction.json", "calibration.json", "image.json")
+    summaries = [path for name in names if (path := folder / name).is_file()]
     if not summaries:
-        raise InputError(f"{folder}: holds none of {', '.join(SUMMARIES)}: give a folder that wavesim wrote")
+        raise InputError(f"{folder}: holds none of {', '.join(names)}: give a folder that wavesim wrote")
     report(f"reading {folder}")
     values = _read(summaries[0])
     verdict: Any = values.get("verdict") or {}

@@ -17,12 +17,6 @@ from studio.model.document import Autosave
 
 ADDRESS = "127.0.0.1"
 
-HOSTS = (ADDRESS, "localhost", "[::1]")
-"""Accepted host names; the server listens on the first."""
-
-PING_SECONDS = 20.0
-"""Time after which a page without an answer counts as closed and its session ends."""
-
 
 def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool = True) -> None:
     """Serve the workbench of a design until it is stopped.
@@ -101,7 +95,9 @@ def _guard(server: Any, token: str) -> None:
     from tornado.web import ErrorHandler
 
     application = server._tornado
-    application.settings |= {"websocket_ping_interval": PING_SECONDS, "websocket_ping_timeout": PING_SECONDS}
+    # Time after which a page without an answer counts as closed and its session ends.
+    ping_seconds = 20.0
+    application.settings |= {"websocket_ping_interval": ping_seconds, "websocket_ping_timeout": ping_seconds}
     find_default = application.find_handler
 
     def find_handler(request: Any, **kwargs: Any) -> Any:
@@ -115,7 +111,9 @@ def _guard(server: Any, token: str) -> None:
 
 def _refusal(host: str | None, uri: str, token: str) -> int | None:
     """Return the status with which a request is rejected; None if it is accepted."""
-    if host is not None and _name_of(host) not in HOSTS:
+    # Accepted host names; the server listens on the first.
+    hosts = (ADDRESS, "localhost", "[::1]")
+    if host is not None and _name_of(host) not in hosts:
         return 403
     path, _, query = uri.partition("?")
     # Decoded like in the handlers, some of which decode twice.

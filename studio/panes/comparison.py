@@ -15,8 +15,6 @@ from studio.model.bench import Workbench
 from studio.model.compared import compared
 from studio.panes.common import bench_of, follow, text
 
-MAX_DESIGNS = 3
-
 
 def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
     """Return the markup of a table of designs; differences are marked."""
@@ -58,7 +56,7 @@ def compare(lens: Workbench | Lens) -> pn.Column:
         message.object = ""
         path = Path(name.value.strip())
         try:
-            if len(others) + 1 >= MAX_DESIGNS:
+            if len(others) + 1 >= 3:  # at most three designs are compared
                 others.pop(next(iter(others)))
             others[path.name] = load_design(path)
         except TransferLensError as error:

@@ -28,8 +28,6 @@ OBJECTIVES = {
 }
 """Objectives and the columns of their values."""
 
-BUILT = ("as_built_rms", "yield")
-
 
 def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
     """Return a pane that explores two objectives in a child process; a click on a lens loads it."""
@@ -81,7 +79,7 @@ class _Explore:
         if self.job is not None and self.job.state == "running":
             return
         try:
-            built = any(name in BUILT for name in self.over)
+            built = any(name in ("as_built_rms", "yield") for name in self.over)
             quality = manufacturing_quality(bench.grade, bench.lens) if built else None
         except TransferLensError as error:
             self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'

@@ -16,9 +16,6 @@ from studio.model.picture import Layout, heights_of
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, Dresser, Theme, chart, dressed, framed
 
-MARGIN_FACTOR = 1.06
-"""Size of a chart relative to its contents."""
-
 
 def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
     """Return the layout of the lens to scale, with rays of three fields."""
@@ -173,8 +170,10 @@ def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | 
         }
         radius, angle = report.footprint_radius_mm[plane], np.linspace(0.0, 2.0 * np.pi, 97)
         reach.data = {"x": (radius * np.cos(angle)).tolist(), "y": (radius * np.sin(angle)).tolist()}
-        largest = MARGIN_FACTOR * max(half_y, radius)
-        wide = MARGIN_FACTOR * max(half_x, radius)
+        # Size of a chart relative to its contents.
+        margin_factor = 1.06
+        largest = margin_factor * max(half_y, radius)
+        wide = margin_factor * max(half_x, radius)
         _show(box, (-wide, wide), (-largest, largest))
         paint()
 

@@ -12,8 +12,6 @@ from studio.panes.common import bench_of, follow, number, text
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
-MAX_PERTURBATIONS = 7
-
 
 def findings(lens: Workbench | Lens) -> pn.pane.HTML:
     """Return a pane with the constraints, their present values, and a sentence for each violation."""
@@ -75,7 +73,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         bars = "".join(
             f'<tr><td>{text(name.replace("_", " "))}</td><td class="bar">'
             f'<i style="width:{fraction:.1f}%"></i></td><td>{fraction:.0f} %</td></tr>'
-            for name, fraction in (() if waves is None else _contributions(waves)[:MAX_PERTURBATIONS])
+            for name, fraction in (() if waves is None else _contributions(waves)[:7])
         )
         cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
         others = ", ".join(predicted.not_predicted)

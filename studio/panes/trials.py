@@ -21,8 +21,6 @@ from tolerancing.merits.base import Merit
 from tolerancing.merits.pupil import RmsWaves
 from tolerancing.statistics.yields import yield_of
 
-POLL_MILLISECONDS = 700
-
 
 def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
     """Return a pane that runs a study; a click on a trial sets its deviations in the what-if sliders."""
@@ -95,7 +93,8 @@ class _Tolerances:
         self.job = Job(
             run_trials, (bench.lens, quality, self.count.value, Path(self.folder.name)), bench.notify
         )
-        self.polling = pn.state.add_periodic_callback(self._poll, POLL_MILLISECONDS)
+        poll_milliseconds = 700
+        self.polling = pn.state.add_periodic_callback(self._poll, poll_milliseconds)
         self.update()
 
     def _poll(self) -> None:

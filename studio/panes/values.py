@@ -11,10 +11,8 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
 from studio.model.values import Value, glasses_like, parsed, values_of
-from studio.model.whatif import MOVES, Amount, WhatIf, amounts_of
+from studio.model.whatif import Amount, WhatIf, amounts_of
 from studio.panes.common import HERE, ScriptPart, bench_of, follow
-
-MOVED = {move[0] for move in MOVES}
 
 
 class Values(ScriptPart):
@@ -111,8 +109,9 @@ def what_if(lens: Workbench | Lens) -> Values:
 
 
 def _group_of(amount: Amount) -> str:
-    whole = amount.parameter in MOVED or amount.parameter not in ("radius_percent", "temperature_c")
-    return amount.target if whole else "radii and heat"
+    if amount.parameter in ("radius_percent", "temperature_c"):
+        return "radii and heat"
+    return amount.target
 
 
 def _act(bench: Workbench, action: str, group: str) -> None:

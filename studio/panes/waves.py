@@ -13,9 +13,6 @@ from studio.model.bench import Workbench
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
 
-MIN_WAVES = 0.05
-"""Smallest range (±) of a wavefront's colours in waves, so that noise does not look like an aberration."""
-
 
 def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | None = None) -> pn.Column:
     """Return a pane with the path difference over the pupil at one of three fields, and its figures."""
@@ -50,7 +47,9 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
         drawn[0] = found
         if last is not None and np.array_equal(last.waves, found.waves, equal_nan=True):
             return
-        largest = max(MIN_WAVES, float(np.nanmax(np.abs(found.waves))))
+        # Smallest range (±) of the colours in waves, so that noise does not look like an aberration.
+        min_waves = 0.05
+        largest = max(min_waves, float(np.nanmax(np.abs(found.waves))))
         mapper.update(low=-largest, high=largest)
         source.data = {"image": [found.waves.astype(np.float32)]}
         words.object = (

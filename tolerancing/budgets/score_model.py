@@ -33,12 +33,6 @@ from tolerancing.statistics.response import Response, fit_response
 from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
-DRAWS = 8192
-"""Number of Sobol draws that estimate the yield of a budget."""
-
-BLOCK = 512
-"""Number of lenses whose rays are computed at one time, which limits memory."""
-
 PROBES, PROBE_SCALES, EXTREME_RAYS = 512, (0.5, 1.0, 2.0), 3
 """Number of probe lenses, scales of their deviations, and number of longest rays retained for each probe."""
 
@@ -91,9 +85,11 @@ class _ExtremeRay:
         return self.slopes(amounts, derivatives=False)[0]
 
     def slopes(self, amounts: Array, derivatives: bool = True) -> tuple[Array, Array]:
+        # Number of lenses whose rays are computed at one time, which limits memory.
+        block = 512
         found = [
-            self._block(amounts[start : start + BLOCK], derivatives)
-            for start in range(0, len(amounts), BLOCK)
+            self._block(amounts[start : start + block], derivatives)
+            for start in range(0, len(amounts), block)
         ]
         values, by = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if not self.is_sine:
@@ -151,7 +147,9 @@ class StudyScoreModel:
         self._starts = np.array([own.start for own in columns])
         self._base = np.zeros(count)
         self._base[self._starts] = self._centre
-        self.batch = sample_perturbations(replace_draws(study, DRAWS), range(DRAWS))
+        # Number of Sobol draws that estimate the yield of a budget.
+        draws = 8192
+        self.batch = sample_perturbations(replace_draws(study, draws), range(draws))
         self._deviations = amounts_of(self.batch) - self._base
         self._of_change = np.repeat(np.arange(len(columns)), [own.stop - own.start for own in columns])
         probes = [self._base + scale * self._deviations[:PROBES] for scale in PROBE_SCALES]

@@ -31,9 +31,6 @@ SCALES = (0.1, 4.0)
 MOST_ROUNDS, MODEL_ROUNDS = 8, 2
 """Largest number of rounds, and number of rounds that rely on a response surface if there is one."""
 
-CLOSE_ENOUGH = 0.002
-"""Accepted difference between the estimated and the required yield."""
-
 Progress = Callable[[int, int], None]
 """Progress callback: `progress(completed, most)`, in trials of the lens."""
 
@@ -80,7 +77,9 @@ class StudyBudget:
         if self.verified is None or self.estimated_yield is None or self.estimated_yield_error is None:
             return False
         excess = self.estimated_yield - self.required
-        close = max(CLOSE_ENOUGH, self.estimated_yield_error)
+        # Accepted difference between the estimated and the required yield.
+        close_enough = 0.002
+        close = max(close_enough, self.estimated_yield_error)
         if self.at_widest:
             return excess >= -close
         return self.verified.low <= self.required <= self.verified.high and abs(excess) <= close

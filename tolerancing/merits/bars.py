@@ -35,12 +35,6 @@ SIDE = 2 * BARS - 1
 TILE_ERROR = 0.05
 """Largest relative error of the eikonal tiles; the default of the commands of wavesim."""
 
-FULL_WELL_FRACTION = 0.8
-"""Signal of the brightest pixel, as a fraction of full well."""
-
-MIDDLE = 0.5
-"""Central fraction of a bar's or a gap's width and length over which intensity is averaged."""
-
 DARK = 0.01
 """Smallest sum of bar and gap intensity, relative to the brightest intensity. Below it contrast is
 reduced."""
@@ -143,9 +137,11 @@ class Chain:
         from wavesim.scene import Bench
         from wavesim.sensor import Recording
 
-        full_well = {} if electrons is None else {"full_well_electrons": electrons / FULL_WELL_FRACTION}
+        # Signal of the brightest pixel, as a fraction of full well.
+        full_well_fraction = 0.8
+        full_well = {} if electrons is None else {"full_well_electrons": electrons / full_well_fraction}
         electronics = Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
-        return Recording(self.planes_mm, electronics, noise, FULL_WELL_FRACTION, bench=Bench(system))
+        return Recording(self.planes_mm, electronics, noise, full_well_fraction, bench=Bench(system))
 
     def record(
         self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence
@@ -304,13 +300,15 @@ class Chain:
         across, along = (0, 1) if axis == "x" else (1, 0)
         lines = power if axis == "x" else power.T
         coordinates = (grid.x_mm, grid.y_mm)
-        outside = np.abs(coordinates[along] - centre_mm[along]) - 0.5 * MIDDLE * SIDE * width
+        # Central fraction of a bar's or a gap's width and length over which intensity is averaged.
+        middle = 0.5
+        outside = np.abs(coordinates[along] - centre_mm[along]) - 0.5 * middle * SIDE * width
         weights = np.clip(0.5 - outside / grid.pitch_mm, 0.0, 1.0)
         edges = coordinates[across][0] + grid.pitch_mm * (np.arange(grid.shape[1 - across] + 1) - 0.5)
         cumulative = np.concatenate([[0.0], np.cumsum(weights @ lines)])
         nominal = centre_mm[across] + width * (np.arange(SIDE) - SIDE // 2)
         centres = nominal + width * np.linspace(-0.5, 0.5, 17)[:, None]
-        half = 0.5 * MIDDLE * width
+        half = 0.5 * middle * width
         ends = [np.interp(centres + side * half, edges, cumulative) for side in (-1.0, 1.0)]
         means = np.diff(ends, axis=0)[0] / (weights.sum() * 2.0 * half / grid.pitch_mm)
         bars, gaps = 0.5 * (means[:, 0:-1:2] + means[:, 2::2]), means[:, 1::2]

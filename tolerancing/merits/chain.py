@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from wavesim import Measurement
 
 
-FRAMES = 2
-"""Spawn key of the frames' noise, which differs from the keys 0 and 1 of line pairs at level ``wave``."""
-
 SET_SPACING = SIDE + 2
 """Distance between the centres of two sets, in line widths."""
 
@@ -156,8 +153,10 @@ class ReconstructedContrast(Merit):
         systems = context.placements(batch, self.wavelength_um)
         numbers = batch.trial_numbers or (0,) * len(batch)
         scores = []
+        # Spawn key of the frames' noise, which differs from the keys 0 and 1 of line pairs at level ``wave``.
+        frames_key = 2
         for system, number in zip(systems, numbers, strict=True):
-            noise = np.random.SeedSequence(context.noise_seed, spawn_key=(number, NOISE_STREAM, FRAMES))
+            noise = np.random.SeedSequence(context.noise_seed, spawn_key=(number, NOISE_STREAM, frames_key))
             planes = chain.record(system, self.electrons, self.bits, noise)
             scores.append(self._score(chain, system, planes, refocused))
         return np.array(scores)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 BARS = 5
+"""Number of bars of a set of lines."""
 
 NOISE_STREAM = 0x6E6F6973
 """Spawn key of the noise of a trial, which separates it from the trial's deltas."""

@@ -19,9 +19,6 @@ from tolerancing.perturbations.batch import PerturbationBatch
 if TYPE_CHECKING:
     from lensdesign.raytrace.bundles import PupilSamples
 
-SAME_HEIGHT = 1e-6
-"""Field heights that differ by less than this fraction of the half field count as equal."""
-
 
 class RayMerit(Merit):
     """A merit of the rays from some field points through the whole stop.
@@ -70,7 +67,9 @@ class RayMerit(Merit):
 
             height = float(np.hypot(*largest_spread(lens, wavelength).field_mm))
             difference = min(height, lens.half_field_mm - height)
-            return points if difference <= SAME_HEIGHT * lens.half_field_mm else (*points, *_ring(height))
+            # Field heights that differ by less than this fraction of the half field count as equal.
+            same_height = 1e-6
+            return points if difference <= same_height * lens.half_field_mm else (*points, *_ring(height))
 
         return context.cached(("extreme field points", wavelength), compute)
 

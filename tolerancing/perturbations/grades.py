@@ -23,9 +23,6 @@ from lensdesign.raytrace.paths import FIELD_FRACTIONS
 COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601
 
-PUPIL_SAMPLES = {"commercial": 256, "precision": 128, "high_precision": 128, "iso10110": 256}
-"""Samples across the pupil that resolve the wavefront errors of each grade."""
-
 
 @dataclass(frozen=True)
 class Grade:
@@ -126,6 +123,8 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
         ]
     else:
         lines += ["# Parts, glass and mounts: values of manufacturers' tolerance charts for this grade."]
+    # Samples across the pupil that resolve the wavefront errors of each grade.
+    pupil_samples = {"commercial": 256, "precision": 128, "high_precision": 128, "iso10110": 256}
     lines += [
         tomli_w.dumps({"title": title, "design": design_name}).rstrip("\n"),
         f"trials = {TRIALS}",
@@ -133,7 +132,7 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
         _commented("pivot_z_mm = 0.0", "the lens tilts about its front vertex"),
         "",
         "[sampling]",
-        _commented(f"pupil_samples = {PUPIL_SAMPLES[grade]}", "resolves the wavefront errors of this grade"),
+        _commented(f"pupil_samples = {pupil_samples[grade]}", "resolves the wavefront errors of this grade"),
     ]
     return "\n".join(lines) + "\n"
 

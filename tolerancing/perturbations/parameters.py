@@ -41,62 +41,46 @@ LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
 RUNOUTS = ("tir_x_mm", "tir_y_mm")
 """Total indicator runout of a surface at its clear semi-diameter, along one axis."""
 
-SURFACE_PARAMETERS = tuple(
-    dict.fromkeys(
-        (*SURFACE_DELTAS, *RUNOUTS, *RADII, *SHAPE_PARAMETERS, GLASS_PARAMETERS[1], *IRREGULARITIES)
-    )
-)
-"""Parameters of one surface. Waves and fringes are those of 632.8 nm over the clear semi-diameter."""
-
 TILTS = ("tilt_x_deg", "tilt_y_deg")
 ROLLS = ("roll_x_deg", "roll_y_deg")
 EDGE_DIFFERENCES = ("edge_difference_x_mm", "edge_difference_y_mm")
 
-ELEMENT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "despace_mm", *TILTS, *ROLLS, *EDGE_DIFFERENCES)
-"""Parameters of one glass element: motions of the whole element, and wedge between its surfaces."""
-
-OBJECT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "working_distance_mm")
-"""Parameters of the object. A longer working distance moves it away from the lens."""
-
 PLANE_DISTANCE = re.compile(r"plane_distance_([1-9]\d?)_mm")
-
-SENSOR_PARAMETERS = (
-    "decenter_x_mm",
-    "decenter_y_mm",
-    "distance_mm",
-    "plane_distance_1_mm",
-    "plane_distance_2_mm",
-    "tilt_x_deg",
-    "tilt_y_deg",
-)
-"""Parameters of the sensor in all planes, and errors of the distance of a single plane from the lens."""
-
-LIGHT_PARAMETERS = ("wavelength_um",)
-"""Parameters of the light: the deviation from the wavelength that the reconstruction assumes."""
-
-ENVIRONMENT_PARAMETERS = ("temperature_c",)
-"""Parameters of the environment: the deviation from the design temperature of 20 degrees Celsius."""
-
-RECONSTRUCTION_PARAMETERS = ("slices",)
-"""Settings of the reconstruction: the number of slices of each surface (a value, not a delta)."""
 
 FIXED_TARGETS = ("object", "sensor", "light", "environment", "reconstruction")
 
 PARAMETERS = {
     "lens": LENS_PARAMETERS,
-    "surface": SURFACE_PARAMETERS,
-    "element": ELEMENT_PARAMETERS,
-    "object": OBJECT_PARAMETERS,
-    "sensor": SENSOR_PARAMETERS,
-    "light": LIGHT_PARAMETERS,
-    "environment": ENVIRONMENT_PARAMETERS,
-    "reconstruction": RECONSTRUCTION_PARAMETERS,
+    # Waves and fringes are those of 632.8 nm over the clear semi-diameter.
+    "surface": tuple(
+        dict.fromkeys(
+            (*SURFACE_DELTAS, *RUNOUTS, *RADII, *SHAPE_PARAMETERS, GLASS_PARAMETERS[1], *IRREGULARITIES)
+        )
+    ),
+    # Motions of a whole glass element, and wedge between its surfaces.
+    "element": ("decenter_x_mm", "decenter_y_mm", "despace_mm", *TILTS, *ROLLS, *EDGE_DIFFERENCES),
+    # A longer working distance moves the object away from the lens.
+    "object": ("decenter_x_mm", "decenter_y_mm", "working_distance_mm"),
+    # The sensor in all planes, and errors of the distance of a single plane from the lens.
+    "sensor": (
+        "decenter_x_mm",
+        "decenter_y_mm",
+        "distance_mm",
+        "plane_distance_1_mm",
+        "plane_distance_2_mm",
+        "tilt_x_deg",
+        "tilt_y_deg",
+    ),
+    # The deviation from the wavelength that the reconstruction assumes.
+    "light": ("wavelength_um",),
+    # The deviation from the design temperature of 20 degrees Celsius.
+    "environment": ("temperature_c",),
+    # The number of slices of each surface: a value, not a delta.
+    "reconstruction": ("slices",),
 }
 """Parameters that can be perturbed, by the first word of the target."""
 
 UNITS = ("mm", "um", "deg", "percent", "fringes", "waves", "c")
-
-MOST_SLICES = 5000
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
@@ -193,10 +177,11 @@ class PerturbedParameter(Section):
 
     def check_setting(self, values: Iterable[float]) -> None:
         """Raise a ValueError for values that are not allowed for a setting of the reconstruction."""
+        most_slices = 5000
         for value in values if self.is_setting else ():
-            if not (1.0 <= value <= MOST_SLICES and value == round(value)):
+            if not (1.0 <= value <= most_slices and value == round(value)):
                 raise ValueError(
-                    f"{self.column} = {value:g}: must be a whole number from 1 to {MOST_SLICES}, the number "
+                    f"{self.column} = {value:g}: must be a whole number from 1 to {most_slices}, the number "
                     "of slices itself"
                 )
 

@@ -17,12 +17,6 @@ from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, regularised
 from tolerancing.prediction.derivatives import FieldDifferentials
 from tolerancing.prediction.system import pair_places
 
-MOST_PIVOTS = 60
-"""Largest number of exchanges between free and bound compensators."""
-
-ALL_AT_ONCE = 10
-"""Number of exchanges after which only one compensator changes at a time, which converges (Murty, 1974)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
@@ -113,7 +107,11 @@ def bounded_least_squares(matrix: Array, right_side: Array) -> tuple[Array, NDAr
     bound = np.zeros(right_side.shape)  # -1, 1 where bound, 0 where free
     values = np.zeros(right_side.shape)
     left = np.arange(len(right_side))
-    for turn in range(MOST_PIVOTS):
+    # Largest number of exchanges between free and bound compensators.
+    most_pivots = 60
+    # Number of exchanges after which only one compensator changes at a time, which converges (Murty, 1974).
+    all_at_once = 10
+    for turn in range(most_pivots):
         patterns, own = np.unique(bound[left], axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             rows, free = left[own.ravel() == number], pattern == 0.0
@@ -129,7 +127,7 @@ def bounded_least_squares(matrix: Array, right_side: Array) -> tuple[Array, NDAr
         going = np.any(wrong, axis=1)
         if not np.any(going):
             break
-        if turn >= ALL_AT_ONCE:
+        if turn >= all_at_once:
             last = count - 1 - np.argmax(wrong[:, ::-1], axis=1)
             wrong &= np.arange(count) == last[:, None]
         bound[left] = np.where(wrong, beyond, at)

@@ -30,12 +30,6 @@ from tolerancing.prediction.system import Changes, changes_of
 RINGS, ARMS = 6, 14
 """Numbers of rings and arms of rays over the stop."""
 
-BLOCK = 512
-"""Trials whose products of perturbations are held at one time."""
-
-POLYNOMIALS = 28
-"""Of Zernike, to the sixth radial order: direction cosines are followed over the stop by them."""
-
 
 @dataclass(frozen=True, eq=False)
 class FieldDifferentials:
@@ -81,9 +75,11 @@ class FieldDifferentials:
         if self.second.shape[1]:
             i, j = np.triu_indices(amounts.shape[1])
             halves = np.where(i == j, 0.5, 1.0)
-            for start in range(0, len(amounts), BLOCK):
-                part = amounts[start : start + BLOCK]
-                found[start : start + BLOCK] += (halves * part[:, i] * part[:, j]) @ self.registered_second.T
+            # Trials whose products of perturbations are held at one time.
+            block = 512
+            for start in range(0, len(amounts), block):
+                part = amounts[start : start + block]
+                found[start : start + block] += (halves * part[:, i] * part[:, j]) @ self.registered_second.T
         return np.asarray(found)
 
     def without_focus(self, waves: Array) -> Array:
@@ -263,4 +259,6 @@ def _slopes_over_stop() -> tuple[Array, Array]:
 
 def _polynomials(points: Array) -> Array:
     rho, theta = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
-    return np.stack([zernike(index, rho, theta) for index in range(POLYNOMIALS)], axis=1)
+    # Direction cosines are followed over the stop by Zernike polynomials to the sixth radial order.
+    polynomials = 28
+    return np.stack([zernike(index, rho, theta) for index in range(polynomials)], axis=1)

@@ -51,9 +51,6 @@ from tolerancing.study.study import Study
 HOMOGENEITY = (50e-6, 20e-6, 5e-6, 2e-6, 1e-6, 0.5e-6)
 """Largest deviation of the index within a part, either way, by class (ISO 10110-4)."""
 
-USUAL_INHOMOGENEITY = "1;1"
-"""Class of usual optical glass, used if a drawing states none."""
-
 
 def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -> tuple[SheetItem, ...]:
     """Return all indications that predictions score, element by element.
@@ -119,7 +116,9 @@ def _has(lens: Lens, kind: Kind, surface: int) -> bool:
 def _number(kind: Kind, value: float | str | None) -> float | None:
     """A value of a sheet as a number; None where nothing is or can be said."""
     if kind == "inhomogeneity":
-        match = re.match(r"\s*([0-5])\s*;", str(value or USUAL_INHOMOGENEITY))
+        # Class of usual optical glass, used if a drawing states none.
+        usual_inhomogeneity = "1;1"
+        match = re.match(r"\s*([0-5])\s*;", str(value or usual_inhomogeneity))
         return float(match[1]) if match else None
     if value is None:
         usual = {

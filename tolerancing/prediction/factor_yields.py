@@ -23,9 +23,6 @@ from tolerancing.prediction.wavefront_prediction import (
 )
 from tolerancing.study.study import Study
 
-JOINT_EVERY = 16
-"""Joint yields use every nth draw of a prediction."""
-
 
 class FirstOrderYield:
     """Yield of a study by its wavefronts, to first order, with each tolerance multiplied.
@@ -71,10 +68,12 @@ class JointYield:
 
     def __init__(self, lens: Lens, study: Study) -> None:
         waves = any(is_predicted_wavefront(merit) for merit in study.merits)
-        self._waves = FirstOrderYield(lens, study, JOINT_EVERY) if waves else None
+        # Joint yields use every nth draw of a prediction.
+        joint_every = 16
+        self._waves = FirstOrderYield(lens, study, joint_every) if waves else None
         self._merits = predicted_merits(study)
         self._rays = FirstOrderRays(lens, study)
-        self._batch = drawn_batch(study, JOINT_EVERY)
+        self._batch = drawn_batch(study, joint_every)
 
     def at(self, factors: Array) -> float:
         """Return the yield with the tolerance of each perturbation multiplied by a factor; 0 removes it."""

@@ -34,14 +34,8 @@ from wavesim.pupil import LinearisedChain
 from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
 from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
 
-DEPTH = 11
-"""Index of a station's axial shift among the numbers of its pose."""
-
 DRAWS = 256
 """Lenses by which the mean loss of a finished lens is predicted."""
-
-FANS = 9
-"""Object points of a meridian from which nominal rays are traced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +213,8 @@ def drawn_losses(study: Study, draws: int) -> Array:
 
 def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:
     """The chain with fewer fans, and with fewer pixels that hold as much light."""
-    meridian = replace(chain.meridian, fans=FANS, pixels_per_sample=pixels_per_sample)
+    # Nominal rays are traced from nine object points.
+    meridian = replace(chain.meridian, fans=9, pixels_per_sample=pixels_per_sample)
     return replace(
         chain, meridian=meridian, electrons=chain.electrons * PIXELS_PER_SAMPLE / pixels_per_sample
     )
@@ -303,7 +298,9 @@ class _Nodes:
     def coefficients(self, changed: _Changed) -> Array:
         """Polynomials of the changes of path, in waves for a unit of each; shape (planes * TERMS, d)."""
         changes, found = changed.changes, []
-        sensor = changes.layout.pose(changes.layout.surfaces + 1).start + DEPTH
+        # Index of a station's axial shift among the numbers of its pose.
+        depth = 11
+        sensor = changes.layout.pose(changes.layout.surfaces + 1).start + depth
         for number, paths in enumerate(self.planes):
             path = first_by(paths, changes, figures_on(paths, changes))
             # Planes beyond those of the design move with the mean of these.

@@ -19,9 +19,6 @@ from lensdesign.lens.shapes.base import Shape
 from tolerancing.prediction.paths import POSE, Figures, Paths
 from tolerancing.prediction.system import Changes
 
-OF_POSE = (7, 2, 3, 9, 10, 11)
-"""Numbers of a pose that tell its first-order turns about x, y and z, and its shifts."""
-
 
 @dataclass(frozen=True, eq=False)
 class Motions:
@@ -140,7 +137,9 @@ class Motions:
 def motions_of(changes: Changes) -> Array:
     """Motions that d changes are, shape (q, d)."""
     layout, first = changes.layout, changes.first
-    poses = POSE * np.arange(layout.surfaces + 2)[:, None] + np.array(OF_POSE)
+    # Numbers of a pose that are its first-order rotations about x, y and z, and its shifts.
+    of_pose = (7, 2, 3, 9, 10, 11)
+    poses = POSE * np.arange(layout.surfaces + 2)[:, None] + np.array(of_pose)
     rest = np.arange(POSE * (layout.surfaces + 2), layout.size)
     units = np.eye(changes.count)
     rows = [units[columns] for _, columns, _ in changes.figures]

@@ -28,16 +28,6 @@ from tolerancing.study.study import Study
 BLOCK = 128
 """Draws whose rays are held at one time; and those that tell what each perturbation does by itself."""
 
-TRACED = 64
-"""Draws that are traced."""
-
-CLOSE = 0.5
-"""A ray is followed for all draws if it comes so close to the extreme of one of the first, or of the nominal
-lens, in standard deviations of the extreme."""
-
-FIRST_SUFFICES = 0.05
-"""Root mean square that first order may leave of the traced draws, as a share of their deviation."""
-
 ROUNDING = 1e-9
 """Deviations below this share of the nominal value are none."""
 
@@ -83,7 +73,9 @@ class RayPrediction:
     @property
     def first_order_suffices(self) -> bool:
         """True if the error of the first order is small."""
-        return self.left <= FIRST_SUFFICES
+        # Root mean square that first order may leave of the traced draws, as a share of their deviation.
+        largest_fraction = 0.05
+        return self.left <= largest_fraction
 
 
 class FirstOrderRays(Context):
@@ -144,11 +136,14 @@ def _extreme_rays(
     found = known.arrival(np.concatenate([amounts, np.zeros_like(amounts[:1])]))
     across = found.direction[..., :2] / found.direction[..., 2:]
     kept = np.zeros(across.shape[1], bool)
+    # A ray is followed for all draws if it comes so close to the extreme of one of the first, or of the
+    # nominal lens, in standard deviations of the extreme.
+    deviations = 0.5
     for distance in (None, *distances_mm):
         ends = found.direction[..., :2] if distance is None else found.position_mm + distance * across
         sizes = np.hypot(ends[..., 0], ends[..., 1])
         largest = np.max(sizes, axis=1)
-        near = largest - CLOSE * np.std(largest) - ROUNDING * largest
+        near = largest - deviations * np.std(largest) - ROUNDING * largest
         kept |= np.any(sizes >= near[:, None], axis=0)
     return np.flatnonzero(kept)
 
@@ -208,7 +203,8 @@ def predict_rays(
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
     left = np.zeros(len(merits))
     if checked:
-        traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, TRACED)))
+        # The first 64 draws are traced.
+        traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, 64)))
         off = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
         # What no perturbation moves deviates by rounding alone.
         left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))

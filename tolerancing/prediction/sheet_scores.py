@@ -36,17 +36,8 @@ from tolerancing.prediction.wavefront_prediction import is_predicted_wavefront
 from tolerancing.study.files import check_against, save_study
 from tolerancing.study.study import Study
 
-COSTS_NOTHING = 0.001
-"""Yield that a general tolerance may cost alone and still stand."""
-
 LOSS_EACH, LOSS_ALL = 0.002, 0.01
 """Yield that a derived value may cost alone, and that all values may cost which the study does not state."""
-
-ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-"""Derived values are these times powers of ten."""
-
-SHARES = (0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
-"""Of a wedge, for the tilt of each of the two surfaces."""
 
 WAVE_STEPS, JOINT_STEPS = 100, 15
 """Most values that are tightened because all of them together cost too much."""
@@ -194,6 +185,8 @@ class _Search:
         same share of it, the largest that costs little, unless the other surface may have as much beside it.
         """
         base = self._yield(yield_of, {})
+        # Fractions of a wedge for the tilt of each of the two surfaces.
+        fractions = (0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
         for front in self._lens.glass_fronts:
             pair = [self.items.get(("centring", surface)) for surface in (front, front + 1)]
             stated = [item for item in pair if item is not None and item.origin == "study"]
@@ -201,10 +194,10 @@ class _Search:
             if len(stated) != 1 or len(opened) != 1 or stated[0].key in self.shared:
                 continue
             wedge, other = stated[0], opened[0]
-            beside = self._valued(other, min(other.value, _floor(SHARES[0] * wedge.value)))
+            beside = self._valued(other, min(other.value, _floor(fractions[0] * wedge.value)))
             if base - self._yield(yield_of, {other.key: beside}) <= LOSS_EACH:
                 continue
-            for share in SHARES:
+            for share in fractions:
                 both = {one.key: self._valued(one, _floor(share * wedge.value)) for one in (wedge, other)}
                 if base - self._yield(yield_of, both) <= LOSS_EACH:
                     break
@@ -220,15 +213,17 @@ class _Search:
         def cost(key: Key, one: SheetItem) -> float:
             return base - self._yield(yield_of, shared | {key: one})
 
+        # Yield that a general tolerance may cost alone and still stand.
+        costs_nothing = 0.001
         for key, one in own.items():
             self.costs[key] = cost(key, one)
-            if self.costs[key] > (LOSS_EACH if one is not self.items[key] else COSTS_NOTHING):
+            if self.costs[key] > (LOSS_EACH if one is not self.items[key] else costs_nothing):
                 self.chosen[key] = self._widest(one, partial(self._does, yield_of, base, shared, key))
                 self.costs[key] = cost(key, self.chosen[key])
         for _ in range(most_steps):
             if base - self._yield(yield_of, self.chosen) <= LOSS_ALL:
                 break
-            costly = (key for key in own if self.costs[key] > 0.5 * COSTS_NOTHING)
+            costly = (key for key in own if self.costs[key] > 0.5 * costs_nothing)
             steps = {key: closer for key in costly if (closer := self._closer(self.chosen[key]))}
             if not steps:
                 break
@@ -291,7 +286,9 @@ def _floor(value: float) -> float:
 def _rounded_below(value: float) -> float:
     """The next round value below a value."""
     decade = 10.0 ** math.floor(math.log10(value))
-    steps = [step * decade for step in ROUND] + [0.7 * decade]
+    # Derived values are these mantissas times powers of ten.
+    mantissas = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+    steps = [step * decade for step in mantissas] + [0.7 * decade]
     return float(f"{max(step for step in steps if step < value * (1.0 - 1e-9)):.4g}")
 
 

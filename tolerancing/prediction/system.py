@@ -20,12 +20,6 @@ from tolerancing.perturbations.irregularity import INDICES, peak_to_valley, rand
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.paths import Layout
 
-STEP_SHARE = 0.1
-"""Step of finite differences, as a fraction of a perturbation's size."""
-
-ROUNDING = 1e-9
-"""Second differences below this fraction of the first differences are rounding errors."""
-
 
 @dataclass(frozen=True, eq=False)
 class Changes:
@@ -118,7 +112,9 @@ def changes_of(
     """
     smooth = [k for k, p in enumerate(parameters) if not p.is_irregularity]
     numbers = _Numbers(lens, [parameters[k] for k in smooth], pivot_z_mm, wavelength_um)
-    steps = STEP_SHARE * np.asarray(sizes, float)[smooth]
+    # Step of finite differences, as a fraction of a perturbation's size.
+    step_fraction = 0.1
+    steps = step_fraction * np.asarray(sizes, float)[smooth]
     slopes, (i, j, bends) = numbers.derivatives(steps, second)
     columns, place = columns_of(parameters)
     own = np.array([columns[k].start for k in smooth], int)
@@ -197,7 +193,9 @@ class _Numbers:
         if not second:
             return slopes, (none, none, np.zeros((0, self.layout.size)))
         alone = high + low - 2.0 * middle
-        alone[np.abs(alone) <= ROUNDING * np.abs(high - low)] = 0.0
+        # Second differences below this fraction of the first differences are rounding errors.
+        rounding = 1e-9
+        alone[np.abs(alone) <= rounding * np.abs(high - low)] = 0.0
         i, j = self._pairs(slopes)
         values = np.zeros((d, len(i)))
         values[i, np.arange(len(i))], values[j, np.arange(len(i))] = steps[i], steps[j]
@@ -206,7 +204,7 @@ class _Numbers:
         crossed -= high[i]
         crossed -= high[j]
         size = np.abs(high)
-        crossed[np.abs(crossed) <= ROUNDING * (size[i] + size[j])] = 0.0
+        crossed[np.abs(crossed) <= rounding * (size[i] + size[j])] = 0.0
         bends = np.concatenate([alone / steps[:, None] ** 2, crossed / (steps[i] * steps[j])[:, None]])
         return slopes, (np.append(np.arange(d), i), np.append(np.arange(d), j), bends)
 

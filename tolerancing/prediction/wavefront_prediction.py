@@ -33,17 +33,6 @@ Place = tuple[tuple[float, float], float | None]
 
 _At = tuple[Changes, tuple[FieldDifferentials, ...]]
 
-DRAWS = 8192
-"""Sobol draws of a study's perturbations."""
-
-SECOND_MATTERS = 0.003
-"""Share of the root mean square that second order changes, above which predictions may be 5 % off.
-
-The second order adds in squares, and what is left out is about the third order times the first: with the
-tolerances of `designs/paper_tolerances.toml` made 5, 15 and 30 times as large, shares are 0.001, 0.008 and
-0.03, and predictions 1, 8 and 16 % off.
-"""
-
 
 @dataclass(frozen=True)
 class Judged:
@@ -126,7 +115,12 @@ class WavefrontPrediction:
     @property
     def second_order_suffices(self) -> bool:
         """True if the third order is small, as estimated from the second."""
-        return all(point.second_order_share <= SECOND_MATTERS for point in self.points)
+        # Share of the root mean square that second order changes, above which predictions may be 5 % off. The
+        # second order adds in squares, and what is left out is about the third order times the first: with
+        # the tolerances of `designs/paper_tolerances.toml` made 5, 15 and 30 times as large, shares are
+        # 0.001, 0.008 and 0.03, and predictions 1, 8 and 16 % off.
+        largest_share = 0.003
+        return all(point.second_order_share <= largest_share for point in self.points)
 
 
 def is_predicted_wavefront(merit: Merit) -> TypeGuard[RmsWaves | Strehl]:
@@ -216,7 +210,9 @@ def predict(
 
 def drawn_batch(study: Study, every: int = 1) -> PerturbationBatch:
     """The lenses that predictions draw, or every so many of them."""
-    return sample_perturbations(replace_draws(study, DRAWS), range(0, DRAWS, every))
+    # Sobol draws of a study's perturbations.
+    draws = 8192
+    return sample_perturbations(replace_draws(study, draws), range(0, draws, every))
 
 
 def drawn_amounts(study: Study) -> Array:

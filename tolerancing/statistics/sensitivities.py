@@ -30,9 +30,6 @@ from tolerancing.study.results import StepResults
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import SENSITIVITY, STEPS, OneAtATime
 
-NORMAL_KURTOSIS = 3.0
-"""Fourth central moment of a normal distribution over its squared variance; a uniform one has 1.8."""
-
 
 @dataclass(frozen=True)
 class Sensitivity:
@@ -271,7 +268,7 @@ def fit_sensitivity(
     tolerance: ArrayLike,
     standard_deviation: ArrayLike,
     mean: ArrayLike = 0.0,
-    kurtosis: ArrayLike = NORMAL_KURTOSIS,
+    kurtosis: ArrayLike = 3.0,
 ) -> Sensitivity:
     """Compute sensitivities from the scores of each perturbation alone, at `STEPS` of its tolerance.
 
@@ -291,7 +288,8 @@ def fit_sensitivity(
     tolerance, standard_deviation : array_like, shape (d,)
         Tolerance and standard deviation of each perturbation.
     mean, kurtosis : array_like, shape (d,)
-        Mean and kurtosis of each distribution, which is symmetric about its mean.
+        Mean and kurtosis of each distribution, which is symmetric about its mean. The default kurtosis is
+        that of a normal distribution; a uniform one has 1.8.
 
     Returns
     -------

@@ -43,7 +43,6 @@ STEP_COLUMNS: Columns = {
 
 
 _OWN_COLUMN = re.compile(r'("[^"]*"|\w+) (REAL|(REAL|TEXT|INTEGER) NOT NULL)')
-_KIND_OF_FIELD = {"int": "integer", "str": "text", "float | None": "number"}
 
 
 def check_tables(connection: sqlite3.Connection) -> None:
@@ -110,7 +109,8 @@ def check_file_sizes(sizes: Sequence[tuple[Any, Any]]) -> None:
 def record_of(kind: type[Record], row: Sequence[Any]) -> Record:
     """Return a row as a dataclass whose fields are numbers and text."""
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
-    check_kinds({f.name: _KIND_OF_FIELD[str(f.type)] for f in fields}, [row])
+    kind_of_field = {"int": "integer", "str": "text", "float | None": "number"}
+    check_kinds({f.name: kind_of_field[str(f.type)] for f in fields}, [row])
     return kind(*row)
 
 

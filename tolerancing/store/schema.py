@@ -22,9 +22,6 @@ APPLICATION_ID = 0x544C5354
 
 SCHEMA_VERSION = 2
 
-ENGINES = {"ray": "rays", "pupil": "point characteristic", "wave": "eikonal patch"}
-"""Name of the computation that gives the scores, by the level of a merit."""
-
 SCHEMA = """
 CREATE TABLE study (
     schema_version INTEGER NOT NULL,
@@ -127,7 +124,9 @@ class MeritRecord:
 
 def engine_of(merit: Merit) -> str:
     """Return the name of the computation behind a merit's scores, from the merit itself or its level."""
-    return str(getattr(merit, "engine", None) or ENGINES.get(merit.used_level, merit.used_level))
+    # Name of the computation that gives the scores, by the level of a merit.
+    engines = {"ray": "rays", "pupil": "point characteristic", "wave": "eikonal patch"}
+    return str(getattr(merit, "engine", None) or engines.get(merit.used_level, merit.used_level))
 
 
 def merit_record(merit: Merit, nominal: float | None) -> MeritRecord:

@@ -19,14 +19,13 @@ from lensdesign.common.section import Bounded, Positive, Section, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
+from tolerancing.merits.line_pairs import BARS
 from tolerancing.perturbations.parameters import Name
 from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.series import Coordinates, Series, validate_unique
 
 if TYPE_CHECKING:
     from wavesim.metrics import LineContrast
-
-BARS = 5
 
 Compensation = Literal["vertical", "oblique"]
 

@@ -21,8 +21,6 @@ from tolerancing.study.sweep import OneAtATime, ParameterGrid, Sweep
 
 MOST_TRIALS = 10_000_000
 
-RESERVED_COLUMNS = ("trial", "status", "message", "passed", "seconds", "finished")
-
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -164,7 +162,12 @@ class Study(Section):
         validate_not_repeated([c.column for c in self.compensators], "two compensators")
         validate_not_repeated([s.label for s in self.series], "two sweeps, grids or slice counts")
         columns = [
-            *RESERVED_COLUMNS,
+            "trial",
+            "status",
+            "message",
+            "passed",
+            "seconds",
+            "finished",
             *(p.column for p in self.perturbations),
             *(m.column for m in self.all_merits),
             *self.extra_columns,

@@ -20,12 +20,6 @@ SPREAD_CUT = 8.5
 WAIST_CUT = 6.0
 """Half-width of the waist in units of its width 1 / (k s)."""
 
-LARGEST_SPREAD = 0.18
-"""Largest spread in radians; a wider spectrum would extend to waves at right angles to the axis."""
-
-CHUNK = 1 << 18
-"""Most exponentials that are stored at a time."""
-
 
 @dataclass(frozen=True)
 class Beam:
@@ -55,8 +49,10 @@ class Beam:
 
     def __post_init__(self) -> None:
         validate_positive("wavelength_um", self.wavelength_um)
-        if not 0.0 < self.spread <= LARGEST_SPREAD:
-            raise InputError(f"spread = {self.spread!r} rad: must be above 0 and at most {LARGEST_SPREAD}")
+        # Largest spread in radians; a wider spectrum would extend to waves at right angles to the axis.
+        largest_spread = 0.18
+        if not 0.0 < self.spread <= largest_spread:
+            raise InputError(f"spread = {self.spread!r} rad: must be above 0 and at most {largest_spread}")
         if not math.isfinite(self.waist_z_mm):
             raise InputError(f"waist_z_mm = {self.waist_z_mm!r}: must be finite")
 
@@ -108,7 +104,8 @@ def superpose(
     y, z = y_mm.ravel(), z_mm.ravel()
     along_y, along_z = wavenumber_per_mm * np.sin(angle), wavenumber_per_mm * np.cos(angle)
     result = np.empty(y.size, complex)
-    step = max(1, CHUNK // len(angle))
+    most_exponentials = 1 << 18
+    step = max(1, most_exponentials // len(angle))
     for start in range(0, y.size, step):
         part = slice(start, start + step)
         phase = np.outer(y[part], along_y) + np.outer(z[part], along_z)

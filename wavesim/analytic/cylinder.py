@@ -34,17 +34,11 @@ from wavesim.scene.scene import Scene
 ComplexArray = NDArray[np.complex128]
 RadialFunctions = tuple[Array, Array, Array, Array]
 
-EDGE_ORDERS = 10.0
-"""Orders beyond the size parameter x, in units of x^(1/3); the last one scatters less than 1e-16."""
-
 SCENE_INDEX = 1.5195
 
 STOP_ANGLE = 0.5
 """Angle in radians to which the scene's stop admits the beam. Beyond 0.567, rays from the axis fold; off-axis
 rays fold earlier."""
-
-LARGEST_SIZE = 2e4
-"""Largest size parameter for which the Bessel functions are checked."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +68,12 @@ class Cylinder:
             validate_positive(name, getattr(self, name))
         if not (math.isfinite(self.index) and self.index >= 1.0):
             raise InputError(f"index = {self.index!r}: must be finite and at least 1")
-        if not 0.1 <= self.size_parameter <= LARGEST_SIZE:
+        # Largest size parameter for which the Bessel functions are checked.
+        largest_size = 2e4
+        if not 0.1 <= self.size_parameter <= largest_size:
             raise InputError(
                 f"radius_mm = {self.radius_mm:g} at {self.wavelength_um:g} um: the circumference of "
-                f"{self.size_parameter:.4g} wavelengths must be from 0.1 to {LARGEST_SIZE:g}"
+                f"{self.size_parameter:.4g} wavelengths must be from 0.1 to {largest_size:g}"
             )
 
     @property
@@ -89,7 +85,9 @@ class Cylinder:
     def orders(self) -> int:
         """Highest order that the cylinder scatters."""
         x = self.size_parameter
-        return math.ceil(x + EDGE_ORDERS * (x ** (1.0 / 3.0) + 1.0))
+        # Orders beyond the size parameter x, in units of x^(1/3); the last one scatters less than 1e-16.
+        edge_orders = 10.0
+        return math.ceil(x + edge_orders * (x ** (1.0 / 3.0) + 1.0))
 
     @cached_property
     def _outside(self) -> RadialFunctions:

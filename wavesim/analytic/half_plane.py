@@ -33,14 +33,8 @@ BEYOND, FADES, STEEPEST = 0.2, 0.4, 1.5
 """Angles in radians beyond the exit grid's border, as seen from the edge, up to which plane waves are
 complete, and over which they are attenuated, and the upper limit. Steeper waves miss the exit grid."""
 
-LIT = 5.0
-"""Half-width of the beam at the screen, in units of its spread."""
-
 GAP = 0.2
 """Distance from the screen to the plate, relative to the object's distance."""
-
-STOP_SPREADS = 12.0
-"""Semi-diameter of the stop, whose other end the beam does not reach."""
 
 
 def half_plane_scene(
@@ -81,10 +75,14 @@ def half_plane_scene(
     if not (math.isfinite(index) and index >= 1.0):
         raise InputError(f"index = {index!r}: must be at least 1")
     beam = Beam(wavelength_um, spread)
-    stop_mm, gap = STOP_SPREADS * spread * distance_mm, GAP * distance_mm
+    # Semi-diameter of the stop, whose other end the beam does not reach.
+    stop_spreads = 12.0
+    stop_mm, gap = stop_spreads * spread * distance_mm, GAP * distance_mm
     behind = gap + thickness_mm + distance_mm
     waist, pitch = 1.5 * beam.waist_half_width_mm, 0.4e-3 * wavelength_um
-    wide = waist + (distance_mm + behind) * math.tan(LIT * spread)
+    # Half-width of the beam at the screen, in units of its spread.
+    relative_half_width = 5.0
+    wide = waist + (distance_mm + behind) * math.tan(relative_half_width * spread)
     scene = Scene(
         lens=_lens(index, thickness_mm, distance_mm, stop_mm, wavelength_um),
         object_grid=Grid((2 * math.ceil(waist / pitch),), pitch, -distance_mm, (0.0, stop_mm)),
@@ -104,7 +102,7 @@ def half_plane_scene(
         scene,
         Field(scene.object_grid, start, wavelength_um),
         Field(scene.exit_grid, exact, wavelength_um),
-        uncertainty=math.sqrt(math.erfc(LIT)),
+        uncertainty=math.sqrt(math.erfc(relative_half_width)),
     )
 
 

@@ -25,20 +25,10 @@ from wavesim.scene.scene import Scene
 APART, BEHIND = 5.0, 10.0 / 3.0
 """Distances from object to stop and from stop to exit grid, relative to the stop's semi-diameter."""
 
-SEEN = 1.2
-"""Half-width of the exit grid, relative to the geometrical footprint's."""
-
 OBJECT_SAMPLES, EXIT_SAMPLES = 5, 160
-NODES = 8
-"""Nodes of a Gauss-Legendre rule in each panel, which is one wavelength wide."""
 
 LARGEST, SMALLEST = 2000.0, 50.0
 """Semi-diameter of the stop in wavelengths."""
-
-OWN_ERROR = 1e-5
-"""Relative error of the sums, from evanescent waves and panels."""
-
-BLOCK = 200
 
 
 def slit_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> AnalyticCase:
@@ -105,14 +95,15 @@ def _line_source(k: float, across_mm: Array, along_mm: float) -> NDArray[np.comp
 
 def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
     """Points and weights of panels."""
-    x, weight = np.polynomial.legendre.leggauss(NODES)
+    # A Gauss-Legendre rule of eight nodes in each panel, which is one wavelength wide.
+    x, weight = np.polynomial.legendre.leggauss(8)
     ends = np.linspace(start, stop, math.ceil((stop - start) / width) + 1)
     half, middle = 0.5 * np.diff(ends), 0.5 * (ends[1:] + ends[:-1])
     return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
 
 
 def _parts(values: NDArray) -> list[NDArray]:
-    return np.array_split(values, max(1, len(values) // BLOCK))
+    return np.array_split(values, max(1, len(values) // 200))
 
 
 def _scene(semi_mm: float, wavelength_um: float, dimensions: int) -> Scene:
@@ -124,7 +115,9 @@ def _scene(semi_mm: float, wavelength_um: float, dimensions: int) -> Scene:
             f"{SMALLEST * wavelength_mm:g} to {LARGEST * wavelength_mm:g} mm"
         )
     distance, behind = _distances(semi_mm)
-    half = SEEN * semi_mm * (distance + behind) / distance
+    # Half-width of the exit grid, relative to the geometrical footprint's.
+    relative_half_width = 1.2
+    half = relative_half_width * semi_mm * (distance + behind) / distance
     samples = EXIT_SAMPLES if dimensions == 2 else 2 * math.ceil(half / (0.5 * wavelength_mm))
     lens = Lens(
         title="Stop in free space",
@@ -145,9 +138,11 @@ def _case(scene: Scene, exact: NDArray[np.complex128]) -> AnalyticCase:
     """The case of the object's middle sample."""
     values = np.zeros(scene.object_grid.shape, complex)
     values[tuple(n // 2 for n in values.shape)] = 1.0
+    # Relative error of the sums, from evanescent waves and panels.
+    uncertainty = 1e-5
     return AnalyticCase(
         scene,
         Field(scene.object_grid, values, scene.wavelength_um),
         Field(scene.exit_grid, exact, scene.wavelength_um),
-        uncertainty=OWN_ERROR,
+        uncertainty=uncertainty,
     )

@@ -25,9 +25,6 @@ from wavesim.scene.scene import Scene
 STOP_SPREADS = 5.0
 """What the scene's stop takes in to both sides of the beam, in units of its spread."""
 
-STEEPEST = 1.4
-"""Radians; plane waves of the beam beyond it are refused."""
-
 
 def transmitted_te(index_before: float, index_behind: float, angle: Array) -> Array:
     """Fresnel's coefficient of transmission, TE, for plane waves that come in at an angle (radians)."""
@@ -112,10 +109,12 @@ def _scene(
                 f"index = {index!r}, thickness of {thickness!r} mm: the index must be at least 1, and the "
                 "thickness above 0"
             )
-    if not 0.0 <= tilt <= STEEPEST - SPREAD_CUT * spread:
+    # Angle beyond which plane waves of the beam are refused.
+    steepest_rad = 1.4
+    if not 0.0 <= tilt <= steepest_rad - SPREAD_CUT * spread:
         raise InputError(
             f"incidence_deg = {incidence_deg!r} with spread = {spread:g} rad: must be from 0 to "
-            f"{math.degrees(STEEPEST - SPREAD_CUT * spread):.4g} degrees"
+            f"{math.degrees(steepest_rad - SPREAD_CUT * spread):.4g} degrees"
         )
     rim = tilt + STOP_SPREADS * spread
     heights = np.cumsum([[d * _tangent(n, a) for a in (tilt, rim)] for n, d in layers], axis=0)

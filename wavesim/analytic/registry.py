@@ -34,9 +34,6 @@ ORACLES: dict[str, str] = {
 }
 """Name to `module:function`, imported where first asked for."""
 
-KEPT_CASES = 8
-"""Cases kept, since the exact field of a large cylinder takes longer than an engine."""
-
 
 @dataclass(frozen=True, eq=False)
 class AnalyticCase:
@@ -98,7 +95,8 @@ def _maker(name: str) -> Callable[..., AnalyticCase]:
     return make
 
 
-@lru_cache(maxsize=KEPT_CASES)
+# Cases are cached, since the exact field of a large cylinder takes longer than an engine.
+@lru_cache(maxsize=8)
 def _made(name: str, arguments: tuple[tuple[str, Any], ...]) -> AnalyticCase:
     case = _maker(name)(**dict(arguments))
     for field in (case.object_field, case.exact):

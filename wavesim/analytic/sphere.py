@@ -35,12 +35,6 @@ from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
 
-STOP_SPREADS = 4.5
-"""What the scene's stop takes in of the beam, in units of its spread; at most what a cylinder's does."""
-
-LARGEST_RADIUS_WAVES = 400.0
-"""Radius, in wavelengths, up to which the scene's exit plane has at most 1.4 million samples."""
-
 
 def riccati_functions(orders: int, argument: float) -> RadialFunctions:
     """x j_l, x y_l and their slopes for l = 0 ... orders."""
@@ -145,15 +139,19 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
     """
     validate_positive("wavelength_um", wavelength_um)
     wavelength_mm = 1e-3 * wavelength_um
-    smallest, largest = 15.0 * wavelength_mm, LARGEST_RADIUS_WAVES * wavelength_mm
+    # Radius, in wavelengths, up to which the scene's exit plane has at most 1.4 million samples.
+    largest_radius_waves = 400.0
+    smallest, largest = 15.0 * wavelength_mm, largest_radius_waves * wavelength_mm
     if not smallest <= radius_mm <= largest:
         raise InputError(
             f"radius_mm = {radius_mm!r}: must be from {smallest:.4g} to {largest:.4g} mm, "
-            f"15 to {LARGEST_RADIUS_WAVES:g} wavelengths"
+            f"15 to {largest_radius_waves:g} wavelengths"
         )
     if not 0.05 <= spread <= 0.13:
         raise InputError(f"spread = {spread!r} rad: must be from 0.05 to 0.13")
-    k, stop_angle = 2.0 * math.pi / wavelength_mm, min(STOP_SPREADS * spread, STOP_ANGLE)
+    # Half-angle of the stop in units of the beam's spread; it is at most that of the cylinder's scene.
+    stop_spreads = 4.5
+    k, stop_angle = 2.0 * math.pi / wavelength_mm, min(stop_spreads * spread, STOP_ANGLE)
     object_pitch, exit_pitch = 0.25 * wavelength_mm, 0.5 * wavelength_mm
     object_count = 2 * math.ceil(WAIST_CUT / (k * spread) / object_pitch)
     exit_count = 2 * math.ceil(0.75 * radius_mm / exit_pitch)

@@ -17,16 +17,12 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
+from wavesim.analytic.cylinder import SCENE_INDEX
 from wavesim.analytic.registry import AnalyticCase
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
 
-SCENE_INDEX = 1.5195
 NUMERICAL_APERTURE = 0.5
-OBJECT_ZEROS = 40
-"""Zeros of the object's sinc that the object grid holds on each side; the field beyond is below 5e-6."""
-
-EXIT_SAMPLES = 4096
 
 
 def focal_length_mm(semi_diameter_mm: float, index: float, numerical_aperture: float) -> float:
@@ -92,9 +88,12 @@ def stigmatic_scene(semi_diameter_mm: float = 8.25, wavelength_um: float = 0.532
     n, na, k = SCENE_INDEX, NUMERICAL_APERTURE, 2.0 * math.pi / wavelength_mm
     f = focal_length_mm(semi_diameter_mm, n, na)
     thickness, behind = 0.73 * semi_diameter_mm, 0.1 * semi_diameter_mm
-    exit_pitch = max(2.0 * semi_diameter_mm / EXIT_SAMPLES, 0.5 * wavelength_mm)
+    exit_samples = 4096
+    exit_pitch = max(2.0 * semi_diameter_mm / exit_samples, 0.5 * wavelength_mm)
     object_pitch = 0.25 * wavelength_mm
-    object_half = OBJECT_ZEROS * math.pi / (k * na)
+    # Zeros of the object's sinc that the object grid holds on each side; the field beyond is below 5e-6.
+    object_zeros = 40
+    object_half = object_zeros * math.pi / (k * na)
     scene = Scene(
         lens=_lens(semi_diameter_mm, f, thickness, behind, wavelength_um),
         object_grid=Grid((2 * math.ceil(object_half / object_pitch),), object_pitch, -f),

@@ -21,7 +21,6 @@ from wavesim.analytic.registry import AnalyticCase
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
 
-STEEPEST_DEG = 50.0
 WAIST_WIDTHS, GAP_MM = 1.5, 0.02
 
 
@@ -50,9 +49,10 @@ def tilted_plate_scene(
     InputError
         If a value is not usable.
     """
-    if not abs(incidence_deg) <= STEEPEST_DEG:
+    steepest_deg = 50.0
+    if not abs(incidence_deg) <= steepest_deg:
         raise InputError(
-            f"incidence_deg = {incidence_deg!r}: must be from -{STEEPEST_DEG:g} to {STEEPEST_DEG:g}"
+            f"incidence_deg = {incidence_deg!r}: must be from -{steepest_deg:g} to {steepest_deg:g}"
         )
     if not (math.isfinite(index) and index >= 1.0):
         raise InputError(f"index = {index!r}: must be at least 1")

@@ -22,18 +22,6 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.settings import StopOrigin
 from wavesim.sensor.mounting import mounting_of, mounting_table, read_table
 
-UNDETERMINED_DEVIATION = 0.5
-"""Standard deviation over the expected one above which the frames hardly determine a parameter."""
-
-CORRELATED = 0.5
-"""Correlation of the errors of two parameters above which the frames do not distinguish them."""
-
-
-MOST_NAMED = 4
-"""Largest number of parameters that a sentence names."""
-
-STOP_PARAMETERS = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
-
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
@@ -133,9 +121,9 @@ class Calibrated:
         if self.deviations is None or self.typical is None:
             return ()
         rows = zip(self.parameters, self.deviations, self.typical, strict=True)
-        return tuple(
-            name for name, deviation, typical in rows if deviation > UNDETERMINED_DEVIATION * typical
-        )
+        # Standard deviation over the expected one above which the frames hardly determine a parameter.
+        largest_ratio = 0.5
+        return tuple(name for name, deviation, typical in rows if deviation > largest_ratio * typical)
 
     @property
     def changed_parameters(self) -> tuple[str, ...]:
@@ -152,8 +140,9 @@ class Calibrated:
         """
         if self.field_stop_from != "frames" or not self.changed_parameters:
             return ""
-        names = ", ".join(self.changed_parameters[:MOST_NAMED]) + ", ..." * (
-            len(self.changed_parameters) > MOST_NAMED
+        most_named = 4
+        names = ", ".join(self.changed_parameters[:most_named]) + ", ..." * (
+            len(self.changed_parameters) > most_named
         )
         return (
             "position and diameter of the field stop were found on the nominal bench, from which the "
@@ -174,6 +163,7 @@ class Calibrated:
     def table(self) -> dict[str, Any]:
         """Return all results as plain values for JSON; :func:`read_calibration` reads them."""
         deviations = self.deviations or (None,) * len(self.parameters)
+        stop_parameters = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
         return {
             "mounting": mounting_table(self.mounting),
             "values": dict(zip(self.parameters, self.values, strict=True)),
@@ -181,7 +171,7 @@ class Calibrated:
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
             "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
             "kept_at_nominal": list(self.nominal),
-            "undetermined": [*self.undetermined, *STOP_PARAMETERS * bool(self.stop_warning)],
+            "undetermined": [*self.undetermined, *stop_parameters * bool(self.stop_warning)],
             "not_told": list(self.poorly_determined),
             "not_told_from": {name: list(others) for name, others in self.traded.items()},
             "parameters": list(self.parameters),
@@ -217,7 +207,9 @@ class Calibrated:
 def correlated_parameters(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]]:
     """Return, for each parameter that has such, the others with strongly correlated errors."""
     deviations = np.sqrt(np.diag(covariance))
-    is_correlated = np.abs(covariance / np.outer(deviations, deviations)) >= CORRELATED
+    # Correlation of the errors of two parameters above which the frames do not distinguish them.
+    threshold = 0.5
+    is_correlated = np.abs(covariance / np.outer(deviations, deviations)) >= threshold
     found = {
         name: tuple(o for o, is_so in zip(names, row, strict=True) if is_so and o != name)
         for name, row in zip(names, is_correlated, strict=True)

@@ -45,9 +45,6 @@ from wavesim.sensor.measurement import noise_misfit
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import exit_scene, imaging_engine
 
-ARRAYS_PER_PARAMETER = 5
-"""Arrays of the size of all pixels per parameter that exist at the end of a search."""
-
 IGNORED_SETTINGS = {
     "patch_mm",
     "field_stop_mm",
@@ -263,8 +260,10 @@ def search_bench(
 def _check_memory(count: int, problem: CalibrationProblem) -> None:
     """Check that the derivatives of all pixels fit in memory."""
     pixels = sum(plane.amplitude.size for plane in problem.pixels.recorded)
+    # Arrays of the size of all pixels per parameter that exist at the end of a search.
+    arrays_per_parameter = 5
     needed_bytes, free_bytes = (
-        ARRAYS_PER_PARAMETER * count * pixels * np.dtype(np.float32).itemsize,
+        arrays_per_parameter * count * pixels * np.dtype(np.float32).itemsize,
         memory_limit(None),
     )
     if needed_bytes > free_bytes:

@@ -256,9 +256,10 @@ def calibrate_empty(
     if over_noise > OBJECT_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > OBJECT_FRACTION:
         if checkpoint_path is not None:
             checkpoint_path.unlink(missing_ok=True)
+        hint = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
         raise SettingError(
             f"{{empty}}: a smooth light leaves {over_noise:.1f} times the noise of these frames: "
-            "must be frames without an object, through this lens" + _HINT * (len(requested) < len(everything))
+            "must be frames without an object, through this lens" + hint * (len(requested) < len(everything))
         )
     if not found.explained:
         warnings.warn(
@@ -268,9 +269,6 @@ def calibrate_empty(
             stacklevel=2,
         )
     return found
-
-
-_HINT = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
 
 
 def validate_same_frames(empty: Sequence[Frame], frames: Sequence[Frame]) -> None:

@@ -20,9 +20,6 @@ RealArray = NDArray[np.floating]
 LARGEST_STEP, SMALLEST_STEP = 0.5, 1e-4
 """First and last radius of the trust region, in coordinates of curvature 1."""
 
-TOLERANCE = 1e-6
-"""Relative tolerance of the bounds."""
-
 LARGEST_CURVATURE_RATIO = 1e3
 """Ratio of curvatures beyond which a direction is not scaled further."""
 
@@ -160,11 +157,14 @@ class GaussNewton:
         descent = np.asarray(jacobian @ residual, float)
         best: list[tuple[float, Array]] = [(0.0, np.zeros(len(descent)))]
 
+        # Relative tolerance of the bounds.
+        tolerance = 1e-6
+
         def model(y: Array, gradient: Array) -> float:
             value = float(0.5 * y @ hessian @ y - descent @ y)
             if gradient.size:
                 gradient[:] = hessian @ y - descent
-            if value < best[0][0] and np.max(bounds(y)) <= TOLERANCE:
+            if value < best[0][0] and np.max(bounds(y)) <= tolerance:
                 best[0] = (value, y.copy())
             return value
 
@@ -186,7 +186,7 @@ class GaussNewton:
 
         opt = nlopt.opt(nlopt.LD_SLSQP, len(descent))
         opt.set_min_objective(model)
-        opt.add_inequality_mconstraint(constraints, np.full(2 * len(descent) + 1, TOLERANCE))
+        opt.add_inequality_mconstraint(constraints, np.full(2 * len(descent) + 1, tolerance))
         opt.set_xtol_abs(1e-7)
         opt.set_maxeval(500)
         with suppress(nlopt.RoundoffLimited):  # which loses the point

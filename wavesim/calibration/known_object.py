@@ -45,15 +45,6 @@ from wavesim.sensor.mounting import (
 Make = Callable[[Scene], Engine]
 Progress = Callable[[str, int, Placement, float], None]
 
-COARSE_BLUR_PIXELS = 8.0
-"""Blur of the coarse search, wider than the fringes at the border of the field stop's shadow."""
-
-COARSE_MOUNTINGS = 8
-"""Largest number of mountings in the coarse search, which only needs to come near."""
-
-LEAST_GAIN = 3e-3
-"""The fine search ends when a step reduces the squared misfit by less than this fraction."""
-
 DECENTER_RANGE, TILT_RANGE_DEG, DISTANCE_RANGE = 0.1, 5.0, 0.02
 """Range of the search: decenters over the lens's diameter, tilts in deg, distances over that of the
 object.
@@ -122,9 +113,11 @@ def calibrate(
     fine_start, rigid = start, tuple(name for name in parameters if name in RIGID)
     if rigid:
         coarse_search = _MountingSearch("coarse", problem.blurred, start, rigid, progress)
+        # Largest number of mountings in the coarse search, which only needs to come near.
+        coarse_mountings = 8
         fine_start = coarse_search.mounting(
             coarse_search.search(
-                _search_range(scene.lens, rigid), min(most_mountings, COARSE_MOUNTINGS)
+                _search_range(scene.lens, rigid), min(most_mountings, coarse_mountings)
             ).point
         )
     fine_search = _MountingSearch("fine", problem.frames, fine_start, tuple(parameters), progress)
@@ -173,7 +166,9 @@ class _MountingProblem:
 
     def blurred(self, mounting: Placement, names: Sequence[str]) -> Response:
         """Return the response of blurred intensities."""
-        return self._response(mounting, names, COARSE_BLUR_PIXELS)
+        # Blur of the coarse search, wider than the fringes at the border of the field stop's shadow.
+        coarse_blur_pixels = 8.0
+        return self._response(mounting, names, coarse_blur_pixels)
 
     def frames(self, mounting: Placement, names: Sequence[str]) -> Response:
         """Return the response of the frames themselves."""
@@ -225,8 +220,10 @@ class _MountingSearch:
             self._record(point, response.misfit)
             return response.residual, response.changes
 
+        # The fine search ends when a step reduces the squared misfit by less than this fraction.
+        least_gain = 3e-3
         return GaussNewton(model, values_of(self.start, self.parameters), search_range).run(
-            LEAST_GAIN, most_evaluations
+            least_gain, most_evaluations
         )
 
     def _record(self, point: Array, misfit: float) -> None:

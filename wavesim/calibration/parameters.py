@@ -28,9 +28,6 @@ from wavesim.sensor.mounting import (
 
 Group = Literal["light", "lens", "mounting", "camera"]
 
-FIGURES = (3, 5, 7, 8)
-"""Zernike terms of a surface's figure by OSA/ANSI index: two of astigmatism, two of coma."""
-
 FIGURE_STEP_UM, FIGURE_TYPICAL_UM = 0.03, 0.05
 """Usual root mean square of one Zernike term in um: 0.08 waves of a 633 nm interferometer."""
 
@@ -55,12 +52,7 @@ LIGHT_ORDER, LIGHT_ORDER_ALONE = 2, 4
 
 LIGHT_MODE = re.compile(r"light_(amplitude|phase)_(\d)(\d)(?:_waves)?")
 
-MOST_PLANES = 99
-
 SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
-
-STEP_FRACTION = 0.05
-"""Step of a parameter over its usual deviation; its effect is linear over this step."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +114,9 @@ class Parameter:
     @property
     def small(self) -> float:
         """Step over which the effect of the parameter is linear and well above rounding errors."""
-        return STEP_FRACTION * (self.usual or self.typical)
+        # Step of a parameter over its usual deviation; its effect is linear over this step.
+        step_fraction = 0.05
+        return step_fraction * (self.usual or self.typical)
 
 
 def bench_parameters(
@@ -174,7 +168,8 @@ def bench_parameters(
 
 def all_names(lens: Lens) -> tuple[str, ...]:
     """Return the names of all parameters that a lens and its bench can have."""
-    found = bench_parameters(lens, MOST_PLANES, 1.0, 1.0, light_order=LIGHT_ORDER_ALONE)
+    most_planes = 99
+    found = bench_parameters(lens, most_planes, 1.0, 1.0, light_order=LIGHT_ORDER_ALONE)
     return tuple(p.name for p in found)
 
 
@@ -264,6 +259,8 @@ def _orders(least: int, most: int) -> list[Orders]:
 
 def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
     found = []
+    # Zernike terms of a surface's figure by OSA/ANSI index: two of astigmatism, two of coma.
+    figure_terms = (3, 5, 7, 8)
     for surface_number, surface in enumerate(lens.surfaces, start=1):
         prefix = f"surface_{surface_number}_"
         if surface.material is not None:
@@ -275,7 +272,7 @@ def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
         if surface_number < len(lens.surfaces):
             found.append(Parameter(f"{prefix}thickness_mm", "lens", TYPICAL["thickness"]))
         if surface.semi_diameter_mm is not None:
-            found += [Parameter(f"{prefix}figure_{j}_um", "lens", FIGURE_TYPICAL_UM) for j in FIGURES]
+            found += [Parameter(f"{prefix}figure_{j}_um", "lens", FIGURE_TYPICAL_UM) for j in figure_terms]
     return found
 
 

@@ -53,9 +53,6 @@ twin.
 EXPLAINED = 1.2
 """Misfit over that of the noise up to which an object explains the frames of a plan."""
 
-SAME_DIVERSITY = 0.9
-"""Fraction of the lens's diversity above which that of a twin counts as the same."""
-
 SMOOTH_CYCLES = 4.0
 """Errors with fewer cycles than this across the patch count as smooth."""
 
@@ -253,13 +250,15 @@ class Plans:
             f"Reconstruction: at most {ITERATIONS['object']} iterations, which end at the noise.",
         ]
         if self.twin.scale < 1.0:
+            # Fraction of the lens's diversity above which that of a twin counts as the same.
+            same_diversity = 0.9
             lines.append(
                 f"Twin: {self.twin.scale:.3g} of the lens, patch of {self.twin.patch_mm:.3g} mm, read noise "
                 f"of {self.twin.read_noise_electrons:.3g} electrons. Its planes have a diversity of "
                 f"{self.twin.diversity:.3g}, those of the lens {self.diversity:.3g}"
                 + (
                     ": objects that change much of the light converge more slowly on the lens."
-                    if self.twin.diversity < SAME_DIVERSITY * self.diversity
+                    if self.twin.diversity < same_diversity * self.diversity
                     else "."
                 )
             )

@@ -22,9 +22,6 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 
-LARGEST_VARIANCE = 0.5
-"""Posterior over prior variance, up to which the frames say more than the prior."""
-
 
 def independent_pulls(
     estimates: Array, covariance: Array, prior_deviations: Array, true_values: Array | None = None
@@ -51,7 +48,9 @@ def independent_pulls(
     """
     true = np.zeros(len(estimates)) if true_values is None else true_values
     variances, directions = np.linalg.eigh(covariance / np.outer(prior_deviations, prior_deviations))
-    determined = (variances > 0.0) & (variances <= LARGEST_VARIANCE)
+    # Posterior over prior variance, up to which the frames say more than the prior.
+    largest_variance = 0.5
+    determined = (variances > 0.0) & (variances <= largest_variance)
     variances, directions = variances[determined], directions[:, determined]
     by_data = directions.T @ (estimates / prior_deviations) / (1.0 - variances)
     errors = by_data - directions.T @ (true / prior_deviations)

@@ -22,11 +22,6 @@ from wavesim.sensor.mounting import WORKING_DISTANCE, plane_of
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
-DARK = 1e-6
-"""Fraction of the mean intensity that is added under the root, so that dark pixels have finite
-derivatives.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -167,7 +162,9 @@ class _PlaneAmplitudes:
     def amplitude_of(self, intensity: RealArray) -> RealArray:
         """Return the amplitude of blurred intensities in valid pixels."""
         smooth = self._blurred(intensity)
-        return np.asarray(np.sqrt(np.maximum(smooth, 0.0) + DARK * smooth.mean()))
+        # Fraction of the mean intensity added under the root: dark pixels then have finite derivatives.
+        dark = 1e-6
+        return np.asarray(np.sqrt(np.maximum(smooth, 0.0) + dark * smooth.mean()))
 
     def amplitude_change(self, change_spectrum: ComplexArray) -> RealArray:
         """Return the change of the amplitude for a change of the exit field."""

@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.sensor.frames import Frame
 
-FRAMES = "frame_*.tif"
-"""Name of the summary in a folder of `wavesim image`."""
-
 PRIORS = "wavesim.priors"
 """Entry points that read tolerances of a lens; a package above this one provides them."""
 
@@ -33,10 +30,11 @@ def read_empty(
     if not paths:
         return None
     files: list[Path] = []
+    pattern = "frame_*.tif"
     for path in paths:
-        inside = sorted(path.glob(FRAMES)) if path.is_dir() else [path]
+        inside = sorted(path.glob(pattern)) if path.is_dir() else [path]
         if not inside:
-            raise SettingError(f"{{empty}}: {path}: holds no {FRAMES}")
+            raise SettingError(f"{{empty}}: {path}: holds no {pattern}")
         files += inside
     return read_frames(files, of_frames, lens=lens)
 

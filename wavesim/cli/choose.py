@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from wavesim.scene.light import Light
     from wavesim.scene.scene import Scene
 
-EVEN = "even"
-"""Name of the object that is light of all directions on an evenly filled patch."""
-
 
 def choose(
     design: Design,
@@ -63,7 +60,8 @@ def choose(
         object_pitch_um=settings.object_pitch_um,
     )
     light = None
-    if object_ != EVEN:
+    # ``even`` is light of all directions on an evenly filled patch.
+    if object_ != "even":
         scene, light = _lit_scene(lens, scene, object_, settings)
     choice = choose_engine(scene, error, memory_gb, 3600.0 * hours, runs, light)
     if as_json:

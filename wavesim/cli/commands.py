@@ -31,8 +31,6 @@ app = make_app("Waves through spatial information transfer lenses.")
 for command in (oracle, resolve, choose, compare, plan, image, reconstruct, calibrate, view):
     app.command()(with_settings(command))
 
-MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
-
 
 @app.command()
 @with_settings
@@ -111,7 +109,7 @@ def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
     smallest_x = smallest_resolved_line_width_um(pupil, "x")
     smallest_y = smallest_resolved_line_width_um(pupil, "y")
     cut_off = 2e3 * pupil.grid.half_width / pupil.wavelength_um
-    frequencies = cut_off * np.array(MTF_SHARES_OF_CUT_OFF)
+    frequencies = cut_off * np.array((0.125, 0.25, 0.5, 0.75))
     transfer_x, transfer_y = mtf(pupil, frequencies, "x"), mtf(pupil, frequencies, "y")
     return {
         "throughput": pupil.throughput,

@@ -25,8 +25,6 @@ PLANE_SEMI_DIAMETER_MM, PLANE_PATCH_MM, PLANE_DISTANCE = 0.13, 0.016, 0.25
 """Size of the scaled design for whole planes, on which a run takes seconds, and the distance of its exit
 plane in semi-diameters."""
 
-SPHERE_RADIUS_MM = 0.15
-
 
 def compare(
     design: Design,
@@ -103,9 +101,10 @@ def _on_planes(lens: Any, name: str) -> dict[str, Any]:
     from wavesim.analytic.registry import analytic_case
     from wavesim.metrics.about_axis import axial_case
 
+    sphere_radius_mm = 0.15
     cases = {
-        f"plane: exact sphere, radius {SPHERE_RADIUS_MM:g} mm": analytic_case(
-            "sphere", radius_mm=SPHERE_RADIUS_MM
+        f"plane: exact sphere, radius {sphere_radius_mm:g} mm": analytic_case(
+            "sphere", radius_mm=sphere_radius_mm
         )
     }
     distance_mm = PLANE_DISTANCE * PLANE_SEMI_DIAMETER_MM

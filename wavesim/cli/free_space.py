@@ -15,8 +15,6 @@ from wavesim.scene.settings import FrameSetSettings, FreeSpaceSettings, Reconstr
 if TYPE_CHECKING:
     from wavesim.calibration.free_space.field import FreeSpaceField
 
-FILE = "calibration.json"
-
 
 def in_free_space(
     frames: list[Path],
@@ -106,7 +104,7 @@ def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list
                 pitch_um=pitch_um,
                 wavelength_um=found.field.wavelength_um,
             )
-        write_json(summary, folder / FILE)
+        write_json(summary, folder / "calibration.json")
         names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
         write_json(summary | {"files": names}, folder / "reconstruction.json")
     return names

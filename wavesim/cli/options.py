@@ -37,8 +37,6 @@ Output = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
-PICTURES = (".png", ".pdf", ".svg")
-
 Command = Callable[..., None]
 
 
@@ -202,8 +200,9 @@ def validate_picture_request(path: Path | None) -> None:
     InputError
         If it does not end in .png, .pdf or .svg.
     """
-    if path is not None and path.suffix.lower() not in PICTURES:
-        raise InputError(f"--output = {str(path)!r}: the file name must end in one of {', '.join(PICTURES)}")
+    suffixes = (".png", ".pdf", ".svg")
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise InputError(f"--output = {str(path)!r}: the file name must end in one of {', '.join(suffixes)}")
 
 
 def settings_text(settings: dict[str, Any]) -> str:

@@ -32,9 +32,6 @@ from wavesim.scene.settings import (
     StopOrigin,
 )
 
-CALIBRATED = "calibration"
-"""Subfolder of the results for the calibration by --calibrate."""
-
 SHOWN_DISPLACEMENT = 0.2
 """Smallest displacement that is printed (samples); JSON holds smaller ones, too."""
 
@@ -97,6 +94,8 @@ def reconstruct(
         if not as_json:
             tell_memory(memory)
 
+    # Subfolder of the results for the calibration by --calibrate.
+    subfolder = "calibration"
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
@@ -105,7 +104,7 @@ def reconstruct(
         stop_doubt = _stop_doubt(calibration) if stop_from == "calibration" else ""
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
-            without, folder = read_empty(empty, of_frames, lens), output / CALIBRATED
+            without, folder = read_empty(empty, of_frames, lens), output / subfolder
             expected = read_priors(priors, lens)
             calibrated = _calibrated(
                 lens, pictures[0], without, expected, settings, folder, free.calibrate, bench
@@ -140,7 +139,7 @@ def reconstruct(
         "versions": versions(),
     }
     summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    searches = (output / CALIBRATED / name for name in (CHECKPOINT, EMPTY_CHECKPOINT))
+    searches = (output / subfolder / name for name in (CHECKPOINT, EMPTY_CHECKPOINT))
     for path in (output / CHECKPOINT, *searches):
         with suppress(OSError):  # the results are written
             path.unlink(missing_ok=True)

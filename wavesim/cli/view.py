@@ -11,12 +11,6 @@ from lensdesign.common.console import print_json
 from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.errors import InputError
 
-RESULTS = {"reconstruction.npz": "", "object.npz": "true"}
-"""Fields in a folder, and the names of their layers."""
-
-SUMMARIES = ("reconstruction.json", "image.json")
-"""Files that give the title of the page."""
-
 CAMERA: dict[str, Any] = {
     "plane_distance_mm": 0.0,
     "wavelength_um": 1.0,
@@ -101,10 +95,12 @@ def _layers(
         if result.suffix.lower() != ".npz":
             raise InputError(f"{result}: must be a folder, a field (.npz) or a frame (.tif)")
     else:
-        found = {result / name: label for name, label in RESULTS.items() if (result / name).exists()}
+        # Fields in a folder, and the names of their layers.
+        labels = {"reconstruction.npz": "", "object.npz": "true"}
+        found = {result / name: label for name, label in labels.items() if (result / name).exists()}
         frames = sorted(result.glob("frame_*.tif"), key=lambda path: (len(path.name), path.name))
         if not found and not frames:
-            raise InputError(f"{result}: holds none of {', '.join(RESULTS)}, frame_1.tif")
+            raise InputError(f"{result}: holds none of {', '.join(labels)}, frame_1.tif")
         if len(found) == 1:
             found = dict.fromkeys(found, "")
     layers = [layer for path, name in found.items() for layer in _field(path, name, region)]
@@ -169,7 +165,9 @@ def _summary(folder: Path) -> dict[str, Any]:
 
     from lensdesign.common.input_files import TOML_BYTES, read_input
 
-    for name in SUMMARIES:
+    # Files that give the title of the page.
+    summaries = ("reconstruction.json", "image.json")
+    for name in summaries:
         path = folder / name
         if path.exists():
             try:

@@ -13,9 +13,6 @@ from wavesim.scene.ghosts import ghost_of
 from wavesim.scene.light import Light
 from wavesim.scene.settings import SettingError
 
-GHOST_ERROR = 0.05
-"""Allowed relative error of the ghost's own field, which is a small part of the whole field."""
-
 
 class WithGhost(Engine):
     """Sum of another engine's field and the field of the light that both outer surfaces reflect.
@@ -51,7 +48,9 @@ class WithGhost(Engine):
     @cached_property
     def ghost(self) -> EikonalTiles:
         """Engine of the ghost, with both reflectances set to 1."""
-        return EikonalTiles(ghost_of(self.scene), error=GHOST_ERROR)
+        # Allowed relative error of the ghost's own field, which is a small part of the whole field.
+        allowed_error = 0.05
+        return EikonalTiles(ghost_of(self.scene), error=allowed_error)
 
     def _forward(self, values: Any) -> Any:
         return self.straight._forward(values) + math.sqrt(self.reflectance) * self.ghost._forward(values)

@@ -23,9 +23,6 @@ from wavesim.runtime.arrays import array_module
 
 Orientation = Literal["x", "y"]
 
-ON_SAMPLE = 1e-6
-"""Largest distance from a sample, in pitches, at which a point counts as lying on it."""
-
 
 @dataclass(frozen=True)
 class Grid:
@@ -121,10 +118,12 @@ class Grid:
         if (wider.z_mm, wider.pitch_mm) != (self.z_mm, self.pitch_mm):
             return None
         found = []
+        # Largest distance from a sample, in pitches, at which a point counts as lying on it.
+        tolerance = 1e-6
         for wide, narrow in ((wider.y_mm, self.y_mm), (wider.x_mm, self.x_mm)):
             start = (narrow[0] - wide[0]) / self.pitch_mm
             first = round(start)
-            if abs(start - first) > ON_SAMPLE or first < 0 or first + len(narrow) > len(wide):
+            if abs(start - first) > tolerance or first < 0 or first + len(narrow) > len(wide):
                 return None
             found.append(slice(first, first + len(narrow)))
         return found[0], found[1]

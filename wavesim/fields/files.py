@@ -13,9 +13,6 @@ from lensdesign.common.array_files import array_names, read_arrays
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 
-FIELD_ARRAYS = ("values", "pitch_um")
-"""Arrays that every file of a field contains."""
-
 
 def write_field(field: Field, path: Path, **numbers: float) -> None:
     """Write complex values with their pitch and wavelength to a file that `measured_field` reads (.npz).
@@ -64,11 +61,13 @@ def read_field(path: Path) -> tuple[Any, float]:
     InputError
         If the file cannot be read, is damaged, or contains no field.
     """
-    arrays = read_arrays(path, named="the field", only=FIELD_ARRAYS)
+    # Arrays that every file of a field contains.
+    field_arrays = ("values", "pitch_um")
+    arrays = read_arrays(path, named="the field", only=field_arrays)
     if "values" not in arrays or "pitch_um" not in arrays:
         if not zipfile.is_zipfile(path):
             raise InputError(f"cannot read the field {path}: no .npz file, or damaged")
-        lacking = [name for name in FIELD_ARRAYS if name not in arrays]
+        lacking = [name for name in field_arrays if name not in arrays]
         raise InputError(
             f"field {path}: has no {' and no '.join(lacking)}; it holds {sorted(array_names(path))}"
         )

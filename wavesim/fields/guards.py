@@ -36,8 +36,6 @@ REFUSED = 1e-2
 EDGE = 0.8
 """Start of the edge of the Nyquist band. Aliased light may cancel near the end of the band, hence the
 margin."""
-DARK = 1e-8
-"""Intensity, relative to the brightest row, below which a row of the field counts as dark."""
 MOST_SAMPLES = 2**27
 """Most samples of a spectrum (2 GiB); a propagation that needs more is refused."""
 
@@ -190,7 +188,9 @@ def _extent_mm(field: Field, axis: int) -> tuple[float, float]:
     power = abs(field.values) ** 2
     rows = xp.sum(power, axis=1 - axis) if power.ndim == 2 else power
     at = Samples(0.0, field.grid.pitch_mm, field.grid.shape[axis]).points(xp)
-    bright = rows > DARK * xp.max(rows)
+    # Intensity, relative to the brightest row, below which a row of the field counts as dark.
+    dark = 1e-8
+    bright = rows > dark * xp.max(rows)
     low = float(xp.min(xp.where(bright, at, xp.max(at))))
     high = float(xp.max(xp.where(bright, at, xp.min(at))))
     return 0.5 * (low + high), 0.5 * (high - low)

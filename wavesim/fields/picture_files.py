@@ -28,20 +28,8 @@ from lensdesign.errors import InputError
 FRAME_FORMATS = ("TIFF", "PNG")
 """Lossless formats of cameras."""
 
-MOST_BYTES = 4 * TABLE_BYTES
-"""Most bytes of a file of pictures."""
-
-MOST_PICTURES = 10_000
-"""Most pictures in a file."""
-
-TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes of a TIFF and of a BigTIFF file."""
-
 ORIENTATION, PHOTOMETRIC = 274, 262
 """TIFF tags; EXIF also has the first one."""
-
-PHOTOMETRICS = {0: "grey", 1: "grey", 2: "RGB", 3: "palette", 6: "YCbCr"}
-"""Supported photometric interpretations."""
 
 GREY_MODES = ("1", "L", "I;16", "I;16L", "I;16B", "I", "F")
 """Pillow's names for one channel."""
@@ -49,9 +37,7 @@ GREY_MODES = ("1", "L", "I;16", "I;16L", "I;16B", "I", "F")
 COUNT_MODES = ("L", "I;16", "I;16L", "I;16B")
 """Pillow's names for unsigned integers of at most 16 bits."""
 
-_FORMAT_OF_TAG = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _UNSIGNED, _SIGNED, _FLOAT = 1, 2, 3
-_PNG_DEPTH_AT = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +107,12 @@ class PictureFile:
 
     def __init__(self, path: Path, named: str = "", formats: tuple[str, ...] | None = None) -> None:
         self.path, self._named, self._formats = path, named, formats
-        self._data = read_input(path, MOST_BYTES, InputError, named)
+        self._data = read_input(path, 4 * TABLE_BYTES, InputError, named)
         self.description = ""
         self._contiguous: NDArray[Any] | None = None
-        if self._data[:4] in TIFF_STARTS:
+        # First bytes of a TIFF and of a BigTIFF file.
+        tiff_starts = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+        if self._data[:4] in tiff_starts:
             with self._reported():
                 self._read_structure()
         else:
@@ -162,7 +150,8 @@ class PictureFile:
                 image.seek(page.index)
             mode, bits = image.mode, page.bits
             if image.format == "PNG":
-                bits = self._data[_PNG_DEPTH_AT]
+                png_depth_at = 24
+                bits = self._data[png_depth_at]
             states_alpha = mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
             if self._contiguous is not None:
                 if not len(self._contiguous):
@@ -229,8 +218,10 @@ class PictureFile:
         if self._formats is not None and "TIFF" not in self._formats:
             raise InputError(f"{self._who}: is a TIFF; allowed: {', '.join(self._formats)}")
         with TiffFile(io.BytesIO(self._data)) as file:
-            if len(file.pages) > MOST_PICTURES:
-                raise InputError(f"{self._who}: more than {MOST_PICTURES} directories")
+            # Most pictures in a file.
+            most_pictures = 10_000
+            if len(file.pages) > most_pictures:
+                raise InputError(f"{self._who}: more than {most_pictures} directories")
             directories = [file.pages[n].aspage() for n in range(len(file.pages))]
             whole = [n for n, own in enumerate(directories) if not own.is_reduced] or [0]
             first = directories[whole[0]]
@@ -292,17 +283,20 @@ def _page(index: int, page: Any, order: str, who: str) -> tuple[_Page, list[tupl
     if PHOTOMETRIC not in page.tags:
         raise InputError(f"{who}: a TIFF that does not state whether black or white is zero (photometric)")
     photometric = int(page.tags[PHOTOMETRIC].value)
-    if photometric not in PHOTOMETRICS:
+    # Supported photometric interpretations.
+    photometrics = {0: "grey", 1: "grey", 2: "RGB", 3: "palette", 6: "YCbCr"}
+    if photometric not in photometrics:
         raise InputError(
             f"{who}: a TIFF of photometric interpretation {photometric}: must be grey, RGB or with a palette"
         )
     orientation = int(page.tags[ORIENTATION].value) if ORIENTATION in page.tags else 1
     edits = []
+    format_of_tag = {1: "B", 3: "H", 4: "I", 16: "Q"}
     for code, value, wanted in ((ORIENTATION, orientation, 1), (PHOTOMETRIC, photometric, 1)):
         if code not in page.tags or (code == PHOTOMETRIC and photometric != 0) or value == wanted:
             continue
         tag = page.tags[code]
-        kind = _FORMAT_OF_TAG.get(int(tag.dtype))
+        kind = format_of_tag.get(int(tag.dtype))
         if kind is None or tag.count != 1:
             raise InputError(f"{who}: damaged: tag {code} is no whole number")
         edits.append((int(tag.valueoffset), struct.pack(f"{order}{kind}", wanted)))

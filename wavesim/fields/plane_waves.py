@@ -25,11 +25,6 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 TURN = 2.0 * math.pi
 FADE_ZONES = 6.0
 """Width of the smooth attenuation in Fresnel lengths sqrt(wavelength * distance)."""
-STEEPEST_COSINE = 0.3
-"""Lower limit of the cosine in the Fresnel length: steeper waves carry too little light to widen the
-period."""
-FACTOR_ROWS = 16
-"""Rows of a stored transfer function that are computed at a time."""
 
 
 @dataclass(frozen=True)
@@ -211,8 +206,10 @@ class TransferFunction:
         orders = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
         self.rows, self.columns = (np.zeros_like(order) if self.is_identity else order for order in orders)
         self.factor: ComplexArray = np.ones((1, 1) if self.is_identity else (len(down), len(across)), dtype)
-        for first in range(0, 0 if self.is_identity else len(down), FACTOR_ROWS):
-            rows = slice(first, first + FACTOR_ROWS)
+        # Rows of a stored transfer function that are computed at a time.
+        factor_rows = 16
+        for first in range(0, 0 if self.is_identity else len(down), factor_rows):
+            rows = slice(first, first + factor_rows)
             cycles = [down[rows, None], across]
             self.factor[rows] = transfer(cycles, wavelength_um, 1.0, distance_mm, dtype=np.dtype(dtype))
 
@@ -251,7 +248,9 @@ def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, dis
 def fresnel_length_mm(wavelength_um: float, index: float, distance_mm: float, walk_mm: float) -> float:
     """Return the diffraction width of a wave's arrival point: sqrt(wavelength distance / cos^3)."""
     distance = abs(distance_mm)
-    cosine = max(distance / math.hypot(distance, walk_mm), STEEPEST_COSINE) if distance else 1.0
+    # Least cosine in the Fresnel length: steeper waves carry too little light to widen the period.
+    steepest_cosine = 0.3
+    cosine = max(distance / math.hypot(distance, walk_mm), steepest_cosine) if distance else 1.0
     return math.sqrt(1e-3 * wavelength_um / index * distance / cosine**3)
 
 

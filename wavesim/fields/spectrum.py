@@ -20,11 +20,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
 from wavesim.fields.plane_waves import fft_frequencies
 
-BLOCK = 512
-"""Most samples along each side of a block; blocks overlap by half."""
-RADIAL_BINS = 8192
-"""Bins of a spectrum by the distance from frequency 0, for the first pass of a search."""
-
 
 class BlockSpectrum:
     """Mean power spectrum of a field that comes in bands of rows.
@@ -41,7 +36,9 @@ class BlockSpectrum:
 
     def add(self, band: NDArray[np.complexfloating[Any, Any]]) -> None:
         """Add all blocks of a band. The taper reduces the weight of its first and last quarter of a block."""
-        height, width = (min(BLOCK, count) for count in band.shape)
+        # Most samples along each side of a block; blocks overlap by half.
+        most_samples = 512
+        height, width = (min(most_samples, count) for count in band.shape)
         taper = np.hanning(height + 1)[:-1, None] * np.hanning(width + 1)[:-1]
         power = self._power.setdefault((height, width), np.zeros((height, width)))
         for top in _starts(band.shape[0], height):
@@ -128,10 +125,12 @@ def spectrum_support(
         raise InputError("spectrum_support: values must be finite, on a line or a plane")
     spectrum = scipy.fft.fftn(values - values.mean(), workers=-1, overwrite_x=True)
     cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm, np)]
-    width = math.hypot(*(float(np.max(np.abs(c))) for c in cycles)) / RADIAL_BINS
-    binned, beyond = np.zeros(RADIAL_BINS + 1), 0.0
+    # Bins of a spectrum by the distance from frequency 0, for the first pass of a search.
+    radial_bins = 8192
+    width = math.hypot(*(float(np.max(np.abs(c))) for c in cycles)) / radial_bins
+    binned, beyond = np.zeros(radial_bins + 1), 0.0
     for radius, power in _spectral_rows(spectrum, cycles):
-        binned += np.bincount((radius / width).astype(np.int64), power, RADIAL_BINS + 1)[: RADIAL_BINS + 1]
+        binned += np.bincount((radius / width).astype(np.int64), power, radial_bins + 1)[: radial_bins + 1]
         beyond += float(power[radius > beyond_per_mm].sum())
     total = float(binned.sum())
     if not total > 1e-12 * float(np.sum(np.abs(values) ** 2, dtype=float)) * values.size:

@@ -28,14 +28,7 @@ from wavesim.fields.plane_waves import TransferFunction
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
-ACCURACY = 1e-3
-"""Largest error of the steepest wave of the grid's band at the worst point; the whole field is more
-accurate."""
-LEVEL = 1e-4
-"""Largest phase difference of waves at the rim, in radians, at which a plane counts as not tilted."""
 MOST_PLANES = 15
-LEAST_ROTATION = 1e-3
-"""Largest displacement, in pitches, by the rotation about the normal that is neglected."""
 
 
 class TiltedPropagator:
@@ -97,7 +90,9 @@ class TiltedPropagator:
         self._phasors = np.exp(-1j * middle * along[2] * self._nodes)
         displacements = [along * node for node in self._nodes]
         self._side = 0.0
-        if side * math.hypot(*across) > LEAST_ROTATION * grid.pitch_mm:
+        # Largest displacement, in pitches, by the rotation about the normal that is neglected.
+        least_rotation = 1e-3
+        if side * math.hypot(*across) > least_rotation * grid.pitch_mm:
             self._side = side
             displacements.append(across * side)
         x_mm, y_mm = shift_mm
@@ -158,7 +153,9 @@ def propagator_to(
     """Return the propagator to a parallel plane, or to a tilted one where the tilt is not negligible."""
     rim_mm = math.hypot(*grid.half_widths_mm) * math.hypot(*np.deg2rad(tilt_deg))
     _, differing = band_wavenumbers(grid, wavelength_um)
-    if rim_mm * differing > LEVEL:
+    # Largest phase difference of waves at the rim, in radians, at which a plane counts as not tilted.
+    level_rad = 1e-4
+    if rim_mm * differing > level_rad:
         return TiltedPropagator(grid, wavelength_um, distance_mm, dtype, tilt_deg, shift_mm)
     return TransferFunction(grid, wavelength_um, distance_mm, dtype, shift_mm)
 
@@ -172,8 +169,10 @@ def band_wavenumbers(grid: Grid, wavelength_um: float) -> tuple[float, float]:
 
 def _count(phase: float, tilt_deg: tuple[float, float]) -> int:
     """Return the number of planes (odd, Chebyshev nodes) for waves that differ by a phase at the rim."""
+    # Largest error of the band's steepest wave at the worst point; the whole field is more accurate.
+    accuracy = 1e-3
     for count in range(3, MOST_PLANES + 1, 2):
-        if phase**count / (math.factorial(count) * 2.0 ** (count - 1)) <= ACCURACY:
+        if phase**count / (math.factorial(count) * 2.0 ** (count - 1)) <= accuracy:
             return count
     raise InputError(
         f"tilt_deg = {tilt_deg}: waves differ by {phase:.3g} rad at the sensor's rim, too much for this "

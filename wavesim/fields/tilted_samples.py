@@ -37,14 +37,10 @@ from wavesim.fields.plane_waves import (
 )
 from wavesim.runtime.arrays import array_module, fftn
 
-ACCURACY = 1e-13
-"""Relative accuracy of the non-uniform Fourier sums."""
 WIDEST = 4.0
 """Width on the tilted plane, in half-widths of the input window, within which light is followed."""
 WAVE_SECONDS, WAVE_BYTES = {True: 2e-6, False: 6.5e-7}, 200
 """Time for each sample of the spectrum of a line and of a plane, measured on two cores, and memory."""
-PROBES = 33
-"""Sampled directions along each axis, from which the bounds of the frequencies follow."""
 
 
 class TiltedSamples:
@@ -108,7 +104,9 @@ class TiltedSamples:
     def _frequencies(self) -> list[Samples]:
         """Return the frequencies of the target frame that cover the source's band, at the required step."""
         half = 0.5 / self.source.pitch_mm
-        probe = np.linspace(-half, half, PROBES)
+        # Sampled directions along each axis, from which the bounds of the frequencies follow.
+        probes = 33
+        probe = np.linspace(-half, half, probes)
         axes = np.meshgrid(*[probe + c for c in self.carrier], indexing="ij")
         cycles, axial, turned = self.directions(axes, self.rotation.T)
         fine = (axial > 0.0) & (turned > 0.0)
@@ -116,7 +114,7 @@ class TiltedSamples:
             raise InputError("the tilted plane is not reached by light along +z")
         result = []
         for axis, across in enumerate(cycles):
-            spread = (across[fine].max() - across[fine].min()) / (PROBES - 1)
+            spread = (across[fine].max() - across[fine].min()) / (probes - 1)
             low = max(float(across[fine].min() - spread), -self.most)
             high = min(float(across[fine].max() + spread), self.most)
             step = 1.0 / self._period_mm(axis)
@@ -189,10 +187,12 @@ class TiltedSamples:
         else:
             data = np.ascontiguousarray(data)
         transform = getattr(library, f"nufft{len(points)}d{kind}")
+        # Relative accuracy of the non-uniform Fourier sums.
+        accuracy = 1e-13
         if kind == 2:
-            return xp.asarray(transform(*points, data, eps=ACCURACY, isign=-1) * twiddle)
+            return xp.asarray(transform(*points, data, eps=accuracy, isign=-1) * twiddle)
         shape = self.source.shape if len(points) == 2 else self.source.shape[0]
-        return xp.asarray(transform(*points, data * twiddle, shape, eps=ACCURACY, isign=1))
+        return xp.asarray(transform(*points, data * twiddle, shape, eps=accuracy, isign=1))
 
     @property
     def seconds(self) -> float:

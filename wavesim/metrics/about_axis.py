@@ -35,18 +35,10 @@ NODES, PANEL_WAVES, BLOCKS = 8, 1.9, 200
 angles that are summed at a time.
 """
 
-TURNS = 17
-"""Number of azimuths at which a rotationally symmetric surface must have the same height."""
-
-ROUND_WAVES = 1e-6
-"""Largest difference of these heights, in wavelengths."""
-
 OVERFILLED, WINDOW = 1.1, 0.4
 """Largest sine of the light of rings over that of the aperture; radius at which rings fall to 1/e over half
 of the patch.
 """
-
-SEED = 20261123
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +82,7 @@ def axial_case(lens: Lens, patch_mm: float, **where: Any) -> AnalyticCase:
 
 def rings(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
     """Return random rings around the axis that fill the aperture evenly and fade out within the grid."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(20261123)
     radius = _radius(grid)
     fade = WINDOW * min(grid.half_widths_mm)
     most = 2e3 * math.pi / wavelength_um * OVERFILLED * numerical_aperture
@@ -154,10 +146,14 @@ def _surface(scene: Scene, number: int) -> _Sheet:
     """Return nodes along a radius, up to the rim."""
     wavelength_mm = 1e-3 * scene.wavelength_um
     r, weight = _nodes(0.0, float(scene.system.semi_diameter[number]), PANEL_WAVES * wavelength_mm)
-    azimuth = 2.0 * math.pi * np.arange(TURNS) / TURNS
-    some = r[:: max(1, len(r) // TURNS), None]
+    # Azimuths at which a surface must have the same height.
+    azimuth_count = 17
+    azimuth = 2.0 * math.pi * np.arange(azimuth_count) / azimuth_count
+    some = r[:: max(1, len(r) // azimuth_count), None]
     around = surface_map(scene.system, number, some * np.sin(azimuth), some * np.cos(azimuth)).z_mm
-    if not np.ptp(around, axis=1).max() <= ROUND_WAVES * wavelength_mm:
+    # Largest difference of the heights, in wavelengths.
+    largest_waves = 1e-6
+    if not np.ptp(around, axis=1).max() <= largest_waves * wavelength_mm:
         raise InputError(f"surface {number} is not one of revolution about the z axis")
     zero = np.zeros_like(r)
     z = surface_map(scene.system, number, zero, r).z_mm

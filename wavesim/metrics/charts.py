@@ -51,9 +51,6 @@ SMOOTHING = 1.0
 edges of bars between samples would change the variance of the chart, and thereby the correlation.
 """
 
-FEW_SAMPLES = 3.0
-"""Samples per line below which lines may fail because of their position among the samples."""
-
 
 @dataclass(frozen=True)
 class Registration:
@@ -312,7 +309,9 @@ def _limits(
     limits: list[Limit] = []
     if width < passed_um * ROUNDING:
         limits.append("aperture")
-    if too_fine or (shown and width < FEW_SAMPLES * sample_um):
+    # Lines of fewer samples may fail because of their position among the samples.
+    few_samples = 3.0
+    if too_fine or (shown and width < few_samples * sample_um):
         limits.append("sampling")
     elif of_chart and not shown:
         limits.append("region")

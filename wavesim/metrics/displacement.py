@@ -11,18 +11,6 @@ from numpy.typing import NDArray
 
 from wavesim.runtime.threads import row_blocks
 
-WIDEST = 512
-"""Largest number of samples along a side of the part of a field from which a displacement is found."""
-
-FURTHEST = 64
-"""Largest displacement in samples along each axis; a quarter of the side of a smaller field."""
-
-DETERMINED = 0.3
-"""Least correlation of the displaced fields that determines a displacement."""
-
-LEAST_DETAIL = 1e-4
-"""Least detail of a field, without its mean and relative to the whole, that shows a displacement."""
-
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 
@@ -51,10 +39,14 @@ def displacement_samples(
     one, other = _uneven(found[part], known), _uneven(true[part], known)
     if one is None or other is None:
         return None
-    reach = [min(FURTHEST, count // 4) for count in known.shape]
+    # Samples by which a displacement is sought along each axis, at most; a quarter of a smaller field.
+    most_shift = 64
+    reach = [min(most_shift, count // 4) for count in known.shape]
     overlap = _Overlap(one, other, known, reach)
     row, column, correlation = overlap.peak()
-    if not correlation >= DETERMINED:
+    # Correlation of the displaced fields from which on their displacement is determined.
+    least_correlation = 0.3
+    if not correlation >= least_correlation:
         return None
     return overlap.between_samples(row, column)
 
@@ -83,11 +75,13 @@ def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) ->
 def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
     """Return the middle of the samples that count."""
     parts = []
+    # Samples along a side, at most, of the part of a field from which a displacement is found.
+    most_samples = 512
     for axis in (0, 1):
         used = np.flatnonzero(inside.any(axis=1 - axis))
         first, last = (int(used[0]), int(used[-1]) + 1) if used.size else (0, inside.shape[axis])
-        start = max(first, (first + last - WIDEST) // 2)
-        parts.append(slice(start, min(last, start + WIDEST)))
+        start = max(first, (first + last - most_samples) // 2)
+        parts.append(slice(start, min(last, start + most_samples)))
     return parts[0], parts[1]
 
 
@@ -97,7 +91,9 @@ def _uneven(values: Complex, inside: NDArray[np.bool_]) -> Complex | None:
     size = float(np.linalg.norm(own))
     own -= np.where(inside, own.sum(dtype=complex) / max(int(inside.sum()), 1), 0.0).astype(np.complex64)
     detail = float(np.linalg.norm(own))
-    return own if math.isfinite(detail) and detail > LEAST_DETAIL * size else None
+    # Least uneven part of a field, relative to the whole, whose displacement can be found.
+    least_detail = 1e-4
+    return own if math.isfinite(detail) and detail > least_detail * size else None
 
 
 class _Overlap:

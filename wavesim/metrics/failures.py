@@ -37,9 +37,6 @@ PITCHES_UM = (0.3, 0.5, 0.8, 1.2, 2.0, 3.2)
 
 BEAM_SPREAD, BEAM_WINDOW_UM = 0.12, 150.0
 
-TILE_ERROR = 0.1
-"""Error limit of the tiles. The guard warns above it and raises an error above three times the limit."""
-
 
 @dataclass(frozen=True, eq=False)
 class FailureMap:
@@ -118,8 +115,10 @@ def tile_map(lens: Lens) -> FailureMap:
 
     def cell(width: float, height: float) -> tuple[float, int]:
         case = lens_case(lens, width, height)
+        # Error limit of the tiles. The guard warns above it and raises an error above three times the limit.
+        tile_error = 0.1
         guarded = engine_for(
-            case.scene, "eikonal", tile_width_mm=1.01 * width, quadratic="mean", error=TILE_ERROR
+            case.scene, "eikonal", tile_width_mm=1.01 * width, quadratic="mean", error=tile_error
         )
         free = engine_for(case.scene, "eikonal", tile_width_mm=1.01 * width, quadratic="mean", error=1.0)
         return _run(guarded, case, free)

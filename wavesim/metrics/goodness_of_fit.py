@@ -35,16 +35,8 @@ HELD_LIMIT = 1.25
 most 1.16.
 """
 
-LEAST_FITTED = 0.6
-"""Least value of the residuals on fitted pixels, over the noise, in that mean. Where a fit uses up more than
-two thirds of the data, the held-out pixels alone decide.
-"""
-
 MODEL_ERROR = 0.005
 """Relative error of amplitudes that engine and pixel model may have without noise."""
-
-BLOCKS = 8
-"""Blocks along each side of a plane, among which the largest excess is searched."""
 
 LEAST_GAIN = 0.2
 """Least fraction of the squared misfit that a trial must explain to be named."""
@@ -53,14 +45,6 @@ FEW, MORE = 3, 10
 """The misfit of the first `FEW` iterations is not judged. Later it is extrapolated by `MORE` steps as large
 as the last one; more iterations are advised if it then reaches the noise.
 """
-
-FREER = {"shift": 1.15, "mounting": 1.65}
-"""Factors by which trials must be better than others if they are freer or resemble them. A shift of each
-plane is freer than the two angles of the light, which shift all planes. So does a decenter of the lens.
-"""
-
-LEAST_AGREEMENT = 0.9
-"""Correlation of the objects of several starts, below which frames do not determine the object."""
 
 ADVICE = {
     "planes swapped": "give the frames the distances of their planes in the other order",
@@ -86,21 +70,9 @@ ADVICE = {
     "light's bandwidth with its data sheet (a filter narrows it)",
 }
 
-CALIBRATED_ADVICE = (
-    "the calibration does not hold for these frames or does not contain the cause: compare design, light and "
-    "camera with what is mounted, or calibrate with more parameters (--parameters all)"
-)
-"""Advice instead of a calibration, where a calibration was given."""
-
 
 STOP_CAUSE = "field stop position"
 """Cause of a result whose field stop was found on a bench that turned out to be wrong."""
-
-BLURS = ("source", "vibration")
-"""Causes that reduce the contrast of fringes, as a broad band of wavelengths does."""
-
-NOT_TRIED = "bandwidth of the light"
-"""Causes that no trial can test, since the model of a reconstruction has one wavelength."""
 
 
 class Trial(NamedTuple):
@@ -181,7 +153,10 @@ class PlaneFit:
         used, held = self.over_noise, self.held_out_over_noise
         if used is None or held is None:
             return (used or held or 0.0) / LIMIT
-        mean = math.sqrt(max(used, LEAST_FITTED) * held)
+        # Smallest residual on fitted pixels in that mean, over the noise: where a fit uses up more than two
+        # thirds of the data, held-out pixels alone judge it.
+        least_fitted = 0.6
+        mean = math.sqrt(max(used, least_fitted) * held)
         return max(used / LIMIT, mean / HELD_LIMIT)
 
 
@@ -353,7 +328,9 @@ def verdict(
     against = sorted(findings, key=lambda finding: -finding.chi_square)
     if noise is not None and noise.is_too_small:
         against.insert(0, Finding("noise parameters", noise.explanation))
-    if agreement is not None and agreement < LEAST_AGREEMENT:
+    # Correlation of the objects of several starts, below which frames do not determine the object.
+    least_agreement = 0.9
+    if agreement is not None and agreement < least_agreement:
         explanation = f"starts end at objects whose correlation is {agreement:.3g}"
         against.append(Finding("several objects", explanation))
     cause, evidence = "", ""
@@ -363,7 +340,10 @@ def verdict(
         cause, evidence = against[0][:2]
     step = ADVICE.get(cause, "")
     if calibrated and "wavesim calibrate" in step:
-        step = CALIBRATED_ADVICE
+        step = (
+            "the calibration does not hold for these frames or does not contain the cause: compare design, "
+            "light and camera with what is mounted, or calibrate with more parameters (--parameters all)"
+        )
     return GoodnessOfFit(
         within and not against,
         max(plane.over_noise or 0.0 for plane in judged),
@@ -406,20 +386,30 @@ def wants_iterations(curve: Sequence[float], excess: float) -> bool:
 
 def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -> tuple[str, str]:
     """Return the most likely cause and its evidence."""
-    best = min(trials, key=lambda trial: trial.misfit_ratio * FREER.get(trial.cause, 1.0), default=None)
+    # Some trials must be better by a factor, because they change more than others or resemble them: each
+    # plane's shift instead of the two angles of the light, which shift all planes, and the lens's decenter,
+    # which does so too.
+    factor_of_cause = {"shift": 1.15, "mounting": 1.65}
+    best = min(
+        trials, key=lambda trial: trial.misfit_ratio * factor_of_cause.get(trial.cause, 1.0), default=None
+    )
+    # Causes that no trial can show: the model of a reconstruction has one wavelength.
+    not_tried = "bandwidth of the light"
     if best is not None and best.gain > LEAST_GAIN:
         evidence = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
-        if best.cause in BLURS:
+        # Causes that wash pictures out, as a broad band of wavelengths does.
+        blurs = ("source", "vibration")
+        if best.cause in blurs:
             others = [
-                t.told for t in trials if t.cause in BLURS and t.cause != best.cause and t.gain > LEAST_GAIN
+                t.told for t in trials if t.cause in blurs and t.cause != best.cause and t.gain > LEAST_GAIN
             ]
             also = f"helps, too: {others[0]}; " if others else ""
-            evidence = f"{evidence}; {also}not tried: {NOT_TRIED}"
+            evidence = f"{evidence}; {also}not tried: {not_tried}"
         return best.cause, evidence
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
     evidence = "nothing else that was tried explains it" if trials else "nothing was tried"
-    return "lens or light", f"{evidence}; not tried: {NOT_TRIED}"
+    return "lens or light", f"{evidence}; not tried: {not_tried}"
 
 
 def _judged(plane: PlaneResidual, model_error: float) -> PlaneFit:
@@ -470,7 +460,9 @@ def _expected(amplitude: Array, sigma: Array, plane: PlaneResidual, rows: slice,
 
 def _edges(count: int) -> list[int]:
     """Return the borders of blocks along a side."""
-    return np.unique(np.linspace(0, count, min(BLOCKS, count) + 1).astype(int)).tolist()
+    # Blocks along each side of a plane, among which the largest excess is searched.
+    blocks = 8
+    return np.unique(np.linspace(0, count, min(blocks, count) + 1).astype(int)).tolist()
 
 
 def _ratio(missed: float, expected: float) -> float | None:

@@ -22,9 +22,6 @@ from wavesim.scene.scene import Scene
 from wavesim.targets.patterns import Polarity
 from wavesim.targets.usaf import UsafElement
 
-SAME_PLACE = 0.05
-"""Displacement in samples up to which a result counts as not displaced."""
-
 
 def truth_metrics(
     found: Field,
@@ -73,7 +70,9 @@ def truth_metrics(
         ("object_correlation", "psnr_db", "ssim", "displacement_x_um", "displacement_y_um")
     )
     registered = None
-    if displacement is not None and max(map(abs, displacement)) > SAME_PLACE:
+    # Displacement in samples up to which a result lies where the object does.
+    tolerance_samples = 0.05
+    if displacement is not None and max(map(abs, displacement)) > tolerance_samples:
         there = passed(_displaced_back(found.values, inside, displacement))
         both = inside_both(inside, displacement)
         registered = object_correlation(there, other, passed(np.float32(1.0)), both)

@@ -22,24 +22,11 @@ pixels. The amplitudes of dim pixels scatter less than their standard deviation.
 ROUNDED = 0.4
 """The same limit where most of a dark pixel's variance is due to rounding."""
 
-SURE = 4.0
-"""Least deviation of that ratio from 1, in its standard deviations."""
-
 LEAST_PIXELS = 50
 """Least number of held-out pixels that determine a ratio."""
 
 DARK, BRIGHT = 1.5, 2.0
 """Multiples of a dark pixel's noise: read noise dominates below the first, shot noise above the second."""
-
-SAME = 1.25
-"""Largest ratio of dark to bright pixels that a wrong gain explains: it changes the amplitudes of both alike.
-Smoothing by a factor f changes dark pixels by its square root.
-"""
-
-DARK_FLOOR = 0.25 * math.sqrt(2.0 * math.pi)
-"""Intensity over its standard deviation below which the standard deviation of the amplitude is that of a dark
-pixel (:func:`wavesim.sensor.measurement.recorded_intensity`).
-"""
 
 
 class NoiseCheck(NamedTuple):
@@ -87,15 +74,18 @@ def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> Noise
     error = np.concatenate([plane.error.ravel()[plane.held] for plane in some]).astype(float)
     amplitude = np.concatenate([plane.amplitude.ravel()[plane.held] for plane in some]).astype(float)
     sigma = np.concatenate([plane.held_sigma for plane in some]).astype(float)
-    deviation = (
-        np.where(amplitude >= 2.0 * DARK_FLOOR * sigma, 2.0 * amplitude, 4.0 * DARK_FLOOR * sigma) * sigma
-    )
+    # Intensity over its standard deviation, below which a standard deviation of the amplitude is that of a
+    # dark pixel, as in :func:`wavesim.sensor.measurement.recorded_intensity`.
+    dark_ratio = 0.25 * math.sqrt(2.0 * math.pi)
+    is_bright = amplitude >= 2.0 * dark_ratio * sigma
+    deviation = np.where(is_bright, 2.0 * amplitude, 4.0 * dark_ratio * sigma) * sigma
     floor = float(np.quantile(deviation, 0.02))
     ratio = _ratio(error, sigma, np.ones(len(sigma), bool))
     dark = _ratio(error, sigma, deviation <= DARK * floor)
     bright = _ratio(error, sigma, deviation >= BRIGHT * floor)
     assert ratio is not None
-    sure = SURE / math.sqrt(2.0 * len(sigma))
+    # The ratio must be smaller than 1 by four of its standard deviations.
+    sure = 4.0 / math.sqrt(2.0 * len(sigma))
     if rounding > 0.5:
         overstated = ratio < ROUNDED
     else:
@@ -126,6 +116,9 @@ def _explanation(ratio: float, dark: float | None, bright: float | None) -> str:
     if dark is not None and dark < TOO_SMALL < bright:
         return f"{said}. A read noise {dark**2:.2g} times as large as stated would explain it"
     gain = f"a gain (electrons per count) {bright**-2:.2g} times as large as stated"
-    if dark is None or dark < SAME * bright:
+    # Ratio of dark pixels over that of bright ones, up to which a gain explains both: it acts on both alike,
+    # in amplitudes, while smoothing by a factor f changes dark pixels by its root.
+    same_ratio = 1.25
+    if dark is None or dark < same_ratio * bright:
         return f"{said}. {gain.capitalize()} would explain it, or {smoothed}"
     return f"{said}. {smoothed.capitalize()} would explain it, or {gain}"

@@ -29,12 +29,6 @@ from wavesim.scene.scene import Scene, wavelength_of
 
 ComplexArray = NDArray[np.complex128]
 
-OBJECT_PITCH_WAVES = 0.1
-"""Pitch of the object grid in wavelengths."""
-
-MARGIN_MM = 0.06
-"""Dark ground in mm on each side of the bars, for lines that return displaced or blurred."""
-
 REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
 
 PROFILE_POINTS = 201
@@ -249,12 +243,17 @@ def meridional_scene(
     bars: int = 5,
     wavelength_um: float | None = None,
     plane_distance_mm: float = 0.0,
-    margin_mm: float = MARGIN_MM,
+    margin_mm: float = 0.06,
 ) -> Scene:
-    """Return a line scene of the bars at a field point, and the lens's footprint on the exit plane."""
+    """Return a line scene of the bars at a field point, and the lens's footprint on the exit plane.
+
+    The margin on each side of the bars is dark. It holds lines that are imaged displaced or blurred.
+    """
     wavelength = wavelength_of(lens, wavelength_um)
     half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + margin_mm
-    pitch = OBJECT_PITCH_WAVES * 1e-3 * wavelength
+    # Pitch of the object grid, in wavelengths.
+    object_pitch_waves = 0.1
+    pitch = object_pitch_waves * 1e-3 * wavelength
     count = scipy.fft.next_fast_len(2 * int(np.ceil(half_object / pitch)) + 1)
     object_grid = Grid((count,), pitch, lens.object_z_mm, (0.0, float(field_mm)))
     return Scene(lens, object_grid, exit_grid(lens, wavelength, plane_distance_mm, 1), wavelength)

@@ -21,9 +21,6 @@ from wavesim.runtime.threads import row_blocks
 Picture = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-SSIM_REACH = 5
-"""Reach of a window of the structural similarity to either side, in samples."""
-
 
 def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
     """Return the peak signal-to-noise ratio in dB: full scale over the root mean square difference.
@@ -82,8 +79,10 @@ def ssim(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Ma
     if a.ndim != 2 or min(a.shape) < 11:
         raise InputError(f"ssim of pictures of shape {a.shape}: must be planes of at least 11 x 11 samples")
     total = 0.0
+    # Samples that a window of the structural similarity reaches to either side.
+    ssim_reach = 5
     for rows in row_blocks(len(a)):
-        wider = slice(max(min(rows.start, len(a) - 11) - SSIM_REACH, 0), rows.stop + 11)
+        wider = slice(max(min(rows.start, len(a) - 11) - ssim_reach, 0), rows.stop + 11)
         _, similarity = structural_similarity(
             b[wider].astype(float),
             a[wider].astype(float),

@@ -28,12 +28,6 @@ STYLES = (
 )
 """Colour and marker of families, in the order in which they are met."""
 
-SECOND = ("mean", "staircase")
-"""Ends of the names of families that take the style of the one before them, hollow and dashed."""
-
-DECADES = (-4.0, 0.5)
-FEW_DECADES = 300.0
-
 
 def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
     """Error against seconds and against memory, a row of charts for each scene, with the front of each.
@@ -65,8 +59,10 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
 def _styles(rows: Sequence[Measured]) -> dict[str, tuple[str, str, bool]]:
     """Colour and marker of each family, and whether it is hollow and dashed."""
     found: dict[str, tuple[str, str, bool]] = {}
+    # Ends of the names of families that take the style of the one before them, hollow and dashed.
+    second_styles = ("mean", "staircase")
     for family, _ in families(rows):
-        second = family.endswith(SECOND)
+        second = family.endswith(second_styles)
         number = sum(not dashed for *_, dashed in found.values()) - second
         found[family] = (*STYLES[number % len(STYLES)], second)
     return found
@@ -120,7 +116,7 @@ def _mark_few_decades(axes: Any) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axes.get_xlim()
-    few = high < FEW_DECADES * low
+    few = high < 300.0 * low
     axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     axes.xaxis.set_minor_formatter("{x:g}" if few else NullFormatter())
     if few:
@@ -158,14 +154,15 @@ def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
 
 
 def _draw_map(axes: Any, found: FailureMap) -> Any:
-    shown = np.log10(np.maximum(found.error, 10.0 ** DECADES[0]))
+    low, high = -4.0, 0.5
+    shown = np.log10(np.maximum(found.error, 10.0**low))
     picture = axes.imshow(
         np.ma.masked_invalid(shown),
         origin="lower",
         aspect="auto",
         cmap="RdYlGn_r",
-        vmin=DECADES[0],
-        vmax=DECADES[1],
+        vmin=low,
+        vmax=high,
     )
     axes.set_facecolor("0.85")
     for j in range(len(found.y)):

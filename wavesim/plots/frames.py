@@ -20,11 +20,7 @@ from wavesim.sensor.measurement import Array, Measurement
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CURVE = "#1f5fa8"
 DPI = 160
-
-REACH = 4.0
-"""Standard deviations of the noise to which the colours of residuals reach."""
 
 
 def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
@@ -123,7 +119,7 @@ def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array,
         return shown, drawn_pitch_um, reach, "over the recorded root mean square"
     known = np.isfinite(plane.sigma)
     shown, drawn_pitch_um = for_screen(np.where(known, error / plane.sigma, np.nan), pitch_um)
-    return shown * (drawn_pitch_um / pitch_um), drawn_pitch_um, REACH, "standard deviations of the noise"
+    return shown * (drawn_pitch_um / pitch_um), drawn_pitch_um, 4.0, "standard deviations of the noise"
 
 
 def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -> Figure:
@@ -144,7 +140,7 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
     for cell, (label, (x, y, x_label)) in zip(
         figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
     ):
-        cell.plot(x, y, color=CURVE, lw=1.8, marker="o" if len(x) <= 40 else None, ms=3.5)
+        cell.plot(x, y, color="#1f5fa8", lw=1.8, marker="o" if len(x) <= 40 else None, ms=3.5)
         cell.set(xlabel=x_label, ylabel=label)
         if np.min(y) > 0.0 and np.max(y) > 10.0 * np.min(y):
             cell.set_yscale("log")

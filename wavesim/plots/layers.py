@@ -15,12 +15,6 @@ from wavesim.plots.pyramid import Function, Level, halved, picture_levels
 from wavesim.sensor.exposures import fixed_variance
 from wavesim.sensor.frames import Frame
 
-BRIGHTEST = 0.9999
-"""Quantile of amplitudes at the upper end of the colours, so that single samples may exceed it."""
-
-MOST_ASKED = 1_000_000
-"""Largest number of samples from which ranges are computed."""
-
 Plane = Literal["object", "sensor"]
 
 
@@ -87,7 +81,9 @@ def field_layers(
         One or two layers.
     """
     upright, some = values[::-1], _some(values)
-    brightest = max(float(np.quantile(np.abs(some), BRIGHTEST)), 1e-12)
+    # Quantile of amplitudes at the upper end of the colours, so that single samples may exceed it.
+    quantile = 0.9999
+    brightest = max(float(np.quantile(np.abs(some), quantile)), 1e-12)
 
     def layer(
         what: str, unit: str, levels: Sequence[Level], low: float, high: float, beyond: bool, colours: str
@@ -143,8 +139,10 @@ def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 
 
 
 def _some(values: Any) -> Any:
-    """Return evenly spaced samples, at most `MOST_ASKED` or so."""
-    step = max(1, math.ceil(math.sqrt(values.size / MOST_ASKED)))
+    """Return evenly spaced samples, about a million at most."""
+    # Most samples from which ranges are found.
+    most_samples = 1_000_000
+    step = max(1, math.ceil(math.sqrt(values.size / most_samples)))
     return values[::step, ::step]
 
 

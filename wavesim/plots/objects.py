@@ -23,10 +23,6 @@ LIT = 0.1
 """Fraction of the brightest amplitude below which phase is not shown."""
 
 SIDE_INCHES = 5.6
-LABEL_POINTS = 6.5
-LABELS = "#D8404A"
-STYLES = {"found": ("#1f5fa8", "-"), "true": ("#333333", "--")}
-"""Colour and line style of profiles."""
 
 
 class _Shown(NamedTuple):
@@ -136,7 +132,8 @@ def _label_element(axes: Any, element: UsafElement, field: Field, pitch_um: floa
     """Write group and element beside an element, if it is tall enough."""
     grid = field.grid
     points_per_um = 72.0 * 0.8 * SIDE_INCHES / (1e3 * grid.pitch_mm * grid.shape[0])
-    if not holds(grid, element.outline) or 7.0 * element.line_width_um * points_per_um < LABEL_POINTS:
+    label_points = 6.5
+    if not holds(grid, element.outline) or 7.0 * element.line_width_um * points_per_um < label_points:
         return
     outline, left = element.outline, element.group % 2 == 0 and element.element > 1
     edge_mm = outline.left_mm if left else outline.right_mm
@@ -151,8 +148,8 @@ def _label_element(axes: Any, element: UsafElement, field: Field, pitch_um: floa
         textcoords="offset points",
         ha="right" if left else "left",
         va="center",
-        fontsize=LABEL_POINTS,
-        color=LABELS,
+        fontsize=label_points,
+        color="#D8404A",
     )
 
 
@@ -160,8 +157,10 @@ def _draw_profile(
     axes: Any, named: dict[str, Field], element: UsafElement | None, orientation: Orientation
 ) -> None:
     """Draw the amplitude along x or y, through a set of bars or through the centre."""
+    # Colour and line style of profiles.
+    styles = {"found": ("#1f5fa8", "-"), "true": ("#333333", "--")}
     for name, field in named.items():
-        colour, line = STYLES[name]
+        colour, line = styles[name]
         at_um, amplitude = _profile(field, element, orientation)
         axes.plot(at_um, amplitude, color=colour, ls=line, lw=1.6, label=name)
     axes.set(xlabel=f"{orientation} (µm)", ylabel="amplitude transmission")

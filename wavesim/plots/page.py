@@ -23,9 +23,6 @@ from lensdesign.errors import InputError, atomic_path
 from wavesim.plots.layers import PictureLayer
 from wavesim.plots.pyramid import TILE
 
-MOST_BYTES = 100_000_000
-"""Largest total size of the tiles in a page; browsers open it within a second or two."""
-
 STEPS = 254
 """Number of grey levels in a layer's range."""
 
@@ -69,7 +66,7 @@ def write_zoom_page(
     path: str | os.PathLike[str],
     title: str = "",
     figures: Sequence[tuple[str, str]] = (),
-    most_bytes: int = MOST_BYTES,
+    most_bytes: int = 100_000_000,
 ) -> ZoomSummary:
     """Write a self-contained HTML page that shows pictures and zooms into them.
 

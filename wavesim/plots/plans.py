@@ -11,9 +11,6 @@ from wavesim.plots.panels import title_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#1f5fa8", "#d1622b")
-BEST = "#b3202c"
-
 
 def plans_figure(found: Plans, title: str = "") -> Figure:
     """Relative error of the object against the number of planes, a line for each set of exposures.
@@ -34,7 +31,8 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
     figure = Figure(figsize=(6.4, 4.6), layout="constrained")
     title_figure(figure, title)
     axes = figure.subplots()
-    for exposures, colour in zip(dict.fromkeys(p.exposures for p in found.plans), COLOURS, strict=False):
+    colours = ("#1f5fa8", "#d1622b")
+    for exposures, colour in zip(dict.fromkeys(p.exposures for p in found.plans), colours, strict=False):
         plans = sorted((p for p in found.plans if p.exposures == exposures), key=lambda p: len(p.planes_mm))
         counts, errors = [len(p.planes_mm) for p in plans], [p.error for p in plans]
         label = f"exposures {', '.join(f'{e:g}' for e in exposures)}"
@@ -45,7 +43,7 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
             axes.plot([count, count], [max(least, 1e-4), error], "-", color=colour, lw=2.5, alpha=0.35)
             axes.plot(count, error, "o", color=colour, markerfacecolor=face)
     best = found.recommended
-    axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color=BEST, label="recommended")
+    axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color="#b3202c", label="recommended")
     axes.set_yscale("log")
     axes.set_xticks(range(1, found.settings.most_planes + 1))
     axes.set_xlabel("planes")

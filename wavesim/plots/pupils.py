@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 COLOURS = {"x": "#1f5fa8", "y": "#d1622b"}
-PSF_DECADES = 4.0
-RIM = 1.04
-"""Half width of the wavefront map, in pupil radii."""
 
 
 def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], title: str = "") -> Figure:
@@ -71,7 +68,7 @@ def _draw_wavefront(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> No
     _colour_bar(figure, picture, axes, "optical path difference (waves)")
     axes.set_title(f"Wavefront: {rms_waves(pupil):.4f} waves rms")
     axes.set(xlabel="direction cosine L at the object", ylabel="direction cosine M at the object")
-    shown = RIM * half  # the pupil's rim does not touch the frame
+    shown = 1.04 * half  # the pupil's rim does not touch the frame
     axes.set(xlim=(x - shown, x + shown), ylim=(y - shown, y + shown))
 
 
@@ -79,9 +76,10 @@ def _draw_psf(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> None:
     airy_diameter_um = 1.22 * pupil.wavelength_um / pupil.grid.half_width
     half_width = min(4.0 * airy_diameter_um, 0.5 * pupil.grid.window_um)
     coordinates, intensity = psf(pupil, half_width, points=257)
-    decades = np.log10(np.maximum(intensity, 10.0**-PSF_DECADES))
+    psf_decades = 4.0
+    decades = np.log10(np.maximum(intensity, 10.0**-psf_decades))
     picture = axes.pcolormesh(
-        coordinates, coordinates, decades, cmap="inferno", vmin=-PSF_DECADES, vmax=0.0, rasterized=True
+        coordinates, coordinates, decades, cmap="inferno", vmin=-psf_decades, vmax=0.0, rasterized=True
     )
     _colour_bar(figure, picture, axes, "log10 of the intensity (perfect peak: 0)")
     axes.set_title(f"Point spread: Strehl ratio {strehl(pupil):.4f}")

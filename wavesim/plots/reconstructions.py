@@ -17,8 +17,6 @@ from wavesim.reconstruction.phase_retrieval import Retrieved, agreement
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#1f5fa8", "#d1622b", "#2f8f4e", "#7a4fa3", "#555555")
-
 
 def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence of retrieval") -> Figure:
     """Draw 1 minus the correlation of amplitudes (A6), and the residual at the first plane.
@@ -48,8 +46,9 @@ def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence 
         "1 − CC (A6)": lambda run: 1.0 - np.asarray(run.correlation),
         "relative residual, first plane": lambda run: np.asarray(run.residual_curve),
     }
+    colours = ("#1f5fa8", "#d1622b", "#2f8f4e", "#7a4fa3", "#555555")
     for axes, (label, curve) in zip(figure.subplots(1, 2), curves.items(), strict=True):
-        for (name, run), colour in zip(runs.items(), cycle(COLOURS), strict=False):
+        for (name, run), colour in zip(runs.items(), cycle(colours), strict=False):
             values = np.maximum(curve(run), 1e-16)
             iterations = np.arange(len(values))
             axes.semilogy(iterations, values, color=colour, label=name)

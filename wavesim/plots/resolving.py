@@ -13,9 +13,6 @@ from wavesim.plots.panels import title_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#d1622b", "#2f8f4e", "#1f5fa8", "#7a4fa3", "#555555", "#b8860b")
-MARKERS = ("D", "s", "o", "^", "P", "X")
-
 
 def resolving_figure(
     results: Sequence[Resolved], title: str = "", threshold: float = RESOLVED_CONTRAST
@@ -70,7 +67,9 @@ def engine_label(result: Resolved) -> str:
 
 
 def _draw(axes: Any, result: Resolved, number: int, threshold: float, curves: int) -> None:
-    colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+    colours = ("#d1622b", "#2f8f4e", "#1f5fa8", "#7a4fa3", "#555555", "#b8860b")
+    markers = ("D", "s", "o", "^", "P", "X")
+    colour, marker = colours[number % len(colours)], markers[number % len(markers)]
     lines = sorted(result.lines, key=lambda one: one.line_width_um)
     widths, contrasts = [one.line_width_um for one in lines], [one.contrast for one in lines]
     # Engines that agree lie on each other: lower curves are wider.

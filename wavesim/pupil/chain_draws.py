@@ -24,9 +24,6 @@ from wavesim.pupil.pupil import ComplexArray
 TERMS = (ORDERS[0] + 1) * (ORDERS[1] + 1)
 """Number of polynomial terms x^i p^j of one plane; i runs fastest."""
 
-BLOCK = 16
-"""Number of lenses whose fields are in memory at one time."""
-
 
 def polynomial_terms(x: Array, p: Array) -> Array:
     """Return the terms x^i p^j at some points, shape (points, TERMS).
@@ -72,8 +69,10 @@ class ChainDraws:
             Derivatives with respect to the coefficients; zeros if they are not computed.
         """
         found, by = np.empty(len(coefficients)), np.zeros(coefficients.shape)
-        for start in range(0, len(coefficients), BLOCK):
-            part = slice(start, start + BLOCK)
+        # Lenses whose fields are held at one time.
+        block = 16
+        for start in range(0, len(coefficients), block):
+            part = slice(start, start + block)
             found[part], by[part] = self._block(coefficients[part], derivatives)
         return found, by
 

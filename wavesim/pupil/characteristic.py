@@ -30,11 +30,6 @@ from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import NOMINAL, Placement, placed
 
-DIFFERENCE_STEP = 1e-4
-"""Step of direction cosines for central differences of rays; its relative error is about 1e-8."""
-
-RIM_POINTS = 256
-
 
 @dataclass(frozen=True, eq=False)
 class PointCharacteristic:
@@ -200,7 +195,8 @@ def _bounding_square(
     lens: Lens, field: Array, wavelength_um: float, samples: int
 ) -> tuple[tuple[float, float], float]:
     """Return centre and spacing of the grid that covers the cosines of all rays through the stop's rim."""
-    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    rim_points = 256
+    angle = 2.0 * np.pi * np.arange(rim_points) / rim_points
     _, rim = launch(lens, field, np.column_stack([np.cos(angle), np.sin(angle)]), wavelength_um)
     low, high = rim[:, :2].min(axis=0), rim[:, :2].max(axis=0)
     centre = 0.5 * (low + high)
@@ -213,17 +209,17 @@ def ray_derivatives(
     """Return ds/dp and dq/dp by central differences; one-sided where a neighbour does not arrive."""
     base, _ = shoot(system, point, cosines, plane_z_mm, clip=False)
     parts: list[tuple[Array, Array]] = []
+    # Step of direction cosines for central differences; their error is some 1e-8 of the derivative.
+    step = 1e-4
     for axis in np.eye(2):
         ends = []
         for sign in (-1.0, 1.0):
-            rays, real = shoot(
-                system, point, cosines + sign * DIFFERENCE_STEP * axis[:, None], plane_z_mm, clip=False
-            )
+            rays, real = shoot(system, point, cosines + sign * step * axis[:, None], plane_z_mm, clip=False)
             arrived = rays.ok & real
             values = np.hstack([rays.position[:, :2], rays.direction[:, :2]])
             fallback = np.hstack([base.position[:, :2], base.direction[:, :2]])
             ends.append((np.where(arrived[:, None], values, fallback), sign * arrived))
-        width = DIFFERENCE_STEP * (ends[1][1] - ends[0][1])
+        width = step * (ends[1][1] - ends[0][1])
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = (ends[1][0] - ends[0][0]) / width[:, None]
         parts.append((slope[:, :2], slope[:, 2:]))

@@ -43,9 +43,6 @@ WITHIN, JUDGED = 0.72, 0.92
 DEPTH, PHASE_RAD, CLEAR = 0.9, 1.2, 0.4
 """Reduction of amplitude by bars of an amplitude object; phase and reduction by those of a complex one."""
 
-SCATTER = 0.3
-"""Standard deviation of objects from their expected values."""
-
 FINER = 8
 """Number of trial shifts per sample in the registration of objects."""
 
@@ -130,7 +127,11 @@ class LinearisedChain:
         matrix = np.concatenate([plane.matrix for plane in planes])
         counts = [len(plane.matrix) for plane in planes]
         weights = np.repeat(1.0 / np.array(self.noise), counts)
-        prior = np.append(np.full(matrix.shape[1] * (1 if self.kind == "amplitude" else 2), SCATTER**-2), 0.0)
+        # Standard deviation of objects about what one expects.
+        object_deviation = 0.3
+        prior = np.append(
+            np.full(matrix.shape[1] * (1 if self.kind == "amplitude" else 2), object_deviation**-2), 0.0
+        )
         found = []
         for values, amplitude in zip(self.objects.T, self.nominal.T, strict=True):
             field = matrix @ values

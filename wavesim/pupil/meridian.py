@@ -31,23 +31,11 @@ from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import Placement
 
-FINENESS = 0.8
-"""Pitch of the object's samples over half the period of the finest fringes that the aperture holds."""
-
-FAN = 241
-"""Number of rays of a nominal fan; splines interpolate path and cosine between them."""
-
 PIXELS_PER_SAMPLE = 4
 """Number of pixels of each plane that are used for each sample of the object; others are omitted evenly."""
 
-FEWEST_FANS = 4
-"""Least number of fans between which a path is a polynomial of the object point."""
-
 NODES, ORDERS = (5, 15), (3, 6)
 """Object points and cosines at which perturbed rays are traced, and orders of the polynomial."""
-
-FEWEST_RAYS = 3
-"""Least number of rays over the number of the polynomial's terms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +110,10 @@ class Meridian:
     def __post_init__(self) -> None:
         validate_positive("length_mm", self.length_mm)
         validate_positive("pixels_per_sample", self.pixels_per_sample)
-        if self.fans and self.fans < FEWEST_FANS:
-            raise InputError(f"fans = {self.fans}: must be 0, or {FEWEST_FANS} or more")
+        # Fewest fans between which a path is a polynomial of the object point.
+        fewest_fans = 4
+        if self.fans and self.fans < fewest_fans:
+            raise InputError(f"fans = {self.fans}: must be 0, or {fewest_fans} or more")
 
     @cached_property
     def wavelength(self) -> float:
@@ -139,7 +129,9 @@ class Meridian:
     @cached_property
     def coordinates_mm(self) -> Array:
         """Positions of the object's samples relative to the centre of the line."""
-        pitch = FINENESS * 0.5e-3 * self.wavelength / self.lens.object.numerical_aperture
+        # Pitch of the object's samples over half the period of the finest fringes that the aperture holds.
+        fineness = 0.8
+        pitch = fineness * 0.5e-3 * self.wavelength / self.lens.object.numerical_aperture
         count = max(math.ceil(self.length_mm / pitch), 8)
         return np.asarray((np.arange(count) - 0.5 * (count - 1)) * self.length_mm / count)
 
@@ -227,7 +219,9 @@ class Meridian:
 
     def _fan(self, x_mm: float, z_mm: float) -> tuple[Array, Array, Array, Array]:
         """Return positions, cosines and paths on the plane for rays of a sample, and initial cosines."""
-        cosines = np.linspace(-1.02, 1.02, FAN) * self._aperture
+        # Rays of a nominal fan; between them path and cosine are splines.
+        fan = 241
+        cosines = np.linspace(-1.02, 1.02, fan) * self._aperture
         rays, _ = shoot(self._system, self._point(x_mm), np.outer(self.direction, cosines), z_mm, clip=True)
         passed = rays.ok
         if np.count_nonzero(passed) < 8:

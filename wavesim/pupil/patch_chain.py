@@ -40,15 +40,6 @@ from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
 from wavesim.scene.engine import ErrorTerm
 from wavesim.scene.placement import NOMINAL, Placement, placed
 
-WINDOW = {True: 6.0, False: 3.0}
-"""Period of the returned field in widths of the patch, on a line and in the plane. The phase of the pupil is
-sampled up to a displacement of half a period. On a line the stop's rim matters more, and samples cost less.
-"""
-
-LEAST_WINDOW = 2.0
-"""Least period in widths of the patch: light that is displaced by half a period and wraps around still misses
-the patch."""
-
 
 @dataclass(frozen=True, eq=False)
 class PatchChain:
@@ -115,14 +106,20 @@ class PatchChain:
         stop = (self.lens, self.field_mm, self.wavelength_um, self.plane_distance_mm)
         coarse = point_characteristic(*stop, samples=8).grid
         each = self.patch_um * 2.0 * coarse.half_width / coarse.wavelength_um
-        needed = max(math.ceil(LEAST_WINDOW * each), 8) | 1
-        samples = max(math.ceil(WINDOW[self.line] * each), 8) if self.samples is None else self.samples
+        # Light displaced by half of this period still misses the patch when it re-enters at the other side.
+        least_window = 2.0
+        needed = max(math.ceil(least_window * each), 8) | 1
+        # Period of the returned field, in widths of the patch, on a line and in the plane. The pupil's phase
+        # is represented up to a displacement of half of it. On a line the stop's rim weighs more, and samples
+        # cost less.
+        window = {True: 6.0, False: 3.0}
+        samples = max(math.ceil(window[self.line] * each), 8) if self.samples is None else self.samples
         rays = nominal_rays(*stop, samples | 1 if isinstance(samples, int) else samples, self.line)
         grid = rays.base.grid
         if grid.samples < needed:
             raise SamplingError(
                 f"samples = {self.samples}: what comes back repeats after {grid.window_um:.4g} um, but must "
-                f"not before {LEAST_WINDOW:g} times the patch of {self.patch_um:g} um: raise samples to at "
+                f"not before {least_window:g} times the patch of {self.patch_um:g} um: raise samples to at "
                 f"least {needed}, or take a smaller patch"
             )
         return rays

@@ -24,11 +24,6 @@ from wavesim.pupil.ray_aiming import Aimed, AimingMap, shoot
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import Placement
 
-STEP = 1e-5
-"""Step of direction cosines for one-sided differences; its relative error is about 1e-5."""
-
-BEND_STEP_MM = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class AimedRays:
@@ -102,15 +97,16 @@ class NominalRays:
     def bend_per_mm(self) -> Array:
         """Second derivatives of V with respect to the object point, in 1/mm; shape (n, d, d)."""
         base, columns = self.base, []
+        bend_step_mm = 1e-3
         for axis in self.axes:
-            step = BEND_STEP_MM * np.eye(3)[axis]
+            step = bend_step_mm * np.eye(3)[axis]
             low, high = (
                 shoot(
                     self.system, base.object_point_mm + move, base.grid.cosines.T, base.plane_z_mm, clip=False
                 )[0].position
                 for move in (-step, step)
             )
-            columns.append((high - low)[:, self.axes] / (2.0 * BEND_STEP_MM))
+            columns.append((high - low)[:, self.axes] / (2.0 * bend_step_mm))
         # dp/dc at a fixed s is -(dp/ds)(ds/dc), and dV/dc is -p.
         inverse = self.base.inverse_jacobian[:, self.axes][:, :, self.axes]
         return np.asarray(inverse @ np.stack(columns, axis=-1))
@@ -158,11 +154,13 @@ class NominalRays:
         rays, cosines, miss = found.rays, found.cosines, found.miss_mm
         index = float(system.index[0, -1])
         slopes, valid = [], found.arrived.copy()
+        # Step of direction cosines for one-sided differences; their error is some 1e-5 of the derivative.
+        step = 1e-5
         for axis in self.axes:
-            moved = cosines + STEP * np.eye(2)[axis][:, None]
+            moved = cosines + step * np.eye(2)[axis][:, None]
             ends, real = shoot(system, point, moved, plane_z_mm, clip=False)
             valid &= ends.ok & real
-            slopes.append((ends.position[:, :2] - rays.position[:, :2])[:, self.axes].T / STEP)
+            slopes.append((ends.position[:, :2] - rays.position[:, :2])[:, self.axes].T / step)
         spread = slopes[0][0] if self.line else slopes[0][0] * slopes[1][1] - slopes[0][1] * slopes[1][0]
         if not np.any(valid):
             raise InputError("no ray of the patch arrives through both the nominal and the perturbed lens")

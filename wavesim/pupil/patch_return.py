@@ -20,13 +20,6 @@ from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil, plane_waves, 
 
 Registration = Literal["none", "shift", "focus"]
 
-PITCH_WAVES = 0.2
-"""Largest pitch of the patch's grid in wavelengths. The edges of bars alias only from beyond all real
-angles.
-"""
-
-TRANSFORM_ERROR = 1e-6
-
 
 @dataclass(frozen=True)
 class PatchGrid:
@@ -49,7 +42,9 @@ class PatchGrid:
     @cached_property
     def coordinates_um(self) -> Array:
         """Coordinates of the samples along each axis, in um: an odd number, at the centres of cells."""
-        count = math.ceil(self.side_um / (PITCH_WAVES * self.wavelength_um)) | 1
+        # Largest pitch in wavelengths: spectra of edges extend beyond all real angles and would alias.
+        pitch_waves = 0.2
+        count = math.ceil(self.side_um / (pitch_waves * self.wavelength_um)) | 1
         return np.asarray((np.arange(count) - count // 2) * (self.side_um / count))
 
     @property
@@ -129,7 +124,8 @@ class PerturbedPatch:
         values = values * mean_bend(self.rays, patch.coordinates_um, patch.coordinates_um)
         cosines = np.where(self.aimed.valid, self.aimed.cosines, 0.0)
         x, y = 2.0 * np.pi * patch.pitch_um / patch.wavelength_um * cosines
-        options = {"eps": TRANSFORM_ERROR, "isign": -1, "nthreads": 1, "upsampfac": 1.25}
+        transform_error = 1e-6
+        options = {"eps": transform_error, "isign": -1, "nthreads": 1, "upsampfac": 1.25}
         if patch.line:
             return np.asarray(patch.pitch_um * finufft.nufft1d2(y, values, **options))
         return np.asarray(patch.pitch_um**2 * finufft.nufft2d2(y, x, values, **options))

@@ -18,9 +18,6 @@ from wavesim.scene.placement import Placement
 PATH_TOLERANCE_WAVES = 1e-4
 """Largest error of an optical path difference due to aiming at a sensor point, in waves."""
 
-AIM_STEPS = 8
-"""Largest number of traces for aiming; two suffice for perturbations that a mount allows."""
-
 
 class RayAimError(InputError):
     """Rays through a perturbed lens could not be aimed at their sensor points."""
@@ -105,7 +102,9 @@ class AimingMap:
         targets, depth = own[:2] + shift[:2, None], own[2]
         flat, cosines = not np.any(depth), self.cosines
         index = float(system.index[0, -1])
-        for step in range(AIM_STEPS):
+        # Most traces that aiming may take; two suffice for perturbations that a mount allows.
+        aim_steps = 8
+        for step in range(aim_steps):
             # Only aimed rays show what the perturbed stop transmits.
             rays, real = shoot(system, point, cosines, plane_z, clip=step > 0)
             arrived = rays.ok & real
@@ -122,7 +121,7 @@ class AimingMap:
             cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
         furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
         raise RayAimError(
-            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
+            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {aim_steps} "
             f"steps (allowed: {self.reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
         )
 

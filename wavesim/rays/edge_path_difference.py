@@ -22,14 +22,8 @@ AIM_STEPS = 12
 STEP_FRACTIONS = (1.0, 0.2, 0.04)
 """Displacements of the object point that are tried, in Fresnel zones of the object."""
 
-BEYOND = 1.0 + 1e-6
-"""Position just outside the reach; the surface that stops light there is the edge."""
-
 AIMED_MM, MET_MM = 1e-6, 1e-9
 """Tolerances of aiming on the plane and on the rim; the remaining phase error is below 1e-5 radians."""
-
-LONGEST = 3.0
-"""Largest step of the object point, relative to the previous step."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +92,10 @@ class EdgePathDifference:
         base = trace_bundle(scene, np.asarray(point_mm), self._rim, plane_z_mm)
         self.arrives, self._across = base.ok, _across(pupil, every, base.cosine_jacobian)
         self._inverse = inverses(np.where(base.ok[:, None, None], base.jacobian, 1.0))
+        # Position just outside the reach; the surface that stops light there is the edge.
+        beyond = 1.0 + 1e-6
         self._surfaces = self._stopped_by(
-            pupil.points(np.full(len(pupil.angles), BEYOND), pupil.angles)[::every]
+            pupil.points(np.full(len(pupil.angles), beyond), pupil.angles)[::every]
         )
         arms = np.arange(len(self._rim))
         rays = self._shot(self._points, self._rim)
@@ -223,6 +219,8 @@ class EdgePathDifference:
         rate, stop, inverse = inwards_per_mm.copy(), self._rim[arms], self._inverse[arms]
         unit = (self.pupil.centre - stop) / np.maximum(self.reach[arms], 1e-300)[:, None]
         alive = alive.copy()
+        # Largest step of the object point, relative to the previous step.
+        longest_ratio = 3.0
         for depth in depths:
             inwards, detour, ok = np.zeros(len(arms)), np.zeros(len(arms)), np.zeros(len(arms), bool)
             some = np.flatnonzero(alive & np.isfinite(depth))
@@ -233,7 +231,9 @@ class EdgePathDifference:
                 guess = stop[some] + ahead[:, None] * unit[some]
                 found = self.landed(moved[some] + step, arms[some], guess, inverse[some])
                 onwards = (found.inwards - way[some]) * np.sign(depth[some])
-                alive[some] = found.ok & (onwards > 0.0) & (onwards < LONGEST * np.abs(ahead)) & (step != 0.0)
+                alive[some] = (
+                    found.ok & (onwards > 0.0) & (onwards < longest_ratio * np.abs(ahead)) & (step != 0.0)
+                )
                 inwards[some], detour[some], ok[some] = found.inwards, found.detour, alive[some]
                 with np.errstate(divide="ignore", invalid="ignore"):
                     rate[some] = (found.inwards - way[some]) / step

@@ -25,41 +25,7 @@ from wavesim.rays.edge_path_difference import STEP_FRACTIONS, EdgePathDifference
 from wavesim.rays.ray_bundles import OpenPupil
 from wavesim.scene.scene import Scene
 
-SHADOW = {True: 24.0, False: 8.0}
-"""x at which the shadow counts as dark, on a line and on a plane."""
-
-LEAST_RESOLVED = 2.0
-"""x up to which F is always used: the fields of neighbouring tiles do not cancel where edges are sharper than
-diffraction allows."""
-
-DEEPEST = {True: 1.9, False: 0.9}
-"""Depth inside the rim to which rays by way of the rim are traced, relative to the reach, on a line and a
-plane."""
-
-FARTHEST = 0.4
-"""Distance outside the rim to which they are traced, relative to the reach."""
-
 STEPS_WITHIN, STEPS_BEYOND = {True: 16, False: 6}, 3
-ORDER = 8
-"""Order of the polynomial for x over the distance t from the rim."""
-
-UNFOLLOWED = 0.1
-"""Largest difference between the detours of the rays and of the polynomial, in radians."""
-
-EASED = 0.1
-"""Fraction of the largest x over which F changes smoothly into a sharp edge."""
-
-FRINGES = math.pi
-"""x times the change of x over neighbouring points above which their waves from the rim cancel on average."""
-
-LEAST = 1e-9
-"""Smallest distance in stop coordinates from which a rate can be determined."""
-
-SHARPEST = 1e7
-"""Rate of x over the stop's coordinates where the plane is that of the rim, or rays do not determine it."""
-
-LOOKED = 65
-"""Sampled positions along an arm."""
 
 EVERY, SMOOTH = 6, 1e-6
 """On a plane only one of so many arms is traced, if these arms determine the reach of the others to this
@@ -116,8 +82,13 @@ class Edge:
 
     def _resolved_to(self, width_mm: float) -> Array:
         deepest = _detour(self.deep, self.terms, self.deep, self.beyond)
-        most = FRINGES / max(self.shift_per_mm * width_mm, 1e-300)
-        return np.minimum(np.maximum(deepest, LEAST_RESOLVED), most)
+        # x times its change over neighbouring points above which their waves from the rim cancel on average.
+        fringes = math.pi
+        most = fringes / max(self.shift_per_mm * width_mm, 1e-300)
+        # x up to which F is always used: the fields of neighbouring tiles do not cancel where edges are
+        # sharper than diffraction allows.
+        least_resolved = 2.0
+        return np.minimum(np.maximum(deepest, least_resolved), most)
 
     def factor(self, stop: Array, width_mm: float, traced: OpenPupil) -> NDArray[np.complex128]:
         """Return F for light through points of the stop, y or y and x, shape (..., d).
@@ -155,11 +126,13 @@ class Edge:
 
     def _clear_radius(self, resolved: Array) -> float:
         """Return the distance from the centre of a plane's pupil within which F is 1."""
-        distances = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, LOOKED)
+        # Sampled positions along an arm.
+        samples = 65
+        distances = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, samples)
         terms, deep, beyond = self.terms[:, None], self.deep[:, None], self.beyond[:, None]
         inside = _detour(distances, terms, deep, beyond) >= max(resolved)
-        first = np.where(inside.any(axis=1), np.argmax(inside, axis=1), LOOKED - 1)
-        return max(0.0, float(np.min(self.pupil.reach * (1.0 - (first + 1) / (LOOKED - 1)))))
+        first = np.where(inside.any(axis=1), np.argmax(inside, axis=1), samples - 1)
+        return max(0.0, float(np.min(self.pupil.reach * (1.0 - (first + 1) / (samples - 1)))))
 
     def _at(self, y: Array, x: Array, ends: tuple[Array, Array], moved: float) -> NDArray[np.complex128]:
         """Return F at points of a plane's stop, relative to the centre of the pupil."""
@@ -176,7 +149,9 @@ def _diffracted(
     For points over which x changes by `moved`, the wave from the rim has the mean of their phases.
     """
     most = np.maximum(np.where(x < 0.0, *ends), 1e-300)
-    weight = np.clip((1.0 - np.abs(x) / most) / EASED, 0.0, 1.0)
+    # Fraction of the largest x over which F changes smoothly into a sharp edge.
+    eased_fraction = 0.1
+    weight = np.clip((1.0 - np.abs(x) / most) / eased_fraction, 0.0, 1.0)
     weight *= weight * (3.0 - 2.0 * weight) * np.sinc(np.minimum(np.abs(x) * moved / math.pi, 1.0))
     found = np.asarray(x > 0.0, complex)
     near = weight > 0.0
@@ -198,7 +173,11 @@ def _detour(distance: Array, terms: Array, deep: Array, beyond: Array) -> Array:
 
 def _beyond(reach: Array, line: bool, rate: Array) -> Array:
     """Return the width of the shadow that is not dark, in stop coordinates."""
-    return np.minimum(SHADOW[line] / rate, FARTHEST * reach)
+    # x at which the shadow counts as dark, on a line and on a plane.
+    shadow = {True: 24.0, False: 8.0}
+    # Distance outside the rim to which rays are traced, relative to the reach.
+    farthest = 0.4
+    return np.minimum(shadow[line] / rate, farthest * reach)
 
 
 def fresnel_edge(x: Array) -> NDArray[np.complex128]:
@@ -269,12 +248,16 @@ def _followed(detours: EdgePathDifference) -> _Followed:
     """Trace rays along arms to both sides of the rim."""
     inwards, detour, moved, good = _next_to_rim(detours)
     line, arms = detours.pupil.is_line, np.arange(len(detours.reach))
+    # Rate of x over the stop's coordinates where the plane is that of the rim, or rays do not determine it.
+    sharpest_rate = 1e7
     with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.where(good, np.sqrt(np.abs(detour[0])) / np.abs(inwards[0]), SHARPEST)
+        rate = np.where(good, np.sqrt(np.abs(detour[0])) / np.abs(inwards[0]), sharpest_rate)
     moves = np.where(good, np.sign(detour[0]) * np.sqrt(np.abs(detour[0])) / moved, 0.0)
     depths = np.full((STEPS_WITHIN[line], 2, len(arms)), np.nan)
     within, beyond = (np.linspace(0.0, 1.0, n + 1)[1:, None] for n in (len(depths), STEPS_BEYOND))
-    depths[:, 0] = within * DEEPEST[line] * detours.reach
+    # Depth inside the rim to which rays are traced, relative to the reach, on a line and on a plane.
+    deepest = {True: 1.9, False: 0.9}
+    depths[:, 0] = within * deepest[line] * detours.reach
     depths[:STEPS_BEYOND, 1] = -beyond * _beyond(detours.reach, line, rate)
     twice = (np.tile(part, 2) for part in (arms, (inwards[0] - inwards[1]) / (2.0 * moved), good))
     steps = list(detours.marched(depths.reshape(len(depths), -1), *twice))
@@ -287,7 +270,7 @@ def _followed(detours: EdgePathDifference) -> _Followed:
         for beside, steps_of in ((inwards, distance), (detour, longer))
     )
     terms, (deep, outside) = _fitted(distances, detours_of, np.sum(ok, axis=0).T, good)
-    terms[~good, 0] = SHARPEST
+    terms[~good, 0] = sharpest_rate
     return _Followed(terms, deep, outside, moves, good)
 
 
@@ -297,6 +280,8 @@ def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDAr
     count = len(detours.reach)
     inwards, detour = np.zeros((2, count)), np.zeros((2, count))
     moved, good = np.ones(count), np.zeros(count, bool)
+    # Smallest distance in stop coordinates from which a rate can be determined.
+    least_distance = 1e-9
     for fraction in STEP_FRACTIONS:
         some = np.flatnonzero(detours.arrives & ~good)
         if not len(some):
@@ -305,7 +290,7 @@ def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDAr
         found = detours.landed(np.concatenate([step, -step]), np.tile(some, 2))
         way, longer, ok = (values.reshape(2, -1) for values in (found.inwards, found.detour, found.ok))
         with np.errstate(invalid="ignore"):
-            new = ok.all(axis=0) & (way[0] * way[1] < -(LEAST**2)) & (longer[0] * longer[1] > 0.0)
+            new = ok.all(axis=0) & (way[0] * way[1] < -(least_distance**2)) & (longer[0] * longer[1] > 0.0)
         new &= np.isfinite(longer).all(axis=0)
         inwards[:, some[new]], detour[:, some[new]] = way[:, new], longer[:, new]
         moved[some[new]], good[some[new]] = step[new], True
@@ -331,18 +316,22 @@ def _fitted(
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         values = np.sqrt(np.abs(detour)) / np.abs(way)
-    terms, left, arms = np.zeros((len(good), ORDER + 1)), good.copy(), np.arange(len(good))
+    # Order of the polynomial for x over the distance t from the rim.
+    order = 8
+    terms, left, arms = np.zeros((len(good), order + 1)), good.copy(), np.arange(len(good))
     starts = 2, way.shape[1] - STEPS_BEYOND
+    # Largest difference between the detours of the rays and of the polynomial, in radians.
+    largest_difference = 0.1
     while np.any(left):
         for counts in np.unique(many[left], axis=0):
             some = arms[left & np.all(many == counts, axis=1)]
             used = [0, 1, *(s + i for s, c in zip(starts, counts, strict=True) for i in range(c))]
             t, v = way[some][:, used], values[some][:, used]
-            powers = t[:, :, None] ** np.arange(min(ORDER, len(used) // 2) + 1)
+            powers = t[:, :, None] ** np.arange(min(order, len(used) // 2) + 1)
             weight = np.abs(t)[:, :, None]
             found = np.linalg.pinv(weight * powers) @ (weight * v[:, :, None])
             off = np.abs((t * (powers @ found)[:, :, 0]) ** 2 - (t * v) ** 2).max(axis=1)
-            fits = (off < UNFOLLOWED) | (len(used) == 2)
+            fits = (off < largest_difference) | (len(used) == 2)
             terms[some[fits], : powers.shape[2]] = found[fits, :, 0]
             left[some[fits]] = False
         longer = np.argmax(many, axis=1)

@@ -14,13 +14,6 @@ from wavesim.rays.maps import check_no_fold, sample_points
 from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
 
-CANDIDATES = 33
-"""Candidate planes between exit vertex and exit grid, where rays fold on the exit grid."""
-
-SAMPLE_ORDER = {True: 64, False: 16}
-NARROWEST = 0.6
-"""Smallest cross-section of a ray tube, relative to that at the exit vertex."""
-
 FINENESS, ZONES = 0.85, 6.0
 
 Samples = list[tuple[tuple[float, float], Array]]
@@ -71,9 +64,13 @@ def _chosen_z_mm(scene: Scene, samples: Samples) -> float:
     last = scene.exit_grid.z_mm
     first = scene.lens.exit_vertex_z_mm
     here = _quality(scene, samples, last)
-    if last == first or (here.narrowing >= NARROWEST and here.caustics == 0):
+    # Smallest cross-section of a ray tube, relative to that at the exit vertex.
+    narrowest = 0.6
+    if last == first or (here.narrowing >= narrowest and here.caustics == 0):
         return last
-    planes = [float(z) for z in np.linspace(first, last, CANDIDATES)[:-1]]
+    # Candidate planes between exit vertex and exit grid, where rays fold on the exit grid.
+    candidates = 33
+    planes = [float(z) for z in np.linspace(first, last, candidates)[:-1]]
     found = [_quality(scene, samples, z) for z in planes]
     best = max(range(len(planes)), key=lambda i: found[i].evenness)
     if max(found[best].evenness, here.evenness) <= 0.0:
@@ -123,7 +120,8 @@ def _samples(scene: Scene, plane_z_mm: float) -> Samples:
     grid = scene.object_grid
     ends = [(a[0], a[-1]) for a in (grid.x_mm, grid.y_mm)]
     points = {grid.centre_mm} | {(float(x), float(y)) for x in ends[0] for y in ends[1]}
-    order = SAMPLE_ORDER[grid.is_line]
+    sample_order = {True: 64, False: 16}
+    order = sample_order[grid.is_line]
     return [(p, sample_points(open_pupil(scene, p, plane_z_mm), order)) for p in sorted(points)]
 
 

@@ -18,8 +18,6 @@ from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
 from wavesim.scene.scene import Coating, Scene
 
-HEIGHT_TOLERANCE_MM = 1e-12
-FAN_RAYS = 801
 FAN_RINGS, FAN_ARMS = 24, 48
 
 
@@ -85,6 +83,7 @@ def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) 
     if not system.tilted[surface]:
         dz = system.sag(surface, dx, dy)
     else:
+        height_tolerance_mm = 1e-12
         for _ in range(20):
             local = [dx * rotation[0, i] + dy * rotation[1, i] + dz * rotation[2, i] for i in range(3)]
             r2 = local[0] ** 2 + local[1] ** 2
@@ -92,7 +91,7 @@ def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) 
             rise = rotation[2, 2] - by_x * rotation[2, 0] - by_y * rotation[2, 1]
             step = (local[2] - height) / rise
             dz = dz - step
-            if not np.any(np.abs(step) > HEIGHT_TOLERANCE_MM):
+            if not np.any(np.abs(step) > height_tolerance_mm):
                 break
     inwards = system.semi_diameter[surface] - np.sqrt(r2)
     return SurfaceMap(np.asarray(vertex[2] + dz), np.asarray(inwards))
@@ -109,7 +108,8 @@ def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, .
     system, lens = scene.system, scene.lens
     rim = 1.0 if scene.object_grid.is_line else np.sqrt(np.arange(1, FAN_RINGS + 1) / FAN_RINGS)
     if scene.object_grid.is_line:
-        pupil = np.column_stack([np.zeros(FAN_RAYS), np.linspace(-rim, rim, FAN_RAYS)])
+        fan_rays = 801
+        pupil = np.column_stack([np.zeros(fan_rays), np.linspace(-rim, rim, fan_rays)])
     else:
         angle = 2.0 * np.pi * np.arange(FAN_ARMS) / FAN_ARMS
         ring = np.stack([np.outer(rim, np.cos(angle)).ravel(), np.outer(rim, np.sin(angle)).ravel()], axis=-1)

@@ -23,18 +23,8 @@ from wavesim.rays.kernel import row_ends
 from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
-PATH_TOLERANCE_WAVES = 1e-4
-AMPLITUDE_TOLERANCE = 1e-4
-"""Largest relative error of the amplitude at rays that were not fitted."""
-
 LINE_ORDERS, PLANE_ORDERS = (12, 20, 32, 48, 72, 120, 200), (8, 12, 16, 20, 26)
 RIM_ARMS = 360
-MOST_BENT = 2.0
-"""Largest second-order coefficient of the edge relative to the first, at the centre of the light; above it
-two orders do not describe the edge."""
-
-SHADOW_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
-"""Fractions of the shadow that are tried, until rays reach it."""
 
 BLOCK = 8192
 """Scattered points at which polynomials are evaluated at a time."""
@@ -183,7 +173,10 @@ class RayMap:
             return False
         lit = self.pupil.reach
         bent = float(np.max(np.abs(self.edge.bend) * lit))
-        return bent <= MOST_BENT and bool(
+        # Largest second-order coefficient of the edge relative to the first, at the centre of the light;
+        # above it two orders do not describe the edge.
+        most_bent = 2.0
+        return bent <= most_bent and bool(
             np.all(self.traced.reach - lit > 0.9 * (self.edge.shadow.reach - lit))
         )
 
@@ -277,6 +270,9 @@ def ray_map(
     orders = LINE_ORDERS if pupil.is_line else PLANE_ORDERS
     wavelength_mm = 1e-3 * scene.wavelength_um
     errors = np.full(3, np.inf)
+    path_tolerance_waves = 1e-4
+    # Largest relative error of the amplitude at rays that were not fitted.
+    amplitude_tolerance = 1e-4
     for order in orders:
         bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order), plane_z_mm)
         caustics = check_no_fold(bundle, point_mm, plane_z_mm)
@@ -292,7 +288,7 @@ def ray_map(
                 difference[2:].max() * reach_mm / wavelength_mm,
             ]
         )
-        if np.all(errors < [PATH_TOLERANCE_WAVES, AMPLITUDE_TOLERANCE, PATH_TOLERANCE_WAVES]):
+        if np.all(errors < [path_tolerance_waves, amplitude_tolerance, path_tolerance_waves]):
             borders = [border_of(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
             stop = None if drawn is None else replace(both, coefficients=both.coefficients[len(fitted) :])
             return RayMap(
@@ -302,7 +298,7 @@ def ray_map(
         f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm are too rough on the plane z = {plane_z_mm:g} "
         f"mm: the errors of polynomials of order {orders[-1]} are {errors[0]:.2g} waves of path, "
         f"{errors[1]:.2g} of the amplitude and {errors[2]:.2g} waves by direction "
-        f"(allowed: {PATH_TOLERANCE_WAVES:g}, {AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); "
+        f"(allowed: {path_tolerance_waves:g}, {amplitude_tolerance:g}, {path_tolerance_waves:g}); "
         "stop the lens down, or go farther from the caustic"
     )
 
@@ -310,7 +306,9 @@ def ray_map(
 def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_z_mm: float) -> OpenPupil:
     """Return the open part of the stop with the part of its shadow that rays reach without folding."""
     order = (LINE_ORDERS if edge.pupil.is_line else PLANE_ORDERS)[0]
-    for fraction in SHADOW_FRACTIONS:
+    # Fractions of the shadow that are tried, until rays reach it.
+    shadow_fractions = (1.0, 0.5, 0.25, 0.1)
+    for fraction in shadow_fractions:
         reach = edge.pupil.reach + fraction * (edge.shadow.reach - edge.pupil.reach)
         wider = OpenPupil(edge.pupil.centre, reach, edge.pupil.angles)
         bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(wider, order), plane_z_mm)

@@ -26,12 +26,6 @@ from wavesim.scene.scene import Scene
 STEP = 3e-4
 """Step in stop coordinates for central differences of rays; their relative error is about 1e-8."""
 
-CENTRE_SAMPLES = {True: 401, False: 41}
-"""Samples along each side of the grid that finds the open part of the stop, on a line and on a plane."""
-
-BISECTIONS = 34
-RIM = 1.0 - 1e-9
-
 
 class FoldError(InputError):
     """The map from directions at the object to sensor points folds: no single ray per sensor point."""
@@ -164,13 +158,16 @@ def open_pupil(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, a
         If no ray of the object point gets through the lens, or the open part has a hole in its middle.
     """
     is_line = scene.object_grid.is_line
-    side = np.linspace(-RIM, RIM, CENTRE_SAMPLES[is_line])
+    # Samples along each side of the grid that finds the open part of the stop, on a line and on a plane.
+    centre_samples = {True: 401, False: 41}
+    rim = 1.0 - 1e-9
+    side = np.linspace(-rim, rim, centre_samples[is_line])
     if is_line:
         raster = np.column_stack([np.zeros(len(side)), side])
         angles = np.array([0.5, -0.5]) * np.pi
     else:
         raster = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        raster = raster[np.hypot(*raster.T) <= RIM]
+        raster = raster[np.hypot(*raster.T) <= rim]
         angles = 2.0 * np.pi * np.arange(arms) / arms
 
     def passes(pupil: Array) -> NDArray[np.bool_]:
@@ -191,12 +188,13 @@ def open_pupil(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, a
         )
     along = np.column_stack([np.cos(angles) * (not is_line), np.sin(angles)])
     dot = along @ centre
-    far = -dot + np.sqrt(dot * dot + RIM * RIM - centre @ centre)
+    far = -dot + np.sqrt(dot * dot + rim * rim - centre @ centre)
     near = np.zeros(len(angles))
     clipped = ~passes(centre + far[:, None] * along)
     if np.any(clipped):
         high = far.copy()
-        for _ in range(BISECTIONS):
+        bisections = 34
+        for _ in range(bisections):
             middle = 0.5 * (near + high)
             good = passes(centre + middle[:, None] * along)
             near, high = np.where(good, middle, near), np.where(good, high, middle)

@@ -48,17 +48,6 @@ because predicted errors are upper bounds, which fall by less than errors do. Th
 `FINEST`, the error of pixels and free space.
 """
 
-NO_DIVERSITY = 1.0
-"""Diversity of the planes below which their pictures do not determine a complex object."""
-
-RAMP_WAVES = 0.35
-"""Phase ramp in waves over half of the patch above which light or camera, rather than the object, may cause
-it.
-"""
-
-NEAR = 1.4
-"""Factor to the limit of an explained misfit below which a falling misfit only needs more iterations."""
-
 Progress = Callable[[str], None]
 """Callback with a message about the current step."""
 
@@ -138,15 +127,19 @@ def judge_result(
         return first
     if settings.kind == "complex" and found.whole is not None:
         findings += _ramp(found.whole)
-        if len(given) > 1 and case.diversity < NO_DIVERSITY:
+        # Diversity of the planes below which their pictures do not determine a complex object.
+        no_diversity = 1.0
+        if len(given) > 1 and case.diversity < no_diversity:
             explanation = (
                 "the planes are so near each other that their pictures are nearly equal (diversity "
                 f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more); they do not determine "
                 "a complex object"
             )
             findings.append(Finding("several objects", explanation))
+    # Factor to the limit of an explained misfit below which a falling misfit only needs more iterations.
+    near_limit = 1.4
     # If the misfit is only slightly too large and still falls, more iterations are sufficient.
-    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
+    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < near_limit * LIMIT)
     if early:
         return judged()
     with engine_on(case.light.grid) as engine:
@@ -225,7 +218,9 @@ def _ramp(transmission: Field) -> list[Finding]:
     """Return a finding if a complex object has a phase ramp that light or camera may have caused."""
     phase = smooth_phase_waves(transmission)
     x, y = phase[1, 0], phase[0, 1]
-    if math.hypot(x, y) < RAMP_WAVES:
+    # Phase ramp in waves over half of the patch above which light or camera may be its cause.
+    ramp_waves = 0.35
+    if math.hypot(x, y) < ramp_waves:
         return []
     explanation = (
         f"the object carries a phase ramp of {x:.2g}, {y:.2g} waves over half of the patch, which tilted "
@@ -344,12 +339,6 @@ def starts_needed(
     return settings.replaced(starts=2)
 
 
-PHASE_RAD = 1.0
-"""Root mean square of the random phases from which complex objects start; amplitudes start between 0 and
-1.
-"""
-
-
 def agreement_of_starts(
     engine: Engine,
     light: Field,
@@ -375,13 +364,15 @@ def agreement_of_starts(
     if settings.starts == 1:
         return None
     ends = [light.with_values(light.values * found.transmission.values)]
+    # Root mean square of the random phases of complex objects at the start; amplitudes are from 0 to 1.
+    phase_rad = 1.0
     for seed in range(1, settings.starts):
         progress(f"start {seed + 1} of {settings.starts}")
         random = np.random.default_rng(seed)
         if settings.kind == "amplitude":
             first = random.random(light.grid.shape)
         else:
-            first = np.exp(1j * PHASE_RAD * random.standard_normal(light.grid.shape))
+            first = np.exp(1j * phase_rad * random.standard_normal(light.grid.shape))
         other = reconstruct(
             engine,
             light,

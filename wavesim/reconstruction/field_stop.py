@@ -36,56 +36,19 @@ from wavesim.sensor.measurement import Measurement, noise_misfit
 
 Array = NDArray[np.floating[Any]]
 
-PROBE_FRACTION = 0.12
-"""Diameter over that of the patch of the stop that calibrates the movements of the light."""
-
-FAINT = 0.02
-"""Fraction of a plane's peak intensity below which light (background and noise) is ignored for the
-centroid.
-"""
-
 TILT_DEG, EXPECTED_TILT_DEG = 0.2, 0.5
 """Tilt for the calibration, and expected standard deviation of the direction of the light, in deg."""
-
-EXPECTED_PIXELS = 1.0
-"""Expected standard deviation of the centroid of the light on a plane, in pixels."""
 
 PROBE_WIDTH, BINS, LEAST_DECADES = 0.3, 200, 0.3
 """Widths of spectra: diameter of the first probe over that of the patch, bins of the radial spectrum per
 (cycle per pixel), and decades above the noise floor.
 """
 
-LEAST_SLOPE = 0.8
-"""Decades by which a spectrum falls over the last 15 % before its end."""
-
 SPECTRAL_ERROR, WIDTH_RATIOS = 0.2, (0.9, 1.0, 1.1)
 """Relative error of the diameter from spectra, and ratios to it that are tried."""
 
-FAR_FROM_NOISE = 3.0
-"""Misfit over that of noise above which the position is searched first."""
-
-DIAMETERS = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
-"""Diameters over that of the patch of the first stops that are tried."""
-
 FIRST_STAGE, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
 """Iterations of each stage, and its first step over the diameter."""
-
-LEAST_OFFSET = 0.1
-"""Offset of the light's centroid over the diameter above which another stop is searched."""
-
-IMPROVES = 0.95
-"""Ratio of misfits below which another stop explains the frames better."""
-
-LEAST_STEP = 0.3
-"""Smallest step, in samples."""
-
-DIRECTIONS = np.array(
-    [[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0, 1], [-0.5, 0, 1], [0, 0.5, 1], [0, -0.5, 1]]
-)
-"""Directions of steps in x, y and diameter: the whole stop, its diameter, or one side of its rim."""
-
-MOST_TRIALS = 60
-"""Largest number of trials in a stage."""
 
 
 class FieldStop(NamedTuple):
@@ -138,7 +101,9 @@ class StopSearch:
         elif estimated_width is not None:
             widths = [estimated_width * ratio for ratio in WIDTH_RATIOS]
         else:
-            widths = [self.patch_mm * fraction for fraction in DIAMETERS]
+            # Diameters over that of the patch of the first stops that are tried.
+            diameters = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
+            widths = [self.patch_mm * fraction for fraction in diameters]
         stops = [self._within_patch(np.array([*centre, width])) for width in widths]
         iterations, step = FIRST_STAGE
         best = min(stops, key=lambda stop: self.misfit(stop, iterations))
@@ -148,11 +113,13 @@ class StopSearch:
         # A dark or strongly diffracting object differs much from 1, which misleads the first stage.
         best = min(stops, key=lambda stop: self.misfit(stop, STAGES[0][0]))
         noise = noise_misfit(self.recorded) or 0.0
-        if self.misfit(best, STAGES[0][0]) > FAR_FROM_NOISE * noise and at_mm is None:
+        # Misfit over that of noise above which the position is searched first.
+        far_from_noise = 3.0
+        if self.misfit(best, STAGES[0][0]) > far_from_noise * noise and at_mm is None:
             best = self._pattern_search(best, *STAGES[0], free & np.array((True, True, False)))
         for iterations, step in STAGES[1:]:
             best = self._pattern_search(best, iterations, step, free)
-            if self.misfit(best, iterations) < FAR_FROM_NOISE * noise:
+            if self.misfit(best, iterations) < far_from_noise * noise:
                 break
         return best
 
@@ -193,16 +160,22 @@ class StopSearch:
         No search is made if the centroids and the spectra agree with the given stop.
         """
         centre, width_mm = self.estimated_centre(), self.estimated_width_mm()
-        is_displaced = math.dist(centre, stop.at_mm) > LEAST_OFFSET * stop.width_mm
+        # Offset of the light's centroid over the diameter above which another stop is searched.
+        least_offset = 0.1
+        is_displaced = math.dist(centre, stop.at_mm) > least_offset * stop.width_mm
         has_other_width = width_mm is not None and abs(width_mm / stop.width_mm - 1.0) > SPECTRAL_ERROR
         if not (is_displaced or has_other_width):
             return None
         current, better = self.misfit(stop, STAGES[0][0]), self.run()
-        return better if self.misfit(better, STAGES[0][0]) < IMPROVES * current else None
+        # Ratio of misfits below which another stop explains the frames better.
+        improving_ratio = 0.95
+        return better if self.misfit(better, STAGES[0][0]) < improving_ratio * current else None
 
     def estimated_centre(self) -> tuple[float, float]:
         """Return the center of the stop from the centroids of the light on all planes, in mm."""
-        probe, step = PROBE_FRACTION * self.patch_mm, 0.25 * self.patch_mm
+        # Diameter over that of the patch of the stop that calibrates the movements of the light.
+        probe_fraction = 0.12
+        probe, step = probe_fraction * self.patch_mm, 0.25 * self.patch_mm
         scene = self.engine.scene
         axes = scene.exit_grid.y_mm, scene.exit_grid.x_mm
 
@@ -217,8 +190,10 @@ class StopSearch:
         moved = (centroids(self.light_of(FieldStop(probe, (step, 0.0)))) - base) / step
         tilted = (centroids(LightErrors((TILT_DEG, 0.0)).on(current)) - base) / TILT_DEG
         offsets = np.array([_centroid(plane.amplitude, axes, plane.known) for plane in self.recorded]) - base
+        # Expected standard deviation of the centroid of the light on a plane, in pixels.
+        expected_pixels = 1.0
         # The lens is round: y moves as x does.
-        deviation = EXPECTED_PIXELS * scene.exit_grid.pitch_mm
+        deviation = expected_pixels * scene.exit_grid.pitch_mm
         matrix = np.vstack(
             [np.column_stack([moved[:, 0], tilted[:, 0]]) / deviation, [0.0, 1.0 / EXPECTED_TILT_DEG]]
         )
@@ -269,11 +244,19 @@ class StopSearch:
             return self.misfit(stop, iterations)
 
         pitch = self.engine.scene.object_grid.pitch_mm
-        best, step = start, max(first * start.width_mm, 1.5 * LEAST_STEP * pitch)
+        # Smallest step, in samples.
+        least_step = 0.3
+        best, step = start, max(first * start.width_mm, 1.5 * least_step * pitch)
         trials_before = len(self._misfits)
-        while step >= LEAST_STEP * pitch and len(self._misfits) - trials_before < MOST_TRIALS:
+        # Directions of steps in x, y and diameter: the whole stop, its diameter, or one side of its rim.
+        directions = np.array(
+            [[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0, 1], [-0.5, 0, 1], [0, 0.5, 1], [0, -0.5, 1]]
+        )
+        # Largest number of trials in a stage.
+        most_trials = 60
+        while step >= least_step * pitch and len(self._misfits) - trials_before < most_trials:
             previous = best
-            for direction in DIRECTIONS[~np.any(DIRECTIONS[:, ~free], axis=1)]:
+            for direction in directions[~np.any(directions[:, ~free], axis=1)]:
                 best = self._line_minimum(best, step * direction, value)
             if value(best) >= value(previous):
                 step *= 0.5
@@ -317,8 +300,10 @@ def _spectrum_end(amplitude: Array, known: Any = None) -> _SpectrumEnd | None:
         return None
     last = int(above[-1])
     height, slope = (float(profile[int(fraction * last)] - floor) for fraction in (0.5, 0.85))
+    # Decades by which a spectrum falls over the last 15 % before its end.
+    least_slope = 0.8
     # A spectrum that pixels alias falls slowly towards the Nyquist limit and has no end there.
-    return _SpectrumEnd((last + 1.0) / BINS, height) if slope > LEAST_SLOPE else None
+    return _SpectrumEnd((last + 1.0) / BINS, height) if slope > least_slope else None
 
 
 def _centroid(amplitude: Array, axes: tuple[Array, Array], known: Any = None) -> tuple[float, float]:
@@ -326,7 +311,9 @@ def _centroid(amplitude: Array, axes: tuple[Array, Array], known: Any = None) ->
     light = amplitude.astype(float) ** 2
     if known is not None:
         light = np.where(known, light, 0.0)
-    light = np.maximum(light - FAINT * float(light.max()), 0.0)
+    # Light below this fraction of the peak intensity (background and noise) is ignored.
+    faint_fraction = 0.02
+    light = np.maximum(light - faint_fraction * float(light.max()), 0.0)
     total = float(light.sum())
     y, x = (float((light.sum(axis=1 - axis) * axes[axis]).sum()) / total for axis in (0, 1))
     return x, y

@@ -41,9 +41,6 @@ from wavesim.scene.engine import Operator, Tiled
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, full_weight_sigma, weights_of
 
-NOISE_PARTS = 8
-"""Smallest number of parts of a tiled engine from which the noise of a step is estimated."""
-
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
@@ -173,7 +170,9 @@ class ForwardModel:
         field = Field(scene.exit_grid, self._noise_at_exit(), self.illumination.wavelength_um)
         if not isinstance(self.engine, Tiled):
             return np.asarray(self.engine.adjoint(field).values)
-        step = math.ceil(self.engine.parts / NOISE_PARTS)
+        # Smallest number of parts of a tiled engine from which the noise of a step is estimated.
+        noise_parts = 8
+        step = math.ceil(self.engine.parts / noise_parts)
         return np.asarray(self.engine.adjoint_on(field, range(0, self.engine.parts, step)).values)
 
     def _noise_at_exit(self) -> ComplexArray:

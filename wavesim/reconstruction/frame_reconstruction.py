@@ -72,9 +72,6 @@ from wavesim.targets.region import cut_field, soft_rim
 BETTER = 0.97
 """Ratio of residuals below which an unbounded amplitude object, or one from another start, is preferred."""
 
-BRIGHT = 0.99
-"""Quantile of an object's amplitudes that is scaled to 1 in the start of the next stage."""
-
 ClusterHandover = Callable[[Engine], Engine]
 """Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
 
@@ -486,12 +483,9 @@ def _solve_with_growing_aperture(
 
 def _brightest_is_1(transmission: Field, light: Field) -> Field:
     """Return a transmission, known up to a factor, whose brightest lit parts are 1."""
-    brightest = float(np.quantile(np.abs(transmission.values[light.values != 0.0]), BRIGHT))
-    return (
-        transmission
-        if brightest == 0.0
-        else transmission.with_values(transmission.values / transmission.values.real.dtype.type(brightest))
-    )
+    # A few samples at edges may exceed the brightest parts.
+    brightest = float(np.quantile(np.abs(transmission.values[light.values != 0.0]), 0.99))
+    return transmission if brightest == 0.0 else transmission.with_values(transmission.values / brightest)
 
 
 def _retrieve(

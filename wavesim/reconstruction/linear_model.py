@@ -221,12 +221,6 @@ class PixelMeasurement:
         return np.concatenate(planes) * self.values
 
 
-DARK = 1e-5
-"""Fraction of a plane's mean intensity that is added under the root, so that dark pixels have
-derivatives.
-"""
-
-
 class LinearModel:
     """Residuals of the amplitudes, and their Jacobian with respect to fields, object and light, with the
     adjoint.
@@ -272,13 +266,15 @@ class LinearModel:
         real = exit_field.values.real.dtype.type
         power = real(self.scale**2)
         residual, modelled, self._slopes = [], [], []
+        # Fraction of the mean intensity added under the root: dark pixels then have finite derivatives.
+        dark = 1e-5
         for plane, weight, modelled_power in zip(model.recorded, self._root_weights, intensity, strict=True):
             total = (
                 power * modelled_power
                 if plane.background is None
                 else power * modelled_power + plane.background
             )
-            root = np.sqrt(total + real(DARK * float(total.mean())))
+            root = np.sqrt(total + real(dark * float(total.mean())))
             residual.append(weight * (plane.amplitude - np.sqrt(total)) / real(size))
             modelled.append(weight * power * modelled_power / root)
             self._slopes.append(weight * power / root / real(size))

@@ -27,16 +27,10 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.targets.patch import LIGHT_BYTES
 
-LIGHT_OF_MODE_BYTES = 56
-"""Bytes per object sample while the light of one mode is computed in double precision."""
-
 TILTED_PLANES, TILTED_FIELDS = 6, 3
 """Usual largest number of parallel planes for the field on a tilted sensor, and of fields in that
 computation.
 """
-
-READ_BYTES = 24
-"""Measured bytes per object sample while a true object is read."""
 
 REFOCUSED_BYTES, CARRIED_BYTES, PSNR_BYTES, PRODUCT_BYTES, SIMILARITY_BYTES = 330, 85, 12, 64, 160
 """Measured bytes per sample: of which the sharpness is computed; that is propagated; of the PSNR. Then bytes
@@ -244,6 +238,8 @@ def _mode_arrays(sizes: Sizes, modes: int) -> Inventory:
     """Return arrays for planes in the light of several modes, with pixels that integrate."""
     exit_shape, dtype, real = sizes.exit_shape, sizes.dtype, sizes.real
     all_through = Phase.LENS | MODELLING | Phase.ADJOINT
+    # Bytes per object sample while the light of one mode is computed in double precision.
+    light_of_mode_bytes = 56
     return (
         ArrayGroup("spectra of modes at the exit", exit_shape, dtype, all_through, modes),
         ArrayGroup(
@@ -251,7 +247,7 @@ def _mode_arrays(sizes: Sizes, modes: int) -> Inventory:
         ),
         ArrayGroup("means over pixels", exit_shape, real, all_through, sizes.plane_count),
         work(
-            "light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.object_shape), Phase.LENS | Phase.ADJOINT
+            "light of a mode", light_of_mode_bytes * math.prod(sizes.object_shape), Phase.LENS | Phase.ADJOINT
         ),
         ArrayGroup("the change of the object so far", sizes.object_shape, dtype, ON_PLANES | Phase.ADJOINT),
         ArrayGroup("rows through pixels and their edges", exit_shape, dtype, MODELLING, 2),
@@ -419,12 +415,14 @@ def run_arrays(
     working = descent_arrays(sizes, kind, fill_factor, modes, tilted) if of_object else _paper_arrays(sizes)
     given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
     object_shape = math.prod(sizes.object_shape)
+    # Measured bytes per object sample while a true object is read.
+    read_bytes = 24
     preparation = (
         work("the process itself", BASE_BYTES, PREPARING | AFTER_LOADING),
         work("the frames", frames_bytes, PREPARING),
         work("light, as it is made", LIGHT_BYTES * object_shape, Phase.LIGHTING),
         work(
-            "the true object, as it is read", truth * (COMPLEX64 + READ_BYTES) * object_shape, Phase.READING
+            "the true object, as it is read", truth * (COMPLEX64 + read_bytes) * object_shape, Phase.READING
         ),
         work("all inputs, as read", sum(group.bytes_of_all for group in given), Phase.STORING),
     )

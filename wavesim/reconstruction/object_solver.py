@@ -54,9 +54,6 @@ STOPPED: dict[Stop, str] = {
 }
 """Text that describes each reason for the end of the iterations."""
 
-SCALE_ITERATIONS = 4
-"""Iterations in which an unknown scale is fitted. In later ones scale and transmission would drift."""
-
 AMPLITUDE_START = 12
 """Iterations that seek an amplitude object if `start` is "amplitude"."""
 
@@ -373,7 +370,9 @@ class _ProximalDescent:
         return state
 
     def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
-        self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
+        # Iterations in which an unknown scale is fitted. In later ones scale and transmission would drift.
+        scale_iterations = 4
+        self.model.fits_scale = self.fits_scale and len(state.misfit) < scale_iterations
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         is_far = self._is_far(state)
         point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)

@@ -65,14 +65,6 @@ from wavesim.targets.patch import Patch, lit, lit_patch, read_object, usaf_chart
 from wavesim.targets.region import cut_field, region_grid, widened
 from wavesim.targets.usaf import UsafElement
 
-SPREAD_FACTOR = 2.0
-"""Margin around a region over the spread of light during refocusing, so that the region's rim does not
-show.
-"""
-
-MOST_SLOWDOWN = 10.0
-"""Largest time of all iterations with an engine that replaces the first one, relative to the first one's."""
-
 KEY_SETTINGS = (
     "hold_out_plane",
     "method",
@@ -85,9 +77,6 @@ KEY_SETTINGS = (
     "source_deg",
 )
 """Settings that affect the iterations, besides those of the engine."""
-
-KEY_NAMES = {'"fill_factor":': '"active_width":'}
-"""Former names of settings, which keys of stored results keep: earlier checkpoints stay usable."""
 
 
 class ReconstructionProblem(NamedTuple):
@@ -319,11 +308,13 @@ def _more_accurate_engine(
     It is the cheapest affordable engine that meets the error limit, or else the most accurate one.
     """
     scene, cost = present.scene, present.cost()
+    # Largest time of all iterations with an engine that replaces the first one, relative to the first one's.
+    most_slowdown = 10.0
     affordable = affordable_engines(
         scene,
         (error, min(2.0 * error, predicted_error)),
         memory_gb=_free_gb(scene, limit),
-        seconds=min(LONGEST_SECONDS, MOST_SLOWDOWN * (cost.setup_seconds + runs * cost.seconds)),
+        seconds=min(LONGEST_SECONDS, most_slowdown * (cost.setup_seconds + runs * cost.seconds)),
         runs=runs,
         light=light,
     )
@@ -367,7 +358,9 @@ def _refocus_grid(scene: Scene, settings: ReconstructionSettings, shown: Grid) -
         return shown
     aperture = min(scene.lens.object.numerical_aperture, 0.99)
     spread_mm = max(map(abs, settings.focus_mm)) * math.tan(math.asin(aperture))
-    return widened(shown, scene.object_grid, SPREAD_FACTOR * spread_mm)
+    # Margin over the spread of light during refocusing, so that the region's rim does not show.
+    spread_factor = 2.0
+    return widened(shown, scene.object_grid, spread_factor * spread_mm)
 
 
 def _scratch_limit(memory: Memory, settings: ReconstructionSettings) -> float:
@@ -492,21 +485,15 @@ def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *settings_j
 
 
 def _with_former_names(settings_json: str) -> str:
-    for name, former in KEY_NAMES.items():
+    # Former names of settings, which keys of stored results keep: earlier checkpoints stay usable.
+    former_names = {'"fill_factor":': '"active_width":'}
+    for name, former in former_names.items():
         settings_json = settings_json.replace(name, former)
     return settings_json
 
 
-RING_WIDTH = 0.1
-"""Width over the radius of the footprint of the ring of pixels that shows the light at the rim."""
-
-DEVIATIONS = 2.0
-"""Standard deviations that are added to the mean over the ring as an upper bound."""
-
 MOST_FAULTY_PIXELS, FAULTY_FRACTION = 4, 0.002
 """Number of pixels on the ring that may be faulty, and the fraction that may be faulty besides these."""
-
-ROWS = 64
 
 
 def light_of_frames(scene: Scene, frames: Sequence[Frame], illumination: Field) -> Light:
@@ -574,18 +561,23 @@ def _ring_of(light: Array, clipped: int) -> _Ring:
     winsorized = np.partition(light, count - 1 - faulty)
     winsorized = np.minimum(winsorized, winsorized[count - 1 - faulty])
     mean, deviation = float(winsorized.mean()), float(winsorized.std())
-    return _Ring(count, mean + DEVIATIONS * deviation / math.sqrt(count), clipped <= faulty)
+    # Standard deviations that are added to the mean over the ring as an upper bound.
+    deviations = 2.0
+    return _Ring(count, mean + deviations * deviation / math.sqrt(count), clipped <= faulty)
 
 
 def _footprint_light(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:
     """Return the light of a frame per unit of exposure: within the footprint, and on the ring inside its
     border.
     """
-    width = RING_WIDTH * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))
+    # Width over the radius of the footprint of the ring of pixels that shows the light at the rim.
+    ring_width = 0.1
+    width = ring_width * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))
     y, x = scene.exit_grid.y_mm, scene.exit_grid.x_mm
     total, clipped, lights = 0.0, 0, list[Array]()
-    for start in range(0, len(y), ROWS):
-        rows = slice(start, start + ROWS)
+    rows_at_once = 64
+    for start in range(0, len(y), rows_at_once):
+        rows = slice(start, start + rows_at_once)
         inside, within = (inside_border(moved(border_mm, by), (y[rows], x)) for by in (0.0, -width))
         # Values may be negative, because the mean of the noise of dark pixels must be 0.
         light, near = electrons_of(frame, rows) / frame.settings.exposure, inside & ~within

@@ -22,9 +22,6 @@ from wavesim.fields.angular_spectrum import AngularSpectrum
 from wavesim.fields.field import Field
 from wavesim.fields.propagator import propagate
 
-PADDING = 2
-"""Padded samples over the field's samples, so that light that leaves one side does not enter the other."""
-
 MOST_JUDGED = 1024
 """Largest number of samples along a side for the SVFG; the singular values of more would take minutes
 each.
@@ -183,7 +180,9 @@ def _middle(field: Field) -> Field:
 def _propagator_of(field: Field) -> Callable[[float], NDArray[np.complexfloating]]:
     """Return a function that gives the field at any distance; its spectrum is computed once."""
     shape, grid = field.grid.shape, field.grid
-    padded = tuple(scipy.fft.next_fast_len(PADDING * n) for n in shape)
+    # Padded samples over the field's samples, so that light that leaves one side does not enter the other.
+    padding = 2
+    padded = tuple(scipy.fft.next_fast_len(padding * n) for n in shape)
     wide = replace(grid, shape=padded)
     spectrum = scipy.fft.fftn(field.values, padded, workers=-1)
 

@@ -38,15 +38,6 @@ SAVE_TIME_FRACTION = 0.02
 large.
 """
 
-MEDIAN = 64.0
-"""Median of lit amplitudes after the scaling for the total-variation step of Appendix A."""
-
-DARKEST = 0.5
-"""Amplitudes below this number of standard deviations are raised to it in Appendix A.
-
-The total-variation step divides by the modulus, so that pixels near 0 would destroy their neighbours.
-"""
-
 Progress = Callable[[int, float], None]
 
 
@@ -175,16 +166,21 @@ def _scaled_planes(recorded: Sequence[Measurement], scratch: Scratch) -> tuple[l
     The standard deviations stay as they are, because Appendix A only uses whether they are finite.
     """
     planes = []
+    # Amplitudes below this number of standard deviations are raised to it in Appendix A. The total-variation
+    # step divides by the modulus, so that pixels near 0 would destroy their neighbours.
+    least_deviations = 0.5
     for plane in recorded:
         raised = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "amplitudes above the noise")
         for row in range(len(raised)):
             lowest: Any = 0.0
             if plane.sigma is not None:
-                lowest = DARKEST * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
+                lowest = least_deviations * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
             raised[row] = np.maximum(plane.amplitude[row], lowest)
         planes.append(replace(plane, amplitude=raised))
     first = planes[0].amplitude
-    factor = np.float32(MEDIAN / float(np.median(first[first > LIT * first.max()])))
+    # Median of lit amplitudes after the scaling for the total-variation step of Appendix A.
+    scaled_median = 64.0
+    factor = np.float32(scaled_median / float(np.median(first[first > LIT * first.max()])))
     for plane in planes:
         np.multiply(plane.amplitude, factor, out=plane.amplitude)
     return planes, factor

@@ -31,17 +31,6 @@ Array = NDArray[np.floating[Any]]
 MOST_WIDTHS, ITERATIONS = 8, 6
 """Largest number of widths, and iterations of the object with each."""
 
-CONVERGED = 0.02
-"""Relative change of the width at which the search ends."""
-
-LARGEST_FACTOR = 2.0
-"""Largest factor by which the width changes at a time."""
-
-LEAST_WIDTH = 0.1
-"""Smallest width, over the one at which light is coherent over half of the object. Narrower sources are
-points.
-"""
-
 
 def find_source_width(
     engine: Engine,
@@ -63,6 +52,12 @@ def find_source_width(
     """
     coherent_width = coherent_deg(light)
     width, start = coherent_width, light.with_values(np.ones_like(light.values))
+    # Relative change of the width at which the search ends.
+    tolerance = 0.02
+    # Largest factor by which the width changes at a time.
+    largest_factor = 2.0
+    # Smallest width over that at which half of the object is lit coherently. Narrower sources are points.
+    least_width = 0.1
     for _ in range(MOST_WIDTHS):
         progress(f"width of the source: {width:.3g} deg")
         modes = Source(width).few_modes(light.wavelength_um)
@@ -84,10 +79,10 @@ def find_source_width(
             for of in (modes, ())
         )
         ratio = blur_ratio(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
-        previous, width = width, width * math.sqrt(min(max(ratio, LARGEST_FACTOR**-2), LARGEST_FACTOR**2))
-        if width < LEAST_WIDTH * coherent_width:
+        previous, width = width, width * math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
+        if width < least_width * coherent_width:
             return 0.0, start
-        if abs(width - previous) < CONVERGED * previous:
+        if abs(width - previous) < tolerance * previous:
             break
     return width, start
 

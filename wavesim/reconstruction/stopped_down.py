@@ -27,9 +27,6 @@ from wavesim.sensor.measurement import Measurement
 ITERATIONS, INNER_ITERATIONS = 4, 2
 """Iterations on half of the samples, and inner iterations of each. More of them do not improve the start."""
 
-BAND_FRACTION = 0.9
-"""Numerical aperture of the lens over the largest that half of the samples can represent."""
-
 LEAST_APERTURE, LARGEST_APERTURE = 0.35, 0.8
 """Range of the reduced aperture over that of the lens. Below it little is found, above it little time is
 saved.
@@ -37,9 +34,6 @@ saved.
 
 ARMS, POINTS = 72, 8
 """Number of rays along the rim of a footprint, and of object points around the light."""
-
-LIT = 1e-3
-"""Fraction of the peak amplitude above which an object sample counts as lit."""
 
 
 class CoarseProblem(NamedTuple):
@@ -66,7 +60,9 @@ def coarse_problem(scene: Scene, light: Field, recorded: Sequence[Measurement]) 
     """
     object_grid, grid = scene.object_grid, scene.exit_grid
     aperture = scene.lens.object.numerical_aperture
-    passed_aperture = BAND_FRACTION * 0.25e-3 * scene.wavelength_um / object_grid.pitch_mm
+    # Numerical aperture of the lens over the largest that half of the samples can represent.
+    band_fraction = 0.9
+    passed_aperture = band_fraction * 0.25e-3 * scene.wavelength_um / object_grid.pitch_mm
     if object_grid.is_line or not LEAST_APERTURE < passed_aperture / aperture < LARGEST_APERTURE:
         return None
     half = _on_half_samples(light)
@@ -130,7 +126,9 @@ def on_all_samples(values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]
 def _points_around(light: Field) -> list[tuple[float, float]]:
     """Return points (x, y) whose polygon contains nearly all of the lit area."""
     size = np.abs(light.values)
-    lit = size > LIT * size.max(initial=0.0)
+    # Fraction of the peak amplitude above which an object sample counts as lit.
+    lit_fraction = 1e-3
+    lit = size > lit_fraction * size.max(initial=0.0)
     rows, grid = np.flatnonzero(lit.any(axis=1)), light.grid
     ends = [lit[rows].argmax(axis=1), lit.shape[1] - 1 - lit[rows, ::-1].argmax(axis=1)]
     points = np.concatenate([np.column_stack([grid.x_mm[end], grid.y_mm[rows]]) for end in ends])

@@ -25,16 +25,10 @@ from wavesim.runtime.threads import THREADS, for_blocks
 
 Values = NDArray[np.inexact[Any]]
 
-PROX_ITERATIONS = 12
-PROX_STEP = 0.248
-
-ROWS = 64
-
 SAMPLES_PER_THREAD = 2**15
 """Smallest number of samples on a thread. With fewer, threads wait for each other longer than they work."""
 
-_FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
 @_jit
@@ -99,7 +93,7 @@ def _subtract(
             values[y, x] = -weight * line[x]
 
 
-def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) -> Values:
+def prox_tv(values: Values, weight: float, iterations: int = 12) -> Values:
     """Minimize half the squared distance to values, plus a weight times the isotropic total variation.
 
     Parameters
@@ -130,7 +124,7 @@ def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) ->
     result = np.array(values, ndmin=2, order="C")
     flow = tuple(np.zeros_like(result) for _ in range(2))
     real = result.real.dtype.type
-    step, inverse = real(PROX_STEP / values.ndim), real(1.0 / weight)
+    step, inverse = real(0.248 / values.ndim), real(1.0 / weight)
     height = len(result)
     threads = min(THREADS, max(1, result.size // SAMPLES_PER_THREAD))
     starts = list(range(0, height, max(1, -(-height // threads))))
@@ -145,5 +139,5 @@ def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) ->
             len(parts),
             1,
         )
-    for_blocks(lambda a, b: _subtract(result, *flow, real(weight), inverse, a, b), height, ROWS)
+    for_blocks(lambda a, b: _subtract(result, *flow, real(weight), inverse, a, b), height, 64)
     return result.reshape(values.shape)

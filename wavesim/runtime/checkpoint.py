@@ -17,10 +17,6 @@ CHECKPOINT, EMPTY_CHECKPOINT = "checkpoint.npz", "checkpoint_empty.npz"
 """Names of the checkpoint of a run, and of a search in frames without an object."""
 
 
-KEY_BYTES = 100_000
-"""Most bytes of the key of a checkpoint."""
-
-
 @dataclass(frozen=True)
 class Checkpoint:
     """File with the intermediate results of a run.
@@ -51,7 +47,7 @@ class Checkpoint:
     def kept(self) -> bool:
         """True if results of this run are stored; their arrays are not read."""
         try:
-            return str(read_arrays(self.path, KEY_BYTES, only=("key",))["key"]) == self.key
+            return str(read_arrays(self.path, most_bytes=100_000, only=("key",))["key"]) == self.key
         except (InputError, KeyError):
             return False
 

@@ -20,15 +20,6 @@ from lensdesign.errors import InputError
 
 DEVICES = ("cpu", "gpu")
 
-HOST_BYTES = 1_000_000_000
-"""Memory that a step may use on the processor."""
-
-WORTH_THREADS = 3
-"""Threads of FINUFFT that are as fast as one thread of the transform of terms."""
-
-NEEDED = ("cupy", "cufinufft")
-INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gpu]')"
-
 
 @dataclass(frozen=True)
 class Precision:
@@ -102,13 +93,15 @@ def device_named(name: str) -> Device:
         If there is no device of this name, its packages are not installed, or no GPU responds.
     """
     if name == "cpu":
-        return Device("cpu", np, plan_of_terms, lambda: (HOST_BYTES, HOST_BYTES))
+        # Memory that a step may use on the processor.
+        host_bytes = 1_000_000_000
+        return Device("cpu", np, plan_of_terms, lambda: (host_bytes, host_bytes))
     if name != "gpu":
         raise InputError(
             f"device = {name!r}: there is no such device; allowed: {', '.join(DEVICES)}"
             f"{did_you_mean(name, DEVICES)}"
         )
-    cupy, cufinufft = (_module(module) for module in NEEDED)
+    cupy, cufinufft = (_module(module) for module in ("cupy", "cufinufft"))
     try:
         count = int(cupy.cuda.runtime.getDeviceCount())
     except cupy.cuda.runtime.CUDARuntimeError as error:
@@ -126,7 +119,10 @@ def _module(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise InputError(f"device = 'gpu': {name} cannot be imported ({error}); {INSTALL}") from error
+        raise InputError(
+            f"device = 'gpu': {name} cannot be imported ({error}); install transferlens with its extra gpu "
+            "(pip install 'transferlens[gpu]')"
+        ) from error
 
 
 def _gpu_memory(cupy: Any) -> tuple[int, int]:
@@ -137,7 +133,9 @@ def _gpu_memory(cupy: Any) -> tuple[int, int]:
 
 def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
     """Return the fastest transform for a number of threads, as :func:`fourier_plan`."""
-    if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
+    # Threads of FINUFFT that are as fast as one thread of the transform of terms.
+    worth_threads = 3
+    if precision.dtype != np.complex64 or len(shape) != 3 or threads > worth_threads:
         return fourier_plan(kind, shape, precision, threads)
     from wavesim.runtime.fourier.terms import TermsTransform
 

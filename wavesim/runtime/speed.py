@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import scipy.fft
 
-REPEATS = 5
 SIDE, LINE = 256, 1 << 15
 FFT_CALL_SECONDS, CALL_SECONDS = 2e-5, 2e-6
 """Least time of one transform, and of one other array operation."""
@@ -18,7 +17,7 @@ FFT_CALL_SECONDS, CALL_SECONDS = 2e-5, 2e-6
 
 def _fastest(work: Callable[[], object]) -> float:
     times = []
-    for _ in range(REPEATS):
+    for _ in range(5):
         start = time.perf_counter()
         work()
         times.append(time.perf_counter() - start)

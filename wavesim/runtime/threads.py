@@ -13,11 +13,8 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-MOST_THREADS = 16
-THREADS = min(
-    MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-)
-"""Number of threads: one for each core that the process may use."""
+THREADS = min(16, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+"""Number of threads: one for each core that the process may use, at most 16."""
 
 BLOCK = 1024
 """Rows that are processed at a time, since a whole field in double precision might not fit into memory."""

@@ -28,10 +28,6 @@ ZERNIKE = re.compile(r"zernike_(\d+)_um")
 """Name of a Zernike term of a surface's figure: rms sag over the clear semi-diameter, in um."""
 
 
-PIXEL_SETTINGS = {"prnu", "dsnu_electrons", "hot_pixels", "dead_pixels", "exposure_error"}
-"""Settings of pixels and exposures, which do not belong to the bench."""
-
-
 class BenchSettings(Section):
     """Deviations of light, lens and camera from what the frames state."""
 
@@ -124,7 +120,9 @@ class BenchSettings(Section):
     @property
     def differs(self) -> bool:
         """True if light, lens or sensor position deviate from the design, apart from pixels and exposures."""
-        return bool(self.errors().keys() - PIXEL_SETTINGS)
+        # Settings of pixels and exposures, which do not belong to the bench.
+        pixel_settings = {"prnu", "dsnu_electrons", "hot_pixels", "dead_pixels", "exposure_error"}
+        return bool(self.errors().keys() - pixel_settings)
 
 
 def modes_of(text: str | None) -> dict[Orders, float]:

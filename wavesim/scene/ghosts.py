@@ -10,10 +10,6 @@ from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.ghosts import ghost_system
 from wavesim.scene.scene import Scene
 
-BAND_FRACTION = 0.5
-"""Fraction of the exit grid's band that a ghost may use. The intensity of two interfering fields has twice
-the bandwidth of a field."""
-
 
 @dataclass(frozen=True)
 class GhostScene(Scene):
@@ -38,7 +34,10 @@ class GhostScene(Scene):
     def steepest_sine(self) -> float:
         """Sine of the largest angle to the axis behind the lens; steeper light is omitted."""
         index = abs(float(self.system.index[0, -1]))
-        return BAND_FRACTION * 0.5e-3 * self.wavelength_um / (index * self.exit_grid.pitch_mm)
+        # Fraction of the exit grid's band that a ghost may use. The intensity of two interfering fields has
+        # twice the bandwidth of a field.
+        band_fraction = 0.5
+        return band_fraction * 0.5e-3 * self.wavelength_um / (index * self.exit_grid.pitch_mm)
 
 
 def ghost_of(scene: Scene) -> GhostScene:

@@ -19,8 +19,6 @@ OBJECT_FINENESS, EXIT_FINENESS = 0.8, 0.9
 FIELD_MARGIN = 1.02
 """Largest side of a patch over the design's field diameter. A field stop slightly exceeds the field."""
 
-MARGIN = 1.02
-
 MOST_SAMPLES = 400_000_000
 """Most samples of one grid. More would not fit into a workstation's memory."""
 
@@ -129,7 +127,8 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     SamplingError
         If the grid needs more than `MOST_SAMPLES` samples.
     """
-    half = MARGIN * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
+    margin = 1.02
+    half = margin * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
     sine = math.sin(math.radians(largest_spread(lens, wavelength_um).spread_deg))
     pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:

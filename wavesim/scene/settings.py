@@ -34,7 +34,6 @@ STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude
 """Starts of each reconstruction method; the first is the default."""
 
 ITERATIONS = {"paper": 500, "object": 80}
-PAPER_REFOCUS_MM = (-0.01, 0.01)
 
 DEFAULT_ERROR = 0.05
 """Default limit of the exit field's relative L2 error, for the choice of an engine."""
@@ -108,16 +107,14 @@ def _finite_positive(value: float) -> float:
     return value
 
 
-LONGEST_EXPOSURE = 1e9
-"""Longest exposure, as a multiple of the one for the brightest pixel; the shortest is its reciprocal."""
-
-
 def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
     """Return exposures in ascending order, once they have been checked."""
     if not exposures or min(exposures) <= 0.0:
         raise ValueError("must be greater than 0")
-    if max(exposures) > LONGEST_EXPOSURE or min(exposures) < 1.0 / LONGEST_EXPOSURE:
-        raise ValueError(f"must be from {1.0 / LONGEST_EXPOSURE:g} to {LONGEST_EXPOSURE:g}")
+    # Longest exposure, as a multiple of the one for the brightest pixel; the shortest is its reciprocal.
+    longest_exposure = 1e9
+    if max(exposures) > longest_exposure or min(exposures) < 1.0 / longest_exposure:
+        raise ValueError(f"must be from {1.0 / longest_exposure:g} to {longest_exposure:g}")
     return tuple(sorted(exposures))
 
 
@@ -483,7 +480,8 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     @property
     def focus_mm(self) -> Pair | None:
         """Range in which the focus is searched; default: the method's."""
-        return self.refocus_mm or (PAPER_REFOCUS_MM if self.method == "paper" else None)
+        paper_refocus_mm = (-0.01, 0.01)
+        return self.refocus_mm or (paper_refocus_mm if self.method == "paper" else None)
 
 
 class FreeSpaceSettings(Settings):

@@ -27,10 +27,6 @@ from wavesim.sensor.pixels.errors import PixelPattern
 
 Seed = int | np.random.SeedSequence
 
-CLEAR = 5.0
-"""Standard deviations of read noise that separate the clipping threshold from full well, so that read noise
-hardly ever hides a clipped pixel."""
-
 
 class SaturationWarning(UserWarning):
     """Warning that pixels are clipped, so that only a lower bound of their intensity is known."""
@@ -91,7 +87,10 @@ class Electronics(Section):
     @property
     def saturation_counts(self) -> int:
         """Lowest count at which a pixel may be clipped: by full well, or by the largest count."""
-        clear = self.full_well_electrons - CLEAR * self.read_noise_electrons
+        # Standard deviations of read noise that separate the clipping threshold from full well, so that read
+        # noise hardly ever hides a clipped pixel.
+        deviations = 5.0
+        clear = self.full_well_electrons - deviations * self.read_noise_electrons
         return int(min(max(math.floor(self.offset_counts + clear / self.gain), 1), 2**self.bits - 1))
 
 

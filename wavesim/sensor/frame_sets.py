@@ -40,9 +40,6 @@ second an error."""
 LEAST_SIGNAL = 6.0
 """Least excess of the brightest pixel over the dark count, in standard deviations of a dark pixel."""
 
-SAME_PITCH = 1e-3
-"""Relative difference up to which two pixel pitches count as equal."""
-
 OTHER_PICTURE, SURE = 0.05, 6.0
 """Two frames of one plane show different pictures if their mean square difference, less that of the noise,
 exceeds this fraction of the mean square intensity and this number of standard deviations."""
@@ -57,9 +54,6 @@ fraction of the clipping level."""
 
 COMPARED = 4_000_000
 """Approximate number of pixels compared between two frames of one plane; larger frames are subsampled."""
-
-ROWS = 64
-"""Rows of a plane that a thread merges at a time."""
 
 
 class BadPixelWarning(UserWarning):
@@ -368,7 +362,9 @@ def validate_same_pitch(frames: Sequence[Frame], lens: Lens) -> None:
         If the pitch differs, or a frame has more pixels than the sensor.
     """
     pitch, own = frames[0].settings.pixel_pitch_um, lens.sensor.pixel_pitch_um
-    if not math.isclose(pitch, own, rel_tol=SAME_PITCH):
+    # Relative difference up to which two pixel pitches count as equal.
+    same_pitch = 1e-3
+    if not math.isclose(pitch, own, rel_tol=same_pitch):
         raise InputError(
             f"frames have pixel_pitch_um = {pitch:g}, the design's sensor {own:g}: give the design of this "
             "sensor, or the frames' true pitch"
@@ -422,5 +418,5 @@ def _recorded(plane: Sequence[Frame], distance_mm: float) -> Measurement:
         block = recorded_intensity(distance_mm, *merged_intensity(plane, slice(start, stop)))
         amplitude[start:stop], sigma[start:stop] = block.amplitude, block.sigma
 
-    for_blocks(merge_rows, len(amplitude), ROWS)
+    for_blocks(merge_rows, len(amplitude), 64)
     return Measurement(distance_mm, amplitude, sigma)

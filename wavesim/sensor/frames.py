@@ -33,10 +33,6 @@ NotNegative = Annotated[float, Setting(ge=0.0, le=1e9, allow_inf_nan=False)]
 
 KEY = "transferlens_frame"
 """JSON key of the settings in the ImageDescription of a file."""
-DESCRIPTION = 270
-"""Number of the TIFF tag ImageDescription."""
-LEAST_BITS = 8
-"""Least number of bits of a stored count; readers rescale counts of fewer bits."""
 
 
 class AssumedWarning(UserWarning):
@@ -211,10 +207,12 @@ def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
     settings = frame.settings.model_dump(mode="json", exclude_none=True)
     pixels_per_cm = 1e4 / frame.settings.pixel_pitch_um
     with atomic_path(path) as temporary:
+        # Number of the TIFF tag ImageDescription.
+        image_description = 270
         Image.fromarray(np.ascontiguousarray(frame.counts)).save(
             temporary,
             format="TIFF",
-            tiffinfo={DESCRIPTION: json.dumps({KEY: settings})},
+            tiffinfo={image_description: json.dumps({KEY: settings})},
             resolution_unit="cm",
             x_resolution=pixels_per_cm,
             y_resolution=pixels_per_cm,
@@ -278,8 +276,10 @@ def _read_picture(path: Path) -> tuple[Counts, str]:
     """Return the counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
     file = PictureFile(path, formats=FRAME_FORMATS)
     picture = file.only()
-    if picture.mode not in COUNT_MODES or picture.bits < LEAST_BITS or picture.states_alpha:
-        bits = f" of {picture.bits} bits" if picture.bits < LEAST_BITS else ""
+    # Least number of bits of a stored count; readers rescale counts of fewer bits.
+    least_bits = 8
+    if picture.mode not in COUNT_MODES or picture.bits < least_bits or picture.states_alpha:
+        bits = f" of {picture.bits} bits" if picture.bits < least_bits else ""
         alpha = ", with transparent pixels" if picture.states_alpha else ""
         raise InputError(
             f"{path}: a {picture.format} of kind {picture.mode!r}{bits}{alpha}: must be grey, of whole "

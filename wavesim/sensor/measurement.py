@@ -16,9 +16,6 @@ from wavesim.runtime.threads import row_blocks
 Array = NDArray[np.floating[Any]]
 
 
-LARGEST_AMPLITUDE = 1e9
-"""Largest amplitude, and inverse of the smallest, whose sum of squares single precision can represent."""
-
 LARGEST_RATIO = 1e9
 """Largest ratio of two planes' largest amplitudes; above it, the planes have different units."""
 
@@ -126,9 +123,11 @@ def amplitude_unit(recorded: Sequence[Measurement]) -> float:
 
 def power_of_two(largest: float) -> float:
     """Return the power of two below a value, or 1 if single precision can represent the sum of squares."""
+    # Largest amplitude, and inverse of the smallest, whose sum of squares single precision can represent.
+    largest_amplitude = 1e9
     return (
         1.0
-        if 1.0 / LARGEST_AMPLITUDE <= largest <= LARGEST_AMPLITUDE
+        if 1.0 / largest_amplitude <= largest <= largest_amplitude
         else 2.0 ** math.floor(math.log2(largest))
     )
 

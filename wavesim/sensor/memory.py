@@ -15,9 +15,6 @@ from wavesim.sensor.recording import BAND_ROWS, Recording
 from wavesim.sensor.windows import OVERSAMPLING
 from wavesim.targets.patch import LIGHT_BYTES
 
-PROCESS_BYTES = 300_000_000
-"""Memory of the process itself: libraries and compiled loops."""
-
 
 def imaging_arrays(
     engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording
@@ -36,8 +33,10 @@ def imaging_arrays(
     modes = len(recording.bench.source.modes(engine.scene.wavelength_um))
     sums = 0 if modes == 1 else 2 * len(windows)
     objects, carrying = engine.scene.object_grid.shape, Phase.CARRYING
+    # Memory of the process itself: libraries and compiled loops.
+    process_bytes = 300_000_000
     common = (
-        work("the process itself", PROCESS_BYTES, Phase.LIGHTING | carrying),
+        work("the process itself", process_bytes, Phase.LIGHTING | carrying),
         work("light, as it is made", LIGHT_BYTES * math.prod(objects), Phase.LIGHTING),
         ArrayGroup("the transmission, what lies behind it, a picture", objects, np.complex64, carrying, 3),
         work("the engine's work", engine.cost().peak_bytes_in_single, carrying),

@@ -16,15 +16,9 @@ from wavesim.runtime.threads import row_blocks
 from wavesim.sensor.exposures import merged_intensity
 from wavesim.sensor.frames import Frame
 
-ROWS = 1000
-"""Largest number of rows of a frame that are compared."""
-
 NOISE, RELATIVE = 1.15, 0.01
 """Two pictures are the same up to this mean square difference over that of their noise, or up to this
 relative difference beyond the noise, which a drift of the light causes."""
-
-STRUCTURE = 3.0
-"""Variance of the intensity over that of the noise, above which a picture shows more than noise."""
 
 
 def validate_distinct_pictures(by_plane: Sequence[Sequence[Frame]], *, diverse: bool) -> None:
@@ -65,7 +59,9 @@ def _identical(one: Frame, other: Frame) -> bool:
 def _alike(one: Sequence[Frame], other: Sequence[Frame]) -> bool:
     """Return True if two pictures differ only by a factor and noise, and show more than noise."""
     rows = len(one[0].counts)
-    every = 1 + rows // ROWS
+    # Largest number of rows of a frame that are compared.
+    most_rows = 1000
+    every = 1 + rows // most_rows
     pairs = []
     for block in row_blocks(rows):
         sampled = slice(block.start, block.stop, every)
@@ -80,4 +76,8 @@ def _alike(one: Sequence[Frame], other: Sequence[Frame]) -> bool:
     difference = (a - factor * b) ** 2
     structure = float(np.mean((a - a.mean()) ** 2 / variance))
     excess = max(float(np.sum(difference - variance)), 0.0) / float(np.sum(a**2))
-    return structure > STRUCTURE and (float(np.mean(difference / variance)) < NOISE or excess < RELATIVE**2)
+    # Variance of the intensity over that of the noise, above which a picture shows more than noise.
+    least_structure = 3.0
+    return structure > least_structure and (
+        float(np.mean(difference / variance)) < NOISE or excess < RELATIVE**2
+    )

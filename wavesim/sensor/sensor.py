@@ -34,8 +34,6 @@ from wavesim.sensor.pixels.errors import PixelPattern
 
 LOST = 1e-3
 """Fraction of the light outside the sensor above which a warning is issued."""
-NO_LIGHT = 1e-9
-"""Fraction of the light on the sensor up to which it counts as rounding error."""
 
 
 class FootprintWarning(UserWarning):
@@ -175,7 +173,9 @@ def warn_of_footprint(caught: float, total: float, sensor: Sensor) -> None:
     FootprintWarning
         If more than the fraction `LOST` falls outside.
     """
-    if caught <= NO_LIGHT * total:
+    # Fraction of the light on the sensor up to which it counts as rounding error.
+    no_light = 1e-9
+    if caught <= no_light * total:
         raise InputError("no light falls on the sensor: the field is dark or outside the sensor")
     lost = 1.0 - caught / total
     if lost > LOST:

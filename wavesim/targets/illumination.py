@@ -33,12 +33,6 @@ from wavesim.targets.patterns import ComplexArray
 
 StopShape = Literal["disc", "square"]
 
-SMALLEST_WAIST = 2.0
-"""Waist radius in wavelengths below which the paraxial Gaussian beam does not hold: about 9 degrees."""
-
-INTERPOLATED_BAND = 0.5
-"""Fraction of the Nyquist band in which cubic spline interpolation is accurate."""
-
 
 def plane_wave(
     grid: Grid, wavelength_um: float, *, tilt_x_deg: float = 0.0, tilt_y_deg: float = 0.0, index: float = 1.0
@@ -115,7 +109,9 @@ def gaussian_beam(
     validate_positive("waist_radius_mm", waist_radius_mm)
     if not math.isfinite(beyond_waist_mm):
         raise InputError(f"beyond_waist_mm = {beyond_waist_mm!r}: must be finite")
-    smallest = SMALLEST_WAIST * 1e-3 * wavelength_um
+    # Waist radius in wavelengths below which the paraxial Gaussian beam does not hold: about 9 degrees.
+    smallest_waist = 2.0
+    smallest = smallest_waist * 1e-3 * wavelength_um
     if waist_radius_mm < smallest:
         raise InputError(
             f"waist_radius_mm = {waist_radius_mm:g}: a paraxial beam needs {smallest:.4g} mm or more"
@@ -307,7 +303,9 @@ def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
     if total == 0.0:
         raise InputError("the measured field is dark")
     cycles = fft_frequencies(source.shape, source.pitch_mm, np)
-    limit = min(INTERPOLATED_BAND * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)
+    # Fraction of the Nyquist band in which cubic spline interpolation is accurate.
+    interpolated_band = 0.5
+    limit = min(interpolated_band * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)
     fine = (abs(cycles[0]) > limit) | (abs(cycles[1]) > limit)
     report_loss(
         float(np.sum(power[fine])) / total,

@@ -45,9 +45,6 @@ from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements_beside, 
 LIGHT_BYTES = 25
 """For each sample, while an object's illumination is made. Measured."""
 
-INSCRIBED = 1.0 / math.sqrt(2.0)
-"""Side of the square inside a disc of diameter 1."""
-
 SPOKES, STAR_RADIUS = 36, 0.45
 """Of the Siemens star; the radius as a share of the field stop's diameter."""
 
@@ -192,7 +189,8 @@ def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
     InputError, SamplingError
         As :func:`wavesim.targets.usaf.usaf_elements_within`.
     """
-    return usaf_elements_within(_about_stop(patch), INSCRIBED * patch.field_stop_mm)
+    inscribed_mm = 1.0 / math.sqrt(2.0) * patch.field_stop_mm
+    return usaf_elements_within(_about_stop(patch), inscribed_mm)
 
 
 def usaf_charts_of(

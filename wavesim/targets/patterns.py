@@ -44,9 +44,6 @@ from wavesim.runtime.threads import row_blocks
 ComplexArray = NDArray[np.complex128]
 Polarity = Literal["bright", "dark"]
 
-LUMA_MODES = ("1", "LA", "P", "RGB", "RGBA")
-"""Modes of Pillow for pictures that are converted to luma."""
-
 
 def with_polarity(coverage: Array, polarity: Polarity) -> ComplexArray:
     """Return the transmission of opaque shapes on a bright field, or of clear shapes on a dark field.
@@ -355,7 +352,9 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
     """
     file = Path(path)
     picture = PictureFile(file, "the picture").only()
-    if picture.mode not in (*COUNT_MODES, *LUMA_MODES) or not picture.is_opaque:
+    # Modes of Pillow for pictures that are converted to luma.
+    luma_modes = ("1", "LA", "P", "RGB", "RGBA")
+    if picture.mode not in (*COUNT_MODES, *luma_modes) or not picture.is_opaque:
         raise InputError(
             f"picture {file}: has mode {picture.mode}; give grey of 8 or 16 bits, or opaque colours of 8"
         )

@@ -16,24 +16,14 @@ from wavesim.targets.patterns import ComplexArray, band_limit
 
 Thickness = NDArray[np.float32]
 
-NUCLEUS_RADII_UM = (2.5, 5.0)
-NUCLEI_PER_MM2 = 4000.0
 NUCLEUS_PHASE_RAD, NUCLEUS_ABSORPTION = 1.0, 0.6
 """Phase at the centre of a nucleus, and the exponent of its amplitude absorption."""
 
 FIBRE_WIDTH_UM = 1.5
 """Distance from the centre line of a fibre at which its thickness is 1/e."""
-FIBRES_PER_MM = 60.0
-"""Number of fibres for each mm of the side."""
 FIBRE_PHASE_RAD, FIBRE_ABSORPTION = 0.6, 0.15
 
-BACKGROUND_PERIODS_UM = (8.0, 60.0)
 BACKGROUND_WAVES = 64
-BACKGROUND_PHASE_RAD = 0.15
-"""Root-mean-square phase of the background."""
-
-EDGE_FRACTION = 0.08
-"""Fraction of the grid's side over which the tissue becomes thinner toward each border."""
 
 
 def tissue_phantom(grid: Grid, seed: int, wavelength_um: float, numerical_aperture: float) -> ComplexArray:
@@ -89,13 +79,15 @@ def _transmission(
     edges = [_soft_edge(n) for n in grid.shape]
     values = np.empty(grid.shape, np.complex64)
     rows_at_once = 256
+    # Root-mean-square phase of the background.
+    background_phase_rad = 0.15
     for first in range(0, grid.shape[0], rows_at_once):
         rows = slice(first, first + rows_at_once)
         background = (down[rows] @ across).real * math.sqrt(2.0 / BACKGROUND_WAVES)
         phase = (
             NUCLEUS_PHASE_RAD * nuclei[rows]
             + FIBRE_PHASE_RAD * fibres[rows]
-            + BACKGROUND_PHASE_RAD * background
+            + background_phase_rad * background
         )
         absorption = NUCLEUS_ABSORPTION * nuclei[rows] + FIBRE_ABSORPTION * fibres[rows]
         values[rows] = np.exp(np.outer(edges[0][rows], edges[1]) * (1j * phase - absorption))
@@ -109,7 +101,9 @@ def _centred(grid: Grid) -> tuple[Array, Array]:
 def _soft_edge(count: int) -> Array:
     """Return a raised cosine from 0 at the borders to 1."""
     from_border = 0.5 - abs(np.arange(count) + 0.5 - 0.5 * count) / count
-    return np.asarray(np.sin(0.5 * math.pi * np.minimum(from_border / EDGE_FRACTION, 1.0)) ** 2)
+    # Fraction of the grid's side over which the tissue becomes thinner toward each border.
+    edge_fraction = 0.08
+    return np.asarray(np.sin(0.5 * math.pi * np.minimum(from_border / edge_fraction, 1.0)) ** 2)
 
 
 def _nuclei(grid: Grid, rng: np.random.Generator) -> Thickness:
@@ -117,9 +111,11 @@ def _nuclei(grid: Grid, rng: np.random.Generator) -> Thickness:
     y, x = _centred(grid)
     half_y, half_x = grid.half_widths_mm
     thickness = np.zeros(grid.shape, np.float32)
-    count = math.ceil(NUCLEI_PER_MM2 * 4.0 * half_y * half_x)
+    nuclei_per_mm2 = 4000.0
+    count = math.ceil(nuclei_per_mm2 * 4.0 * half_y * half_x)
     centres = rng.uniform(-1.0, 1.0, (count, 2)) * (half_y, half_x)
-    radii = 1e-3 * rng.uniform(*NUCLEUS_RADII_UM, (count, 2))
+    nucleus_radii_um = (2.5, 5.0)
+    radii = 1e-3 * rng.uniform(*nucleus_radii_um, (count, 2))
     angles, strengths = rng.uniform(0.0, math.pi, count), rng.uniform(0.5, 1.0, count)
     for centre, radius, angle, strength in zip(centres, radii, angles, strengths, strict=True):
         # exp(-r^4) is flat inside, and below 1e-7 beyond twice the radius.
@@ -138,7 +134,9 @@ def _nuclei(grid: Grid, rng: np.random.Generator) -> Thickness:
 def _fibres(grid: Grid, rng: np.random.Generator) -> Thickness:
     """Return the thickness of the fibres, bent lines with a Gaussian profile in similar directions."""
     half = max(grid.half_widths_mm)
-    count = math.ceil(FIBRES_PER_MM * 2.0 * half)
+    # Number of fibres for each mm of the side.
+    fibres_per_mm = 60.0
+    count = math.ceil(fibres_per_mm * 2.0 * half)
     main = rng.uniform(0.0, math.pi)
     thickness = np.zeros(grid.shape, np.float32)
     for _ in range(count):
@@ -176,7 +174,8 @@ def _near_line(grid: Grid, angle: float, offset: float, reach: float) -> tuple[A
 def _background(grid: Grid, rng: np.random.Generator) -> tuple[ComplexArray, ComplexArray]:
     """Return random plane waves as factors along y, shape (y, wave), and along x, shape (wave, x)."""
     y, x = _centred(grid)
-    shortest, longest = (1e-3 * period for period in BACKGROUND_PERIODS_UM)
+    background_periods_um = (8.0, 60.0)
+    shortest, longest = (1e-3 * period for period in background_periods_um)
     cycles = np.exp(rng.uniform(-math.log(longest), -math.log(shortest), BACKGROUND_WAVES))
     angles, starts = rng.uniform(0.0, 2.0 * math.pi, (2, BACKGROUND_WAVES))
     down = np.exp(2j * math.pi * np.outer(y, cycles * np.sin(angles)) + 1j * starts)

@@ -238,10 +238,11 @@ def parse_agf(text: str, location: str) -> tuple[AgfGlass, ...]:
     drafts: list[_Draft] = []
     first_lines: dict[str, str] = {}
     last_record = ""
+    continued = ("CD", "TD")
     for number, line in enumerate(text.splitlines(), start=1):
         record, rest = (*line.split(maxsplit=1), "", "")[:2]
         here = f"{location}, line {number}"
-        if last_record in _CONTINUED and _is_number(record):
+        if last_record in continued and _is_number(record):
             drafts[-1].continued += f" {line}"
             continue
         if drafts and drafts[-1].continued:
@@ -255,7 +256,7 @@ def parse_agf(text: str, location: str) -> tuple[AgfGlass, ...]:
         elif record in _READERS:
             if not drafts:
                 raise MaterialError(f"{here}: {record} record before the first NM record")
-            if record in _CONTINUED:
+            if record in continued:
                 drafts[-1].continued, drafts[-1].continued_at = f"{record} {rest}", here
             else:
                 _READERS[record](drafts[-1], rest, here)
@@ -264,9 +265,6 @@ def parse_agf(text: str, location: str) -> tuple[AgfGlass, ...]:
     drafts[-1].read_continued()
     drafts[-1].check_complete(first_lines)
     return _without_doubles([(draft, draft.finish()) for draft in drafts])
-
-
-_CONTINUED = ("CD", "TD")
 
 
 def _is_number(word: str) -> bool:

@@ -9,8 +9,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.strokes import Area, Item, Text, cell, fitted, line, text_width_mm
 
 LINE_MM, TEXT_MM = 4.1, 2.6
-MAX_ROWS = 11
-"""Largest number of constants in a column."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -42,7 +40,9 @@ def asphere_panel(
     items += _formula(surface.radius_mm is not None, surface.shape.drawn(), Area(*area[:3], top))
     top -= 2.6 * LINE_MM
     constants = _constants(surface.radius_mm, surface.conic, surface.shape.drawn(), conic_tolerance)
-    columns = 1 if len(constants) <= MAX_ROWS else 2
+    # Largest number of constants in a column.
+    max_rows = 11
+    columns = 1 if len(constants) <= max_rows else 2
     size = min(fitted(text, area.width / columns - 3.0, TEXT_MM)[1] for text in constants)
     rows = -(-len(constants) // columns)
     width = area.width / columns

@@ -24,9 +24,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import mechanical_semi_diameter_mm
 from lensdesign.manufacture.drawing.tolerances import GENERAL_MARK, DrawingTolerances, SurfaceTolerances
 
-FRINGES_PER_WAVE = 2.0
-"""Number of fringe spacings per wavelength of sag error."""
-
 Values = dict[str, float]
 """Values of a sheet or of a surface's column by name."""
 
@@ -208,6 +205,8 @@ def _add(found: AssumedTolerances, lens: Lens, one: _Perturbation) -> None:
     name, semi = one.parameter, surface.semi_diameter_mm
     if one.mean and not name.startswith("irregularity"):
         found.left_out.append(f"mean of {one.name} ({one.mean:g})")
+    # Number of fringe spacings per wavelength of sag error.
+    fringes_per_wave = 2.0
     if name == "radius_mm":
         _tighten(values, "radius_mm", size)
     elif name == "radius_percent" and surface.radius_mm is not None:
@@ -215,9 +214,9 @@ def _add(found: AssumedTolerances, lens: Lens, one: _Perturbation) -> None:
     elif name == "radius_fringes":
         _tighten(values, "radius_fringes", size)
     elif name == "irregularity_pv_waves":
-        _tighten(values, "irregularity_fringes", FRINGES_PER_WAVE * size)
+        _tighten(values, "irregularity_fringes", fringes_per_wave * size)
     elif name == "irregularity_rms_waves":
-        _tighten(values, "rms_irregularity_fringes", FRINGES_PER_WAVE * size)
+        _tighten(values, "rms_irregularity_fringes", fringes_per_wave * size)
     elif name in ("tilt_x_deg", "tilt_y_deg"):
         _tighten(values, "centring_arcmin", 60.0 * size)
     elif name in ("tir_x_mm", "tir_y_mm") and semi is not None:

@@ -27,9 +27,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, glass_elements
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
 
-MIN_DIAMETER_TOLERANCE_MM = 0.01
-"""Tightest tolerance of a diameter."""
-
 ToleranceOf = Callable[[Element], DrawingTolerances]
 
 
@@ -99,7 +96,8 @@ def fitting(element: Element, general: DrawingTolerances) -> DrawingTolerances:
         sides = {"left": general.left, "right": general.right}
         general = general.replaced(**{k: side.replaced(chamfer_mm=None) for k, side in sides.items()})
     margin = 2.0 * (element.edge_mm - _bevel_mm(element, general, 0) - clear_semi_diameter_mm(element))
-    if general.diameter_mm is None or not MIN_DIAMETER_TOLERANCE_MM <= margin < general.diameter_mm:
+    min_tolerance_mm = 0.01
+    if general.diameter_mm is None or not min_tolerance_mm <= margin < general.diameter_mm:
         return general
     return general.replaced(diameter_mm=math.floor(100.0 * margin + 1e-6) / 100.0)
 

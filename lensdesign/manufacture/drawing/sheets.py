@@ -32,10 +32,7 @@ from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general
 
 FRAME = Area(20.0, 10.0, SHEET_MM[0] - 10.0, SHEET_MM[1] - 10.0)
 TITLE_TOP, TABLE_TOP = 34.0, 84.0
-PANEL_MM = 62.0
-"""Width of the panel with formula and sags of one surface."""
 
-SUFFIXES = (".pdf", ".svg")
 Label = Annotated[str, Field(max_length=1000)]
 
 
@@ -120,8 +117,9 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
     from lensdesign.manufacture.drawing.writers import write_pdf, write_svg
 
     suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"cannot write {path}: the name must end in {' or '.join(SUFFIXES)}")
+    suffixes = (".pdf", ".svg")
+    if suffix not in suffixes:
+        raise InputError(f"cannot write {path}: the name must end in {' or '.join(suffixes)}")
     with atomic_path(path) as temporary:
         (write_pdf if suffix == ".pdf" else write_svg)(drawing, temporary)
 
@@ -131,13 +129,15 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
     material = material_of(lens, element, tolerances)
     aspheric = [i for i in element.surfaces if lens.surfaces[i].kind not in ("plane", "sphere")]
     upper = Area(FRAME.left, TABLE_TOP, FRAME.right, FRAME.top)
-    view_area = upper._replace(right=upper.right - PANEL_MM * len(aspheric))
+    # Width of the panel with formula and sags of one surface.
+    panel_mm = 62.0
+    view_area = upper._replace(right=upper.right - panel_mm * len(aspheric))
     view = section_view(element, tolerances, view_area)
     items: list[Item] = [frame(FRAME, THICK_MM), *view.items]
     for k, i in enumerate(aspheric):
-        left = view_area.right + PANEL_MM * k
+        left = view_area.right + panel_mm * k
         name = "Left surface (L)" if i == element.surfaces[0] else "Right surface (R)"
-        panel = Area(left, upper.bottom + 2.0, left + PANEL_MM, upper.top - 2.0)
+        panel = Area(left, upper.bottom + 2.0, left + panel_mm, upper.top - 2.0)
         side = tolerances.left if i == element.surfaces[0] else tolerances.right
         items += asphere_panel(lens, i, name, panel, side.conic)
     media = lens.indices(lens.wavelengths_um[0])

@@ -15,10 +15,6 @@ from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, Surface
 OPEN = "–"
 """Text of an indication without a value."""
 
-COATING_ROW = 3
-MAX_WAVELENGTHS = 2
-"""Number of wavelengths for which the table gives the index."""
-
 
 @dataclass(frozen=True)
 class Material:
@@ -42,13 +38,14 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
         abbe = f" ±{tolerances.abbe_percent:g} %" if tolerances.abbe_percent else ""
         abbe += tolerances.mark("abbe_percent")
         fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}{abbe}")
+    max_wavelengths = 2
     indices = [
         f"n({1e3 * wavelength:.6g} nm) = {refractive_index(glass, wavelength, lens.glass_catalogs):.6f}"
-        for wavelength in lens.wavelengths_um[:MAX_WAVELENGTHS]
+        for wavelength in lens.wavelengths_um[:max_wavelengths]
     ]
     if tolerances.index is not None:
         indices[-1] += f" ±{tolerances.index:g}{tolerances.mark('index')}"
-    more = len(lens.wavelengths_um) - MAX_WAVELENGTHS
+    more = len(lens.wavelengths_um) - max_wavelengths
     return Material(
         name,
         (
@@ -107,10 +104,11 @@ def data_table(
 def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
     items: list[Item] = []
     step = area.height / len(rows)
+    coating_row = 3
     for row, text in enumerate(rows):
         top = area.top - row * step
         row_area = Area(area.left, top - step, area.right, top)
-        if is_surface and row == COATING_ROW:
+        if is_surface and row == coating_row:
             x, y = area.left + 3.7, top - 0.5 * step
             items += [circle(x, y, 0.42 * step), Text(x, y - 0.9, "λ", 2.6, "middle")]
             row_area = Area(area.left + 6.0, *row_area[1:])

@@ -17,22 +17,18 @@ from lensdesign.manufacture.drawing.strokes import (
     register_font,
 )
 
-GAP_MM = 8.0
-"""Distance between the sheets of an SVG."""
-
-POINTS_PER_MM = 72.0 / 25.4
-
 
 def write_pdf(drawing: Drawing, path: Path) -> None:
     """Write a PDF; the same drawing yields identical bytes."""
     from reportlab.pdfgen.canvas import Canvas
 
     register_font()
-    canvas = Canvas(str(path), pagesize=tuple(POINTS_PER_MM * side for side in SHEET_MM), invariant=1)
+    points_per_mm = 72.0 / 25.4
+    canvas = Canvas(str(path), pagesize=tuple(points_per_mm * side for side in SHEET_MM), invariant=1)
     canvas.setTitle(plain(drawing.title))
     canvas.setCreator("lensdesign")
     for sheet in drawing.sheets:
-        canvas.scale(POINTS_PER_MM, POINTS_PER_MM)
+        canvas.scale(points_per_mm, points_per_mm)
         canvas.setLineCap(1)
         canvas.setLineJoin(1)
         for item in sheet.items:
@@ -65,7 +61,9 @@ def _to_canvas(canvas: Any, item: Item) -> None:
 def write_svg(drawing: Drawing, path: Path) -> None:
     """Write an SVG in mm; texts keep their width even if the viewer lacks the font."""
     width, height = SHEET_MM
-    total = len(drawing.sheets) * (height + GAP_MM) - GAP_MM
+    # Distance between the sheets of an SVG.
+    gap_mm = 8.0
+    total = len(drawing.sheets) * (height + gap_mm) - gap_mm
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{total:g}mm" '
@@ -74,7 +72,7 @@ def write_svg(drawing: Drawing, path: Path) -> None:
         f'<rect width="{width:g}" height="{total:g}" fill="white"/>',
     ]
     for index, sheet in enumerate(drawing.sheets):
-        top = index * (height + GAP_MM)
+        top = index * (height + gap_mm)
         lines.append(
             f'<g transform="translate(0 {top:g})" fill="none" stroke="black" stroke-linecap="round" '
             f'stroke-linejoin="round" font-family="\'DejaVu Sans\', sans-serif">'

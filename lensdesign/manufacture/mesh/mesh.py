@@ -39,9 +39,6 @@ from lensdesign.manufacture.mesh.rings import (
 )
 from lensdesign.manufacture.mesh.writing import MESH_SUFFIXES, encode_meshes
 
-EDGE_ERROR_MM = 1e-2
-"""Largest distance of the ground edge's facets from its cylinder, unless the chord error is larger."""
-
 
 def lens_mesh(
     lens: Lens,
@@ -225,8 +222,10 @@ def _check_size(elements: Sequence[Element], chord_error_um: float) -> None:
 def _azimuths(elements: Sequence[Element], error_mm: float, allowed_mm: float) -> int:
     """Return the number of meridians; it is equal for all elements so that cemented surfaces match."""
     slopes = max(sloping_radius_mm(m) for e in elements for m in (e.front, e.back))
+    # Largest distance of the ground edge's facets from its cylinder, unless the chord error is larger.
+    edge_error_mm = 1e-2
     # Facets of the edge deviate by two thirds of their sagitta.
-    edge = azimuths(max(e.outer_mm for e in elements), 1.45 * max(EDGE_ERROR_MM, allowed_mm))
+    edge = azimuths(max(e.outer_mm for e in elements), 1.45 * max(edge_error_mm, allowed_mm))
     return max(edge, azimuths(slopes, BALANCE * error_mm))
 
 

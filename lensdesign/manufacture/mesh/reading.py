@@ -31,20 +31,6 @@ Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 # trimesh prints tracebacks for damaged files; the message of read_mesh replaces them.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
-MAX_TRIANGLES = 20_000_000
-
-MAX_COORDINATE_MM = 1e6
-"""Largest coordinate; beyond it, squares of coordinates lose their precision."""
-
-MAX_PLY_HEADER_BYTES = 65536
-"""Largest header of a PLY file."""
-
-MAX_ARCHIVE_ENTRIES = 1000
-"""Largest number of files in a 3MF archive."""
-
-MAX_PLACED_OBJECTS = 10_000
-"""Largest number of objects that a 3MF file places; nested components could place billions."""
-
 UNITS_MM = {
     "micron": 1e-3,
     "millimeter": 1.0,
@@ -116,16 +102,19 @@ def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Triangl
     if not np.all(np.isfinite(vertices)):
         raise InputError("a coordinate is not a finite number")
     largest = float(np.max(np.abs(vertices)))
-    if largest > MAX_COORDINATE_MM:
-        raise InputError(f"a coordinate of {largest:.3g} mm; allowed: at most {MAX_COORDINATE_MM:g} mm")
+    # Largest coordinate; beyond it, squares of coordinates lose their precision.
+    max_coordinate_mm = 1e6
+    if largest > max_coordinate_mm:
+        raise InputError(f"a coordinate of {largest:.3g} mm; allowed: at most {max_coordinate_mm:g} mm")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"a triangle has a vertex that does not exist; there are {len(vertices)}")
     return TriangleMesh(vertices, faces)
 
 
 def _check_count(triangles: int) -> None:
-    if triangles > MAX_TRIANGLES:
-        raise InputError(f"{triangles} triangles; allowed: at most {MAX_TRIANGLES}")
+    max_triangles = 20_000_000
+    if triangles > max_triangles:
+        raise InputError(f"{triangles} triangles; allowed: at most {max_triangles}")
 
 
 def _stl_triangles(data: bytes) -> Triangles:
@@ -138,9 +127,10 @@ def _stl_triangles(data: bytes) -> Triangles:
 
 
 def _ply_triangles(data: bytes) -> Triangles:
-    if data.find(b"end_header", 0, MAX_PLY_HEADER_BYTES) < 0:
-        raise InputError(f"not a PLY file: end_header must occur within {MAX_PLY_HEADER_BYTES} bytes")
-    found = re.findall(rb"^element (\w+) (\d{1,18})\s", data[:MAX_PLY_HEADER_BYTES], re.MULTILINE)
+    max_header_bytes = 65536
+    if data.find(b"end_header", 0, max_header_bytes) < 0:
+        raise InputError(f"not a PLY file: end_header must occur within {max_header_bytes} bytes")
+    found = re.findall(rb"^element (\w+) (\d{1,18})\s", data[:max_header_bytes], re.MULTILINE)
     rows = {name: int(count) for name, count in found}
     most = max(rows.values(), default=0)
     if most > len(data):
@@ -163,8 +153,9 @@ def _by_trimesh(data: bytes, kind: str, declared: int, **options: bool) -> Trian
 
 
 def _three_mf_triangles(data: bytes) -> Triangles:
-    if data.count(b"PK\x01\x02") > MAX_ARCHIVE_ENTRIES:
-        raise InputError(f"the archive has more than {MAX_ARCHIVE_ENTRIES} entries")
+    max_entries = 1000
+    if data.count(b"PK\x01\x02") > max_entries:
+        raise InputError(f"the archive has more than {max_entries} entries")
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
         for entry in entries:
@@ -209,12 +200,14 @@ def _declared_by_model(model: bytes) -> tuple[int, float]:
     if unit not in UNITS_MM:
         raise InputError(f"unit {unit[:40]!r}; allowed: {', '.join(UNITS_MM)}")
     placed = declared = 0
+    # Largest number of objects that a 3MF file places; nested components could place billions.
+    max_placed_objects = 10_000
     while pending:
         key, placed = pending.pop(), placed + 1
         if key not in components:
             raise InputError(f"object {key[:40]!r} is placed, but not defined")
-        if placed > MAX_PLACED_OBJECTS:
-            raise InputError(f"more than {MAX_PLACED_OBJECTS} objects placed, or an object contains itself")
+        if placed > max_placed_objects:
+            raise InputError(f"more than {max_placed_objects} objects placed, or an object contains itself")
         declared += triangles[key]
         pending += components[key]
     if not declared:

@@ -18,9 +18,6 @@ from lensdesign.manufacture.mesh.reading import TriangleMesh
 BLOCK_POINTS = 200_000
 """Number of points in one block of the computation."""
 
-MIN_NORMAL_COSINE = 0.7
-"""Smallest cosine between the normals of a facet and of the surface that it is assigned to."""
-
 
 @dataclass(frozen=True)
 class SurfaceDistances:
@@ -158,6 +155,8 @@ def _assign_facets(corners: Array, elements: Sequence[Element]) -> tuple[NDArray
     sides = [(m, sign) for e in elements for m, sign in ((e.front, -1.0), (e.back, 1.0))]
     assigned = np.full(len(corners), -1, np.int64)
     edge_deviation = None
+    # Smallest cosine between the normals of a facet and of the surface that it is assigned to.
+    min_normal_cosine = 0.7
     for start in range(0, len(corners), BLOCK_POINTS):
         block = slice(start, start + BLOCK_POINTS)
         centres, normals = _centres_and_normals(corners[block])
@@ -166,7 +165,7 @@ def _assign_facets(corners: Array, elements: Sequence[Element]) -> tuple[NDArray
             distance = meridian.distances(centres)
             tangent = meridian.tangents(meridian.parameters(centres[:, 0]))
             outward = sign * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-            aligned = np.sum(outward * normals, axis=-1) >= MIN_NORMAL_COSINE * np.linalg.norm(
+            aligned = np.sum(outward * normals, axis=-1) >= min_normal_cosine * np.linalg.norm(
                 outward, axis=-1
             )
             nearer = aligned & (distance < best)
@@ -175,7 +174,7 @@ def _assign_facets(corners: Array, elements: Sequence[Element]) -> tuple[NDArray
             for a, b in zip(element.rim[:-1], element.rim[1:], strict=True):
                 distance, outward = _from_segment(centres, a, b)
                 off = np.minimum(off, distance)
-                nearer = (normals @ outward >= MIN_NORMAL_COSINE) & (distance <= best)
+                nearer = (normals @ outward >= min_normal_cosine) & (distance <= best)
                 best[nearer], assigned[block][nearer] = distance[nearer], -1
         none = assigned[block] < 0
         if none.any():
@@ -239,9 +238,6 @@ def _distances(
 
 Indices = NDArray[np.int64]
 
-MAX_FACES_AT_EDGE = 64
-"""Largest number of triangles at one edge whose order is analysed; more count as one body."""
-
 
 def merged(mesh: TriangleMesh) -> tuple[Array, Indices]:
     """Return vertices and faces after merging equal vertices and removing degenerate faces."""
@@ -286,9 +282,11 @@ def closed_bodies(vertices: Array, faces: Indices) -> tuple[int, int]:
     _, first, counts = np.unique(key[order], return_index=True, return_counts=True)
     balance = np.add.reduceat(np.where(forward[order], 1, -1), first)
     pairs = []
+    # Largest number of triangles at one edge whose order is analysed; more count as one body.
+    max_faces_at_edge = 64
     for count in np.unique(counts):
         rows = order[first[counts == count][:, None] + np.arange(count)]
-        if count <= 2 or count > MAX_FACES_AT_EDGE:
+        if count <= 2 or count > max_faces_at_edge:
             pairs += [face[rows[:, [0, i]]] for i in range(1, count)]
         else:
             pairs.append(_adjacent_around_edges(vertices, rows, starts, ends, apex, forward, face))

@@ -16,10 +16,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element
-
-DEGREE = 5
-ERROR_MM = 1e-7
-"""Largest distance of a spline surface from the exact one."""
+from lensdesign.manufacture.step.solids import SPLINE_DEGREE
 
 MIN_INTERVALS, MAX_INTERVALS = 32, 256
 
@@ -46,9 +43,9 @@ def freeform_solid(element: Element) -> Any:
     rims = np.stack([front[:, -1], back[:, -1]], axis=1)
     sewing = BRepBuilderAPI_Sewing(1e-6)
     for poles, knots, degree in (
-        (front, along, DEGREE),
+        (front, along, SPLINE_DEGREE),
         (rims, np.array([0.0, 0.0, 1.0, 1.0]), 1),
-        (back, along, DEGREE),
+        (back, along, SPLINE_DEGREE),
     ):
         sewing.Add(BRepBuilderAPI_MakeFace(_surface(poles, around, knots, degree), 1e-7).Face())
     sewing.Perform()
@@ -79,8 +76,10 @@ def surface_spline(meridian: SurfaceMeridian, intervals: int) -> tuple[Array, Ar
     edge = meridian.surface.shape.edge_radius_mm * (1.0 - 1e-15)
     within = np.minimum(1.0, edge / np.maximum(np.hypot(x, y), 1e-300))
     points = np.stack([x, y, meridian.surface.shape.sag(within * x, within * y)], axis=-1)
-    along, points = _restrict(make_interp_spline(fractions[:, 0], points, k=DEGREE), 0.0, 1.0)
-    around, poles = _restrict(make_interp_spline(azimuths, np.moveaxis(points, 1, 0), k=DEGREE), 0.0, 1.0)
+    along, points = _restrict(make_interp_spline(fractions[:, 0], points, k=SPLINE_DEGREE), 0.0, 1.0)
+    around, poles = _restrict(
+        make_interp_spline(azimuths, np.moveaxis(points, 1, 0), k=SPLINE_DEGREE), 0.0, 1.0
+    )
     poles[:, 0] = 0.0
     poles[-1] = poles[0]
     poles[..., 2] += meridian.vertex_z_mm
@@ -91,12 +90,12 @@ def _restrict(spline: Any, start: float, end: float) -> tuple[Array, Array]:
     """Return knots and control points of a spline restricted to the range between two of its knots."""
     for knot in (start, end):
         multiplicity = int(np.count_nonzero(np.abs(spline.t - knot) < 1e-12))
-        if multiplicity < DEGREE:
+        if multiplicity < SPLINE_DEGREE:
             knot = float(spline.t[np.argmin(np.abs(spline.t - knot))])
-            spline = spline.insert_knot(knot, DEGREE - multiplicity)
+            spline = spline.insert_knot(knot, SPLINE_DEGREE - multiplicity)
     first, last = (int(np.argmax(np.abs(spline.t - knot) < 1e-12)) for knot in (start, end))
-    inner = spline.t[first + DEGREE : last]
-    knots = np.concatenate([np.full(DEGREE + 1, start), inner, np.full(DEGREE + 1, end)])
+    inner = spline.t[first + SPLINE_DEGREE : last]
+    knots = np.concatenate([np.full(SPLINE_DEGREE + 1, start), inner, np.full(SPLINE_DEGREE + 1, end)])
     return knots, np.array(spline.c[first - 1 : last])
 
 
@@ -105,23 +104,25 @@ def _intervals(meridian: SurfaceMeridian, index: int) -> int:
     from scipy.interpolate import BSpline
 
     intervals, error = MIN_INTERVALS, math.inf
+    # Largest distance of a spline surface from the exact one.
+    error_mm = 1e-7
     while intervals <= MAX_INTERVALS:
         around, along, poles = surface_spline(meridian, intervals)
         azimuth_basis = BSpline.design_matrix(
-            np.linspace(0.0, 1.0, 7 * intervals + 3), around, DEGREE
+            np.linspace(0.0, 1.0, 7 * intervals + 3), around, SPLINE_DEGREE
         ).toarray()
         radius_basis = BSpline.design_matrix(
-            np.linspace(0.0, 1.0, 7 * intervals + 3), along, DEGREE
+            np.linspace(0.0, 1.0, 7 * intervals + 3), along, SPLINE_DEGREE
         ).toarray()
         rim = azimuth_basis @ poles[:, -1]
         inside = np.einsum("ui,ijk,tj->utk", azimuth_basis, poles, radius_basis[:-1], optimize=True)
         reach = np.abs(np.hypot(rim[:, 0], rim[:, 1]) - meridian.end_mm)
         error = max(surface_error_mm(inside.reshape(-1, 3), meridian), float(np.max(reach)))
-        if error <= ERROR_MM:
+        if error <= error_mm:
             return intervals
         intervals *= 2
     raise InputError(
-        f"surface {index + 1} cannot be approximated within {ERROR_MM:g} mm by {MAX_INTERVALS} intervals: "
+        f"surface {index + 1} cannot be approximated within {error_mm:g} mm by {MAX_INTERVALS} intervals: "
         f"{error:.3g} mm reached"
     )
 
@@ -144,4 +145,4 @@ def _surface(poles: Array, around: Array, along: Array, degree: int) -> Any:
             multiplicities.SetValue(index, int(count))
         arguments.append((distinct, multiplicities))
     (u, multiplicities_u), (v, multiplicities_v) = arguments
-    return Geom_BSplineSurface(net, u, v, multiplicities_u, multiplicities_v, DEGREE, degree)
+    return Geom_BSplineSurface(net, u, v, multiplicities_u, multiplicities_v, SPLINE_DEGREE, degree)

@@ -11,12 +11,7 @@ from typing import Any
 
 from lensdesign.errors import InputError
 
-_OCP_MISSING = "STEP files need OCP, release 8 or later: pip install 'transferlens[cad]'"
-
 STEP_SUFFIXES = (".step", ".stp")
-
-_TIME_STAMP = "1970-01-01T00:00:00"
-"""Constant time stamp, so that the same lens yields identical files."""
 
 _QUOTED_TEXT = re.compile(r"'[^']*'")
 _ESCAPED = re.compile(r"[^ -\[\]-~]|'(?= *[),])")
@@ -37,7 +32,9 @@ def require_ocp() -> None:
         for name in ("OCP", "OCP.collections", "OCP.STEPCAFControl"):
             import_module(name)
     except ImportError as error:
-        raise InputError(f"{_OCP_MISSING} ({error})") from error
+        raise InputError(
+            f"STEP files need OCP, release 8 or later: pip install 'transferlens[cad]' ({error})"
+        ) from error
 
 
 def step_text(text: str) -> str:
@@ -133,7 +130,8 @@ def _write_header(model: Any, title: str, statement: str) -> None:
 
     header = APIHeaderSection_MakeHeader(model)
     header.SetName(TCollection_HAsciiString(step_text(title)))
-    header.SetTimeStamp(TCollection_HAsciiString(_TIME_STAMP))
+    # With a constant time stamp the same lens yields identical files.
+    header.SetTimeStamp(TCollection_HAsciiString("1970-01-01T00:00:00"))
     description = "glass of a lens, lengths in mm" + (f"; {statement}" if statement else "")
     header.SetDescriptionValue(1, TCollection_HAsciiString(step_text(description)))
     header.SetAuthorValue(1, TCollection_HAsciiString(""))

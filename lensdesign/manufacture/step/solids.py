@@ -18,17 +18,10 @@ from lensdesign.errors import InputError
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element
 
-ASPHERE_ERROR_MM = 1e-7
-"""Largest distance of an even asphere's spline from its meridian."""
-
 EXACT = ("plane", "sphere", "conic")
 """Shapes that a file represents exactly, without a spline."""
 
 SPLINE_DEGREE = 5
-MAX_INTERVALS = 2000
-
-SHORTEST_EDGE_MM = 1e-6
-"""Shortest edge of a solid: ten times the length that the kernel treats as zero."""
 
 
 def element_solid(element: Element) -> Any:
@@ -67,12 +60,14 @@ def rim_corners(element: Element) -> Array:
     """
     first, *between, last = np.asarray(element.rim, float)
     kept = [first]
+    # Shortest edge of a solid: ten times the length that the kernel treats as zero.
+    shortest_edge_mm = 1e-6
     for corner in between:
-        if min(math.dist(corner, kept[-1]), math.dist(corner, last)) > SHORTEST_EDGE_MM:
+        if min(math.dist(corner, kept[-1]), math.dist(corner, last)) > shortest_edge_mm:
             kept.append(corner)
-    if len(kept) == 1 and math.dist(first, last) <= SHORTEST_EDGE_MM:
+    if len(kept) == 1 and math.dist(first, last) <= shortest_edge_mm:
         raise InputError(
-            f"its edge is {math.dist(first, last):.3g} mm long; a solid needs more than {SHORTEST_EDGE_MM:g} "
+            f"its edge is {math.dist(first, last):.3g} mm long; a solid needs more than {shortest_edge_mm:g} "
             "mm, so raise thickness_mm or lower semi_diameter_mm"
         )
     return np.array([*kept, last])
@@ -106,7 +101,7 @@ def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
     return points, np.array([1.0, math.sqrt(0.5 * (1.0 + q)), 1.0])
 
 
-def asphere_spline(meridian: SurfaceMeridian, error_mm: float = ASPHERE_ERROR_MM) -> tuple[Array, Array]:
+def asphere_spline(meridian: SurfaceMeridian, error_mm: float = 1e-7) -> tuple[Array, Array]:
     """Return knots and control points of a spline of degree 5 that approximates an even asphere's meridian.
 
     The spline interpolates the meridian and its mirror image, so that the surface is as smooth at the vertex
@@ -132,14 +127,15 @@ def asphere_spline(meridian: SurfaceMeridian, error_mm: float = ASPHERE_ERROR_MM
         If 2000 intervals do not suffice.
     """
     intervals, error = 8, math.inf
-    while intervals <= MAX_INTERVALS:
+    max_intervals = 2000
+    while intervals <= max_intervals:
         knots, points = _half_spline(meridian, intervals)
         error = _spline_error(meridian, knots, points)
         if error <= error_mm:
             return knots, points
         intervals += intervals // 2
     raise InputError(
-        f"the even asphere cannot be approximated within {error_mm:g} mm by {MAX_INTERVALS} spline "
+        f"the even asphere cannot be approximated within {error_mm:g} mm by {max_intervals} spline "
         f"intervals: {error:.3g} mm reached"
     )
 

@@ -34,17 +34,8 @@ from lensdesign.optimization.specification.specification import Specification, v
 RESOLUTION = 5e-4
 """Relative precision of a limit."""
 
-FIRST_STEP = 0.02
-"""Relative size of the first step; it is doubled after each success."""
-
 FRACTIONS = (0.75, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)
 """Fractions of the required value at which random starts search a first lens."""
-
-FRESH_STARTS = 6
-"""Number of random starts at each of these fractions."""
-
-EASIER = 0.8
-"""Fraction of the largest value at which independent starts search a lens before they try just above it."""
 
 FEWEST_STARTS, MOST_STARTS, STARTS_OF_OTHERS = 12, 64, 6
 """Independent starts: for up to four variables, at most, and for each other choice of glasses. Each variable
@@ -52,21 +43,6 @@ above four adds as many as the first four together."""
 
 NEARBY_STARTS, NEARBY = 3, (0.03, 0.1, 0.2)
 """Starts near the last lens per variable, and their distances in turn, in ranges of the variables."""
-
-MOST_SEARCHES = 10
-"""Evaluations of a limit, in multiples of those of the search for one lens."""
-
-EVALUATIONS = 1500
-"""Largest number of evaluations of one search."""
-
-MOST_VERIFIED = 12
-"""Largest number of lenses that are checked, from the largest value down, until one passes."""
-
-MOST = 4.0
-"""Multiple of the required value at which the search for a limit ends."""
-
-BINDING = 2e-3
-"""A constraint is active at a limit if the absolute value of its scaled value is smaller than this."""
 
 Report = Callable[[str], None]
 
@@ -145,7 +121,7 @@ def find_limits(
     seed: int = 0,
     kinds: Sequence[Kind] | None = None,
     near: Mapping[str, Array] | None = None,
-    most: float = MOST,
+    most: float = 4.0,
 ) -> tuple[Limit, ...]:
     """Find the largest field, aperture, pixel pitch and, if a yield is limited, tolerances.
 
@@ -165,7 +141,7 @@ def find_limits(
     near
         Further start points in the unit box, by the name of their choice of glasses (default: none).
     most
-        Multiple of the required value at which the search ends.
+        Multiple of the required value at which the search ends (default: 4).
 
     Returns
     -------
@@ -235,7 +211,9 @@ class _LimitSearch:
         self.asked = self.kind.asked(self.specification)
         choices = sum(1 for _ in bases_of(self.specification))
         self.names = [glasses for glasses, _ in bases_of(self.specification)]
-        self.budget = Budget(MOST_SEARCHES * choices * self.specification.optimize.max_evaluations)
+        # Evaluations of a limit, in multiples of those of the search for one lens.
+        most_searches = 10
+        self.budget = Budget(most_searches * choices * self.specification.optimize.max_evaluations)
         self.seeds = itertools.count(self.seed * 1_000_003)
 
     def run(self) -> Limit:
@@ -258,7 +236,9 @@ class _LimitSearch:
 
     def _limit(self, cut: str) -> Limit:
         kind, found = self.kind, None
-        for end in sorted(self.ends, key=lambda one: -one.value)[:MOST_VERIFIED]:
+        # Largest number of lenses that are checked, from the largest value down, until one passes.
+        most_verified = 12
+        for end in sorted(self.ends, key=lambda one: -one.value)[:most_verified]:
             found = self._verified(end)
             if found is not None:
                 break
@@ -275,7 +255,7 @@ class _LimitSearch:
             value = fraction * self.asked
             for glasses in self.names:
                 near = [point for name, point in self.near if name == glasses]
-                for point in itertools.chain(near, self._fresh(value, glasses, FRESH_STARTS)):
+                for point in itertools.chain(near, self._fresh(value, glasses, 6)):
                     if self._reaches(value, glasses, point):
                         break
             if self.best is not None:
@@ -285,7 +265,9 @@ class _LimitSearch:
         """Raise the value step by step, each search starting from the previous lens."""
         end = self.best
         assert end is not None  # there is a first lens
-        step, failed_at, top = FIRST_STEP, math.inf, self.most * self.asked
+        # Relative size of the first step; it is doubled after each success.
+        first_step = 0.02
+        step, failed_at, top = first_step, math.inf, self.most * self.asked
         while end.value < top and failed_at - end.value > RESOLUTION * end.value:
             value = min(end.value * (1.0 + step), top)
             if math.isfinite(failed_at):
@@ -310,11 +292,13 @@ class _LimitSearch:
             point = np.clip(end.point + away, 0.0, 1.0)
             if self._reaches(value, end.glasses, point):
                 return True
+        # Fraction of the largest value at which independent starts find a lens before they try just above it.
+        easier_fraction = 0.8
         for glasses in sorted(self.names, key=lambda name: name != end.glasses):
             count = _confirming_starts(len(end.point)) if glasses == end.glasses else STARTS_OF_OTHERS
-            for point in self._fresh(EASIER * end.value, glasses, count):
+            for point in self._fresh(easier_fraction * end.value, glasses, count):
                 self.starts += 1
-                easier = self._search(EASIER * end.value, glasses, point)
+                easier = self._search(easier_fraction * end.value, glasses, point)
                 if easier is None or easier.outcome.violation > KEPT:
                     continue
                 if self._reaches(value, glasses, easier.outcome.point):
@@ -343,7 +327,7 @@ class _LimitSearch:
             return None
         if self.budget.used_up:
             raise _BudgetSpent
-        budget = Budget(min(EVALUATIONS, self.budget.evaluations))
+        budget = Budget(min(1500, self.budget.evaluations))
         found = search_from(problem, point, budget, next(self.seeds), lambda *_: None, only_feasible=True)
         self.budget.spend(budget.spent)
         return found
@@ -370,6 +354,8 @@ class _LimitSearch:
 
     def _verified(self, end: _End) -> tuple[float, Lens, tuple[str, ...]] | None:
         """Return the largest value at which the lens passes the check, the lens, and active constraints."""
+        # A constraint is active at a limit if the absolute value of its scaled value is smaller than this.
+        tolerance = 2e-3
         for step in range(6):
             value = end.value * (1.0 - step * RESOLUTION)
             problem = self._problem(value, end.glasses)
@@ -379,7 +365,7 @@ class _LimitSearch:
                 rays = dense_rays(problem)
                 lens = finished_lens(problem, end.point, rays)
                 if check_against(lens, problem.specification.without_as_built()).feasible:
-                    return value, lens, binding(problem, end.point, rays, BINDING)
+                    return value, lens, binding(problem, end.point, rays, tolerance)
             except DesignError:
                 continue
         return None

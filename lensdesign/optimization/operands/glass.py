@@ -21,9 +21,6 @@ SEMI_DIAMETER_STEP_MM = 0.01
 Height = tuple[float, Array]
 """A radial height in mm, and its derivatives by all variables."""
 
-CONIC_EDGE_FRACTION = 0.95
-"""Largest radial height of a surface relative to the height at which its conic ends."""
-
 
 def glass_operands(specification: Specification, state: State) -> list[Operand]:
     """Return the operands of thicknesses, slopes, edges of conics and overall lengths."""
@@ -31,10 +28,12 @@ def glass_operands(specification: Specification, state: State) -> list[Operand]:
     heights = [_clear_height(state, i) for i in range(len(lens.surfaces))]
     edge = max(heights, key=lambda h: h[0])
     rows = []
+    # Largest radial height of a surface relative to the height at which its conic ends.
+    conic_edge_fraction = 0.95
     for i, surface in enumerate(lens.surfaces):
         for section, end in enumerate(surface.shape.ends()):
             by = _by(state, i, partial(_end_by, surface.shape, section))[0] * edge[0] ** 2
-            value = float(end) * edge[0] ** 2 - CONIC_EDGE_FRACTION**2
+            value = float(end) * edge[0] ** 2 - conic_edge_fraction**2
             name = f"edge of the conic of surface {i + 1}"
             rows.append(
                 finite_operand(name, np.array([value]), (by + 2.0 * float(end) * edge[0] * edge[1])[None])

@@ -26,9 +26,6 @@ from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.raytrace.gradients import GradientTrace
 
-AS_BUILT_SCALE_WAVES = 0.1
-"""Root mean square wavefront error by which as-built goals are scaled."""
-
 
 def goal_operands(specification: Specification, state: State) -> list[Operand]:
     """Return the goals, the largest value of which is minimized."""
@@ -102,7 +99,8 @@ def _as_built_goal(goal: str, state: State) -> Operand:
     assert state.as_built is not None  # the goal requires it
     if goal == "yield":
         return finite_operand(name, np.array([state.as_built.failing]), state.as_built.failing_by[None])
-    scale = AS_BUILT_SCALE_WAVES
+    # Root mean square wavefront error by which as-built goals are scaled.
+    scale = 0.1
     return finite_operand(name, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
 
 

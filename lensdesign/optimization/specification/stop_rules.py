@@ -13,9 +13,6 @@ from lensdesign.optimization.specification.specification import Specification
 CHECK_FRACTION, TRIALS_FRACTION = 0.05, 0.4
 """Fractions of a time limit that are reserved for the final check, and at most for trials."""
 
-SAMPLED_TRIALS = 20
-"""Number of trials by which the time of all trials is estimated."""
-
 
 @dataclass
 class Ending:
@@ -53,8 +50,10 @@ class Ending:
             lenses = 2 + (specification.optimize.start == "design") + len(_temperatures(specification))
             study.trials([("", study.reference)], 1)  # compiles the kernels first
             before = now()
-            study.trials([("", study.reference)], SAMPLED_TRIALS)
-            self.trial_seconds = (now() - before) * tolerances.trials * lenses / SAMPLED_TRIALS
+            # Number of trials by which the time of all trials is estimated.
+            sampled_trials = 20
+            study.trials([("", study.reference)], sampled_trials)
+            self.trial_seconds = (now() - before) * tolerances.trials * lenses / sampled_trials
         kept = self.trial_seconds if self.trial_seconds <= TRIALS_FRACTION * seconds else 0.0
         return self.end - CHECK_FRACTION * seconds - kept
 

@@ -38,9 +38,6 @@ if TYPE_CHECKING:
 EngineName = Literal["eikonal", "slices"]
 Compensation = Literal["vertical", "oblique"]
 
-FULL_WELL_FRACTION = 0.8
-"""Signal of the brightest pixel, as a fraction of full well."""
-
 
 @dataclass(frozen=True)
 class ReconstructionEngine:
@@ -293,7 +290,9 @@ class LineChain:
         from wavesim.sensor.exposures import plane_seeds
         from wavesim.sensor.sensor import frames_of_light
 
-        full_well = electrons / FULL_WELL_FRACTION
+        # Signal of the brightest pixel, as a fraction of full well.
+        full_well_fraction = 0.8
+        full_well = electrons / full_well_fraction
         electronics = Electronics(
             bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), full_well_electrons=full_well
         )
@@ -304,7 +303,7 @@ class LineChain:
             light = amplitude[:, None] ** 2
             sensor, wavelength = self.lens.sensor, self.wavelength_um
             frames += frames_of_light(
-                light, sensor, distance, wavelength, electronics, seed, (1.0,), FULL_WELL_FRACTION
+                light, sensor, distance, wavelength, electronics, seed, (1.0,), full_well_fraction
             )
         lines = recorded_planes(frames)
         return [

@@ -14,9 +14,6 @@ from wavesim.fields.field import Field
 from wavesim.fields.guards import SamplingWarning
 from wavesim.scene.engine import Engine, Grids
 
-MOST_BYTES = 1_500_000_000
-"""Memory limit of the cached matrices of a process; the least recently used matrix is dropped first."""
-
 
 @dataclass(frozen=True, eq=False)
 class MatrixOperator:
@@ -77,7 +74,9 @@ class Matrices:
             self._cache[key] = MatrixOperator.of(engine)
             self._measured_seconds += time.perf_counter() - start
             self._estimated_seconds += _engine_seconds(engine)
-            while len(self._cache) > 1 and sum(m.matrix.nbytes for m in self._cache.values()) > MOST_BYTES:
+            # Memory limit of a process's matrices; the least recently used one is dropped first.
+            most_bytes = 1_500_000_000
+            while len(self._cache) > 1 and sum(m.matrix.nbytes for m in self._cache.values()) > most_bytes:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 Figure = Literal["correlation", "contrast", "lost_correlation"]
 Model = Literal["nominal", "calibrated", "true"]
 
-FRAMES = 3
-"""Spawn key of the noise of these frames, which differs from the keys of other merits."""
-
 LEAST_CORRELATION = 0.97
 """Smallest accepted correlation of the unperturbed chain. Below it, planes or region are not sufficient."""
 
@@ -292,7 +289,9 @@ class Reconstruction(Merit):
     def _noise(self, context: Context, number: int) -> np.random.SeedSequence | None:
         if self.electrons is None:
             return None
-        return np.random.SeedSequence(context.noise_seed, spawn_key=(number, NOISE_STREAM, FRAMES))
+        # Spawn key of the noise of these frames, which differs from the keys of other merits.
+        frames_key = 3
+        return np.random.SeedSequence(context.noise_seed, spawn_key=(number, NOISE_STREAM, frames_key))
 
     def setups(self, context: Context, batch: PerturbationBatch) -> dict[Hashable, float]:
         if self.reconstruction_engine == "eikonal" or self.model != "nominal":

@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from tolerancing.merits.line_pairs import BARS
 
 if TYPE_CHECKING:
     from wavesim.fields.field import Grid
 
 ComplexArray = NDArray[np.complexfloating]
 ObjectKind = Literal["lines", "amplitude", "complex"]
-
-BARS = 5
-"""Bars of a set of lines."""
 
 SET_LENGTH = 2 * BARS - 1
 """Length of a set of lines, in line widths."""
@@ -29,9 +27,6 @@ SET_GAP = 4
 
 UPSAMPLING = 8
 """Samples of an evaluated line for each sample of the reconstruction."""
-
-MIDDLE = 0.5
-"""Central fraction of a bar's or a gap's width over which its intensity is averaged."""
 
 LARGEST_SHIFT_UM = 2.0
 """Largest lateral shift of the reconstruction that registration removes."""
@@ -168,13 +163,15 @@ class LineObject:
         cumulative = np.concatenate([[0.0], np.cumsum(power)])
         borders = (np.arange(len(cumulative)) - 0.5 * len(power)) * pitch_um
         centres = 1e3 * centre_mm + shift_um + width_um * (np.arange(SET_LENGTH) - SET_LENGTH // 2)
-        half = 0.5 * MIDDLE * width_um
+        # Central fraction of a bar's or a gap's width over which its intensity is averaged.
+        middle = 0.5
+        half = 0.5 * middle * width_um
         means = np.interp(centres + half, borders, cumulative) - np.interp(
             centres - half, borders, cumulative
         )
         bars, gaps = 0.5 * (means[0:-1:2] + means[2::2]), means[1::2]
         # Bars and gaps that are both darker than 1 % of the brightest light have no contrast.
-        total = np.maximum(bars + gaps, 0.01 * power.max() * MIDDLE * width_um / pitch_um)
+        total = np.maximum(bars + gaps, 0.01 * power.max() * middle * width_um / pitch_um)
         return float(np.mean((gaps - bars) / total))
 
 

@@ -24,9 +24,6 @@ Weights = NDArray[np.inexact[Any]]
 
 SAMPLES_PER_PIXEL = 2
 
-INNER_ITERATIONS = 4
-"""Steps of the field on the first plane for each step of the object."""
-
 
 class LineOperator(Protocol):
     """Linear operator from the samples of a line in the object plane to those of the first sensor plane."""
@@ -117,10 +114,12 @@ def retrieve_on_line(
     current = np.ones(model.light.grid.size, complex if is_complex else float)
     extrapolated, momentum = current, 0.0
     misfits: list[float] = []
+    # Steps of the field on the first plane for each step of the object.
+    inner_iterations = 4
     while len(misfits) < iterations and not _has_converged(misfits):
         first = model.forward(extrapolated)
         field = first
-        for inner in range(INNER_ITERATIONS):
+        for inner in range(inner_iterations):
             fields = [field if plane is None else plane.forward(field) for plane in model.planes]
             modelled = [pixel_amplitude(values) for values in fields]
             if inner == 0:

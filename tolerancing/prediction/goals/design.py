@@ -27,15 +27,6 @@ from tolerancing.prediction.wavefront_prediction import replace_draws
 from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
-SEARCH_DRAWS = 2048
-"""Number of Sobol draws that estimate the yield in a search."""
-
-RIM_POINTS = 16
-"""Rays that determine the clear height of a surface that has none."""
-
-FLATTEST_PER_MM = 1e-7
-"""Curvature that replaces a plane, whose radius cannot have a tolerance."""
-
 STEP, SHARE = 1e-30, 1e-4
 """The complex step; and the fraction of a variable's range over which perturbations are differenced."""
 
@@ -73,7 +64,9 @@ class Scatter:
     @cached_property
     def amounts(self) -> Array:
         """Amount of each change in each drawn lens, shape (draws, d)."""
-        return amounts_of(sample_perturbations(replace_draws(self.study, SEARCH_DRAWS), range(SEARCH_DRAWS)))
+        # Number of Sobol draws that estimate the yield in a search.
+        search_draws = 2048
+        return amounts_of(sample_perturbations(replace_draws(self.study, search_draws), range(search_draws)))
 
 
 class DesignPoint:
@@ -209,8 +202,10 @@ def rim_heights(problem: DesignProblem, point: Array) -> Array:
 
 def _rim_trace(problem: DesignProblem, point: Array, derivatives: bool, wavelength: int) -> GradientTrace:
     """Rays from the edge of the field through the rim of the stop."""
-    angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    edge = np.tile([0.0, problem.lens_at(point).half_field_mm], (RIM_POINTS, 1))
+    # Rays that determine the clear height of a surface that has none.
+    rim_points = 16
+    angles = 2.0 * np.pi * np.arange(rim_points) / rim_points
+    edge = np.tile([0.0, problem.lens_at(point).half_field_mm], (rim_points, 1))
     rim = Rays(edge, np.column_stack([np.cos(angles), np.sin(angles)]))
     trace = problem.trace(point, rim, derivatives, np.zeros(1), wavelength)
     if not np.all(trace.ok):
@@ -285,7 +280,9 @@ def sized(lens: Lens, clear_mm: Array) -> Lens:
 def bent(lens: Lens) -> Lens:
     """Return the lens with planes replaced by very small curvatures, so that radii can have tolerances."""
     surfaces = []
+    # Curvature that replaces a plane, whose radius cannot have a tolerance.
+    flattest_per_mm = 1e-7
     for surface in lens.surfaces:
         keys = [k for k in surface.shape_keys if k.startswith("radius") and getattr(surface, k) is None]
-        surfaces.append(surface.model_copy(update=dict.fromkeys(keys, 1.0 / FLATTEST_PER_MM)))
+        surfaces.append(surface.model_copy(update=dict.fromkeys(keys, 1.0 / flattest_per_mm)))
     return lens.model_copy(update={"surfaces": tuple(surfaces)})

@@ -26,13 +26,6 @@ from tolerancing.prediction.losses import LossChains, drawn_losses, loss_chains,
 from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study
 
-SEARCH_DRAWS = 32
-"""Lenses, drawn by a Sobol sequence, over which a search takes the mean."""
-
-SEARCH_PIXELS = 2.0
-"""Pixels for each sample of the object. Mean losses are 3 to 16 % larger than with those of the merit, tiny
-ones up to 60 %; lenses are ranked alike."""
-
 
 @dataclass(frozen=True, eq=False)
 class SearchedLosses:
@@ -89,7 +82,10 @@ class SearchedLosses:
             other = self.reference.replaced(
                 object=scene, sensor=lens.sensor, wavelengths_um=lens.wavelengths_um
             )
-            chains = tuple(loss_chains(other, merit, SEARCH_PIXELS) for merit in self.merits)
+            # Pixels for each sample of the object. Mean losses are 3 to 16 % larger than with those of the
+            # merit, tiny ones up to 60 %; lenses are ranked alike.
+            search_pixels = 2.0
+            chains = tuple(loss_chains(other, merit, search_pixels) for merit in self.merits)
             means = []
             for merit, own in zip(self.merits, chains, strict=True):
                 paths = loss_paths(bent(other), self.study, merit)
@@ -104,7 +100,9 @@ class SearchedLosses:
 
     @cached_property
     def _amounts(self) -> Array:
-        return drawn_losses(self.study, SEARCH_DRAWS)
+        # Lenses, drawn by a Sobol sequence, over which a search takes the mean.
+        search_draws = 32
+        return drawn_losses(self.study, search_draws)
 
     def values(self, problem: DesignProblem, point: Array, derivatives: bool) -> LossValues:
         """Mean losses of the lens at a point of the unit box.

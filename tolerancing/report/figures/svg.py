@@ -41,10 +41,6 @@ COLORS = {
 }
 """Names of the page's colours by the colours of the figures."""
 
-PIXELS_PER_INCH = 96.0
-SMALLEST_SCALE = 0.72
-"""Smallest scale of a figure; on a narrower page it scrolls."""
-
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}\b")
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _FONTS = re.compile(r"'DejaVu Sans'(?:, [^;\"]*)?")
@@ -73,9 +69,12 @@ def svg_text(panel: Panel, prefix: str) -> str:
         _restyle(element)
     width, height = panel.figure.get_size_inches()
     root.attrib.pop("version", None)
-    root.set("width", f"{width * PIXELS_PER_INCH:.0f}")
-    root.set("height", f"{height * PIXELS_PER_INCH:.0f}")
-    root.set("style", f"min-width:{SMALLEST_SCALE * min(width, 9.0) * PIXELS_PER_INCH:.0f}px")
+    pixels_per_inch = 96.0
+    root.set("width", f"{width * pixels_per_inch:.0f}")
+    root.set("height", f"{height * pixels_per_inch:.0f}")
+    # Smallest scale of a figure; on a narrower page it scrolls.
+    smallest_scale = 0.72
+    root.set("style", f"min-width:{smallest_scale * min(width, 9.0) * pixels_per_inch:.0f}px")
     root.set("role", "img")
     root.set("aria-label", plain(panel.alt))
     # Inside HTML an svg element needs no declaration of its namespace.

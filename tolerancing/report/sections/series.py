@@ -36,9 +36,6 @@ from tolerancing.study.series import LinePairSection, line_pair_picture
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
-MOST_ROWS = 200
-"""Most steps in a table; steps.csv holds all of them."""
-
 
 def series_section(data: ReportData) -> list[Block]:
     """Return all sweeps, grids and slice counts, with pictures as in the paper's Fig. 7."""
@@ -135,11 +132,13 @@ def _slices(data: ReportData, series: SliceCounts) -> list[Block]:
 def _steps_table(
     coordinates: Sequence[str], labels: Sequence[str], steps: Sequence[StepResults]
 ) -> list[Table]:
+    # Most steps in a table; steps.csv holds all of them.
+    most_rows = 200
     rows: list[list[str]] = [
         _coordinate_cells(step, coordinates) + [number_text(step.scores.get(label)) for label in labels]
-        for step in steps[:MOST_ROWS]
+        for step in steps[:most_rows]
     ]
-    more = len(steps) - MOST_ROWS
+    more = len(steps) - most_rows
     caption = f"steps.csv holds {more} more steps." if more > 0 else ""
     scored = table([*(f"<{c}" for c in coordinates), *labels], rows, caption)
     failed: list[list[Cell | str]] = []

@@ -33,8 +33,6 @@ SCALE_ITERATIONS, SCALE_TOLERANCE = 60, 0.02
 With half as many iterations the scale of a real series is wrong by 5 %.
 """
 
-DARK = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class Planes:
@@ -174,7 +172,8 @@ def _step_of_plane(stack: Stack, field: ComplexArray, planes: Planes, index: int
     axial = np.sqrt(np.maximum(wavenumber**2 - down[:, None] ** 2 - across**2, 0.0)) - wavenumber
     field_on_plane = scipy.fft.ifft2(spectrum, workers=-1)[rows]
     amplitude = np.abs(field_on_plane)
-    conjugate_phase = field_on_plane.conj() / np.maximum(amplitude, DARK)
+    dark = 1e-6
+    conjugate_phase = field_on_plane.conj() / np.maximum(amplitude, dark)
     measured = stack.recorded[index].amplitude[rows]
     derivatives = [
         (

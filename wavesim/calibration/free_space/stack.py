@@ -25,18 +25,6 @@ RINGS, SIGNAL_RATIO = 50, 2.0
 signal.
 """
 
-NOISE_CYCLES = 0.4
-"""Cycles per pixel above which a spectrum contains only noise."""
-
-OVERSAMPLING = 2.2
-"""Samples of intensities for each cycle of the band."""
-
-MARGIN = 1.0 / 8.0
-"""Margin on each side over the width of the frames, for light from outside."""
-
-LEAST_SAMPLES = 32
-"""Smallest number of samples along a side after binning."""
-
 
 @dataclass(frozen=True, eq=False)
 class Stack:
@@ -156,7 +144,9 @@ def _band_and_noise(spectra: Sequence[Array]) -> tuple[float, float]:
     down, across = (np.arange(n) / (2.0 * n) for n in spectra[0].shape)
     cycles = np.hypot(down[:, None], across)
     power = np.mean([spectrum**2 for spectrum in spectra], axis=0)
-    variance = float(np.mean(power[cycles > NOISE_CYCLES]))
+    # Cycles per pixel above which a spectrum contains only noise.
+    noise_cycles = 0.4
+    variance = float(np.mean(power[cycles > noise_cycles]))
     rings = (2.0 * RINGS * cycles).astype(int).ravel()
     ring_power = np.bincount(rings, power.ravel()) / np.maximum(np.bincount(rings), 1)
     signal = np.flatnonzero(ring_power[:RINGS] > SIGNAL_RATIO * variance)
@@ -167,8 +157,12 @@ def _coarsest(shape: Sequence[int], cycles: float) -> int:
     """Return the largest binning that represents the band."""
 
     def is_sufficient(binning: int) -> bool:
-        divides = all(n % binning == 0 and n // binning >= LEAST_SAMPLES for n in shape)
-        return divides and OVERSAMPLING * cycles * binning <= 1.0
+        # Smallest number of samples along a side after binning.
+        least_samples = 32
+        divides = all(n % binning == 0 and n // binning >= least_samples for n in shape)
+        # Samples of intensities for each cycle of the band.
+        oversampling = 2.2
+        return divides and oversampling * cycles * binning <= 1.0
 
     return next((binning for binning in (4, 3, 2) if is_sufficient(binning)), 1)
 
@@ -176,8 +170,10 @@ def _coarsest(shape: Sequence[int], cycles: float) -> int:
 def _padded(shape: Sequence[int]) -> tuple[tuple[int, int], tuple[slice, slice]]:
     """Return the shape with a margin, and the window of the frames in it."""
     padded_shape, window = [], []
+    # Margin on each side over the width of the frames, for light from outside.
+    margin = 1.0 / 8.0
     for n in shape:
-        least = math.ceil(n * (1.0 + 2.0 * MARGIN))
+        least = math.ceil(n * (1.0 + 2.0 * margin))
         count = scipy.fft.next_fast_len(least)
         first = (count - n) // 2
         padded_shape.append(count)

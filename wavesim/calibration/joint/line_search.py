@@ -13,9 +13,6 @@ LARGEST_EXTENSION, SMALLEST_RATIO = 3.0, 0.1
 LEAST_GAIN, LEAST_RELATIVE_GAIN = 0.1, 0.01
 """Predicted decrease of the price for one more trial: over the gain of the step, and over the price."""
 
-SAME_LENGTH = 0.05
-"""Relative difference below which two lengths count as the same."""
-
 
 class LineSearch:
     """The price along a step, at the lengths that were tried, and the most promising next length.
@@ -47,7 +44,9 @@ class LineSearch:
             return self._first
         length, price = self._predicted_minimum()
         least_gain = max(LEAST_GAIN * (prices[0.0] - prices[best]), LEAST_RELATIVE_GAIN * prices[best])
-        is_new = all(abs(length - one) > SAME_LENGTH * length for one in prices)
+        # Relative difference below which two lengths count as the same.
+        same_length = 0.05
+        is_new = all(abs(length - one) > same_length * length for one in prices)
         return length if len(prices) <= MOST_TRIALS and is_new and prices[best] - price > least_gain else None
 
     def _predicted_minimum(self) -> tuple[float, float]:

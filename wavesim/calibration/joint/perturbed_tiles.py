@@ -31,9 +31,6 @@ from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Operator
 from wavesim.scene.scene import Scene
 
-ORDER = 10
-"""Order of the polynomials that fit changes of the path, which are smooth."""
-
 
 class SensorPose(NamedTuple):
     """Pose of a sensor relative to the grid of an engine: distance along z, lateral shift, and tilt.
@@ -84,7 +81,9 @@ def ray_changes(
         If no ray arrives.
     """
     with one_blas_thread():
-        pupil = sample_points(carrier.traced, ORDER)
+        # Order of the polynomials that fit changes of the path, which are smooth.
+        order = 10
+        pupil = sample_points(carrier.traced, order)
         rays = trace_bundle(scene, np.asarray(tile.centre_mm), pupil, grid.z_mm)
         if not np.any(rays.ok):
             raise InputError("no ray of the changed lens arrives: the change is too large")
@@ -94,7 +93,7 @@ def ray_changes(
         changes -= carrier.maps.at(arriving)[[0, 2, 3]]
         if removed is not None:
             changes -= removed.at(arriving)
-        return fit_map(arriving, changes, ORDER)
+        return fit_map(arriving, changes, order)
 
 
 def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPose) -> tuple[Array, Array]:

@@ -256,13 +256,6 @@ def stepped(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
     return unknowns.changed([parameter.name], [here + parameter.small])
 
 
-FRINGE_FRACTION = 0.6
-"""Spacing of the pixels over the period of the finest fringes.
-
-Each pixel then gives enough numbers for the real and imaginary part of the field.
-"""
-
-
 @dataclass(frozen=True)
 class _Grids:
     """Grids of the object, and of the pixels of all planes as rows of one field."""
@@ -395,8 +388,11 @@ def pixel_spacing(patch: Patch, scene: Scene) -> int:
         Scene to all pixels.
     """
     finest_mm = 1e-3 * scene.wavelength_um * first_order(scene.lens, scene.wavelength_um).efl_mm
+    # Spacing of the pixels over the period of the finest fringes. Each pixel then gives enough numbers for
+    # the real and imaginary part of the field.
+    fringe_fraction = 0.6
     return max(
-        1, math.floor(FRINGE_FRACTION * abs(finest_mm) / patch.field_stop_mm / scene.exit_grid.pitch_mm)
+        1, math.floor(fringe_fraction * abs(finest_mm) / patch.field_stop_mm / scene.exit_grid.pitch_mm)
     )
 
 

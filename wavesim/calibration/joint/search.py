@@ -37,25 +37,10 @@ from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import DARK
 
-STEP_ITERATIONS = 3
-"""Iterations of conjugate gradients for the direction of a step."""
-
-INNER_ITERATIONS = 2
-"""Inner iterations of a reconstruction; more of them take longer than the propagation through the lens."""
-
-ADAPTED_AFTER = 1
-"""Iterations after which an object found with other tiles has adapted to a bench's own tiles."""
-
-LAST_PARAMETERS = "light_amplitude", "sensor_tilt"
-"""Prefixes of the names of parameters that are sought after all others."""
-
 FIRST_STRETCH, MOST_STRETCH = (1.5, 1.75), 2.0
 """Multiples of a step that are tried first: for the first step of each stage, and the limit for other
 steps.
 """
-
-UNDETERMINED_TILT = 0.8
-"""Standard deviation of a sensor tilt over the expected one above which the tilt is not sought."""
 
 MODEL_FRACTION = 0.02
 """Fraction of the squared misfit that model errors cause, and that therefore carries no information.
@@ -63,41 +48,10 @@ MODEL_FRACTION = 0.02
 It is the cost of a parameter that deviates by its expected standard deviation.
 """
 
-LEAST_GAINS = 0.05, 0.02
-"""For each stage, the fraction of the squared misfit below which the gain of a step ends it."""
-
-NEAR_NOISE = 1.5
-"""Misfit over that of noise below which the first stage ends."""
-
-LINEAR_GAIN = 0.1
-"""Fraction of the squared misfit below which a step hardly changes the derivatives."""
-
 CONVERGED_ITERATIONS, ESTIMATE_ITERATIONS, ELIMINATED = 80, 30, 20
 """Iterations of the object at the end, iterations of conjugate gradients for the estimates, and iterations
 that eliminate the object from their covariance.
 """
-
-REFINEMENTS = 2
-"""Number of times that estimates are made, each about the object on the bench of the one before."""
-
-INDEPENDENT_ERRORS = 60
-"""Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude.
-
-Unlike noise, they are equal in many pixels and average out less. The number was fitted to the pulls of
-six nominal benches (`benchmarks/calibration_pulls.py`).
-"""
-
-WORSE = 1.02
-"""Ratio of misfits up to which a bench with fewer parameters, or a refined one, counts as equally good."""
-
-CLIPPED_NOISE = 0.17
-"""Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard deviation.
-
-Clipped noise looks like a background of this size.
-"""
-
-FAILED_MISFIT = 4.0
-"""Misfit that is assumed where the model fails."""
 
 Progress = Callable[[int, Unknowns, float], None]
 
@@ -241,7 +195,9 @@ class JointSearch:
         state = self._with_trial(state, current.unknowns, current.misfit)
         reference = self._reference_tiles(current)
         if state.stage == 0:
-            first_parameters = tuple(p for p in self.parameters if not p.name.startswith(LAST_PARAMETERS))
+            # Prefixes of the names of parameters that are sought after all others.
+            last_parameters = "light_amplitude", "sensor_tilt"
+            first_parameters = tuple(p for p in self.parameters if not p.name.startswith(last_parameters))
             if not self._is_near_noise(current):
                 state, current = self._descend(
                     state, current, reference, first_parameters or self.parameters
@@ -272,14 +228,18 @@ class JointSearch:
         """
         names = [p.name for p in self.parameters]
         best = self._converged_fit(current.unknowns, verified.transmission)
-        for count in range(REFINEMENTS):
+        # Number of times that estimates are made, each about the object on the bench of the one before.
+        refinements = 2
+        # Ratio of misfits up to which a bench with fewer parameters, or a refined one, counts as equal.
+        tolerated_ratio = 1.02
+        for count in range(refinements):
             equations, estimates = self._estimate(best, slopes)
-            if count == REFINEMENTS - 1:
+            if count == refinements - 1:
                 break
             refined = self._converged_fit_or_none(
                 best.unknowns.changed(names, estimates.tolist()), best.transmission
             )
-            if refined is None or refined.misfit > WORSE * best.misfit:
+            if refined is None or refined.misfit > tolerated_ratio * best.misfit:
                 break
             best = refined
         covariance = self._covariance(equations)
@@ -291,7 +251,9 @@ class JointSearch:
             fewer = self._converged_fit_or_none(
                 best.unknowns.changed(names, one.values.tolist()), best.transmission
             )
-            if fewer is not None and fewer.misfit <= WORSE * max(best.misfit, self.noise_misfit or 0.0):
+            if fewer is not None and fewer.misfit <= tolerated_ratio * max(
+                best.misfit, self.noise_misfit or 0.0
+            ):
                 best, needed = fewer, one.needed
                 break
         return FitResult(best.unknowns, estimates, needed, covariance, best.misfit, state.trail, reason)
@@ -318,7 +280,11 @@ class JointSearch:
         columns = self.pixels.columns(fit.unknowns, linear, self.parameters, slopes)
         # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
-        variance = misfit**2 / self._pixel_count + MODEL_ERROR**2 / INDEPENDENT_ERRORS
+        # Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike
+        # noise, they are equal in many pixels and average out less. The number was fitted to the pulls of six
+        # nominal benches (`benchmarks/calibration_pulls.py`).
+        independent_errors = 60
+        variance = misfit**2 / self._pixel_count + MODEL_ERROR**2 / independent_errors
         typical, values = np.array([p.typical for p in self.parameters]), fit.unknowns.of(names)
         object_is_free = self.known is None
         equations = GaussNewtonStep(
@@ -345,6 +311,9 @@ class JointSearch:
         imitate.
         """
         planes, found = self.pixels.recorded, np.zeros(len(self.parameters))
+        # Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard
+        # deviation. Clipped noise looks like a background of this size.
+        clipped_noise = 0.17
         for index, parameter in enumerate(self.parameters):
             if not parameter.name.endswith("_background"):
                 continue
@@ -352,7 +321,7 @@ class JointSearch:
             if plane.sigma is not None:
                 dark = np.min(plane.sigma[plane.amplitude == plane.amplitude.min()])
                 mean = float(np.mean(plane.amplitude.astype(float) ** 2))
-                found[index] = CLIPPED_NOISE * 4.0 * DARK * float(dark) ** 2 / mean
+                found[index] = clipped_noise * 4.0 * DARK * float(dark) ** 2 / mean
         return found
 
     def _verified(self, current: _BenchFit) -> _BenchFit:
@@ -363,7 +332,9 @@ class JointSearch:
         """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the
         search.
         """
-        own_misfit = verified.curve[min(ADAPTED_AFTER, len(verified.curve) - 1)]
+        # Iterations after which an object found with other tiles has adapted to a bench's own tiles.
+        adapted_after = 1
+        own_misfit = verified.curve[min(adapted_after, len(verified.curve) - 1)]
         return own_misfit**2 > (1.0 + MODEL_FRACTION) * current.misfit**2
 
     def _reference_tiles(self, current: _BenchFit) -> _ReferenceTiles:
@@ -382,6 +353,10 @@ class JointSearch:
         columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
         if parameters == self.parameters:
             parameters_sought = self._determined_parameters(current, columns)
+        # For each stage, the fraction of the squared misfit below which the gain of a step ends it.
+        least_gains = 0.05, 0.02
+        # Fraction of the squared misfit below which a step hardly changes the derivatives.
+        linear_gain = 0.1
         while len(state.trail) < self.most_benches:
             sought_columns = (
                 columns
@@ -396,18 +371,20 @@ class JointSearch:
             current, state = best, replace(state, unknowns=best.unknowns)
             if gain > 0.0 and self.keep is not None:
                 self.keep(state)
-            if gain < LEAST_GAINS[state.stage] or (state.stage == 0 and self._is_near_noise(current)):
+            if gain < least_gains[state.stage] or (state.stage == 0 and self._is_near_noise(current)):
                 reason = "converged"
                 break
             del equations, sought_columns
-            if gain > LINEAR_GAIN:
+            if gain > linear_gain:
                 del columns  # only one set of columns fits in memory
                 columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
         return _StageEnd(state, current, columns, reason)
 
     def _is_near_noise(self, current: _BenchFit) -> bool:
         """Return whether the misfit is near enough to the noise to seek all parameters."""
-        return self.noise_misfit is not None and current.misfit < NEAR_NOISE * self.noise_misfit
+        # Misfit over that of noise below which the first stage ends.
+        near_noise_ratio = 1.5
+        return self.noise_misfit is not None and current.misfit < near_noise_ratio * self.noise_misfit
 
     def _search_along_step(
         self,
@@ -418,15 +395,19 @@ class JointSearch:
         parameters_sought: Sequence[Parameter],
     ) -> tuple[SearchState, _BenchFit]:
         """Return the best bench along a step, or the current one if none is better."""
-        names, step, best = [p.name for p in parameters_sought], equations.solve(STEP_ITERATIONS), current
+        # Iterations of conjugate gradients for the direction of a step.
+        step_iterations = 3
+        names, step, best = [p.name for p in parameters_sought], equations.solve(step_iterations), current
         line_search = LineSearch(self._price(current), -2.0 * float(equations.descent @ step), state.stretch)
+        # Misfit that is assumed where the model fails.
+        failed_misfit = 4.0
         while (length := line_search.next()) is not None and len(state.trail) < self.most_benches:
             unknowns = current.unknowns.changed(names, (current.unknowns.of(names) + length * step).tolist())
             try:
                 fit = self._fit_bench(unknowns, reference)
             except TransferLensError:
-                line_search.add(length, FAILED_MISFIT**2)
-                state = self._with_trial(state, unknowns, FAILED_MISFIT)
+                line_search.add(length, failed_misfit**2)
+                state = self._with_trial(state, unknowns, failed_misfit)
                 continue
             line_search.add(length, self._price(fit))
             state = self._with_trial(state, unknowns, fit.misfit)
@@ -444,8 +425,10 @@ class JointSearch:
         )
         deviations = np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(typical)))))
         pairs = zip(self.parameters, deviations, strict=True)
+        # Standard deviation of a sensor tilt over the expected one above which the tilt is not sought.
+        undetermined_tilt = 0.8
         return tuple(
-            p for p, deviation in pairs if p.name not in SENSOR_TILTS or deviation < UNDETERMINED_TILT
+            p for p, deviation in pairs if p.name not in SENSOR_TILTS or deviation < undetermined_tilt
         )
 
     def _price(self, fit: _BenchFit) -> float:
@@ -479,6 +462,7 @@ class JointSearch:
             linear = LinearModel(model, self.known, self.pixels.scale is None)
             model.scale = linear.scale
             return _BenchFit(unknowns, linear, self.known, (linear.misfit,))
+        # More inner iterations take longer than the propagation through the lens.
         found = reconstruct(
             model.engine,
             model.illumination,
@@ -492,7 +476,7 @@ class JointSearch:
             fill_factor=self.pixels.fill_factor,
             rows=self.pixels.rows,
             residuals=False,
-            inner_iterations=INNER_ITERATIONS,
+            inner_iterations=2,
         )
         model.scale = found.scale
         values = found.transmission.values

@@ -19,13 +19,6 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 
-PENALTY = 4.0
-"""Multiple of the logarithm of the number of pixels.
-
-It exceeds 1 because object and bench are not exactly at their common minimum, and because a parameter that
-raises the misfit by so little hardly changes the object.
-"""
-
 
 class Selection(NamedTuple):
     """Parameters that are needed, and the values of all parameters; those that are not needed are 0
@@ -54,7 +47,10 @@ def select_parameters(estimates: Array, covariance: Array, pixels: int) -> Selec
         Needed parameters, and values.
     """
     precision = np.linalg.inv(covariance)
-    cost, needed = PENALTY * math.log(max(pixels, 2)), np.ones(len(estimates), bool)
+    # Multiple of the logarithm of the number of pixels. It exceeds 1 because object and bench are not exactly
+    # at their common minimum, and because a parameter with so little effect hardly changes the object.
+    penalty = 4.0
+    cost, needed = penalty * math.log(max(pixels, 2)), np.ones(len(estimates), bool)
     values = np.array(estimates, float)
     while needed.any():
         needed_indices = np.flatnonzero(needed)

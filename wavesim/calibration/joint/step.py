@@ -29,9 +29,6 @@ LEAST_INFORMATION = 0.5
 With more information, a standard deviation falls by at least a fifth.
 """
 
-ROUNDING = 1e-5
-"""Squared relative length below which a direction may be an effect of rounding in single precision."""
-
 TOLERANCE = 1e-3
 """Fraction of the squared gradient, in the norm of the Hessian, at which the solution ends."""
 
@@ -210,5 +207,7 @@ def _orthonormal(rows: RealArray) -> RealArray:
     lengths = np.linalg.norm(rows, axis=1).astype(float)
     units = rows[lengths > 0.0] / lengths[lengths > 0.0, None].astype(rows.dtype)
     powers, mixtures = np.linalg.eigh(_products(units, units))
-    is_kept = powers > ROUNDING * max(powers.max(initial=0.0), 1.0)
+    # Squared relative length below which a direction may be an effect of rounding in single precision.
+    rounding = 1e-5
+    is_kept = powers > rounding * max(powers.max(initial=0.0), 1.0)
     return _combined(units, (mixtures[:, is_kept] / np.sqrt(powers[is_kept])).T)

@@ -16,18 +16,6 @@ from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
-FIT_BYTES = {True: 750_000, False: 4_400_000}
-"""Memory of the rays and their polynomials, on a line and on a plane."""
-
-MEAN_WIDTH = 0.75
-"""Mean width of the part of a window in which a slice lies, relative to the width of the whole surface."""
-
-BLOCK_ARRAYS = 5
-"""Complex arrays of a block of samples while a slice is processed."""
-
-MADE_ARRAYS = {True: 36, False: 18}
-"""Real arrays of a block of samples while the slices are prepared, on a line and on a plane."""
-
 
 def slices_cost(
     scene: Scene, sides: Sequence[tuple[Waves, Waves]], light: LightWithin, slices: int, unit: int, even: bool
@@ -50,16 +38,20 @@ def slices_cost(
     images = (unit + index_type(slices).itemsize) * sum(rows * columns for rows, columns in squares)
     counts = [slices if high > low else 1 for low, high in light.heights_mm]
     seconds, working = _ends(scene, sides, unit)
+    # Mean width of the part of a window in which a slice lies, relative to the width of the whole surface.
+    mean_width = 0.75
+    # Complex arrays of a block of samples while a slice is processed.
+    block_arrays = 5
     for (front, behind), square, count in zip(sides, squares, counts, strict=True):
         samples, length = front.grid.size, front.grid.shape[0]
         rows, width = max(front.shape[0], behind.shape[0]), square[1]
         factors = (front.size + behind.size) // (2 if is_line else 4)
         kept = front.size + behind.size + rows * width + factors
         block = (
-            min(THREADS, _blocks(length * width)) * BLOCK_ARRAYS * min(_block_samples(length), length * width)
+            min(THREADS, _blocks(length * width)) * block_arrays * min(_block_samples(length), length * width)
         )
         working = max(working, unit * (kept + block))
-        inner = 2.0 * MEAN_WIDTH * width * length if not is_line else 2.0 * samples
+        inner = 2.0 * mean_width * width * length if not is_line else 2.0 * samples
         outer = 0.0 if is_line else float(length * (front.shape[0] + behind.shape[0]))
         each = (1.0 if is_line else 0.5) * fft_seconds(int(inner + outer), is_line)
         each += 2.0 * pass_seconds(int(inner + outer))
@@ -74,9 +66,13 @@ def slices_cost(
             working = max(working, unit * (front.size + before.size + max(front.size, before.size)))
     samples = sum(rows * columns for rows, columns in squares)
     most = max(rows * columns for rows, columns in squares)
-    made = MADE_ARRAYS[is_line] * FLOAT64 * min(most, THREADS * BLOCK)
+    # Real arrays of a block of samples while the slices are prepared, on a line and on a plane.
+    made_arrays = {True: 36, False: 18}
+    made = made_arrays[is_line] * FLOAT64 * min(most, THREADS * BLOCK)
     setup = 0.006 + 8.0 * exponential_seconds(samples)
-    return Cost(seconds, setup, int(images + max(working, made, FIT_BYTES[is_line])))
+    # Memory of the rays and their polynomials, on a line and on a plane.
+    fit_bytes = {True: 750_000, False: 4_400_000}
+    return Cost(seconds, setup, int(images + max(working, made, fit_bytes[is_line])))
 
 
 def _ends(scene: Scene, sides: Sequence[tuple[Waves, Waves]], unit: int) -> tuple[float, int]:

@@ -54,10 +54,6 @@ ComplexArray = NDArray[np.complex128]
 CompensationKind = Literal["vertical", "oblique"]
 Precision = Literal["double", "single"]
 
-MOST_SLICES = 50_000
-WARN_ERROR = 0.2
-"""Estimated relative error of the exit field above which too few slices cause a warning."""
-
 
 class AnnularSlices(Engine):
     """Propagation through slices between cutting planes.
@@ -114,8 +110,9 @@ class AnnularSlices(Engine):
     ) -> None:
         super().__init__(scene)
         whole = isinstance(slices, int | np.integer) and not isinstance(slices, bool)
-        if not whole or not 1 <= slices <= MOST_SLICES:
-            raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {MOST_SLICES}")
+        most_slices = 50_000
+        if not whole or not 1 <= slices <= most_slices:
+            raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {most_slices}")
         validate_choice("compensation", compensation, ("vertical", "oblique"))
         validate_choice("spacing", spacing, ("equal", "paper", "equal-phase"))
         validate_choice("precision", precision, ("double", "single"))
@@ -259,7 +256,9 @@ class AnnularSlices(Engine):
 
     def _warn(self) -> None:
         error = _misfit(self._phases)
-        if error < WARN_ERROR:
+        # Estimated relative error of the exit field above which too few slices cause a warning.
+        warn_error = 0.2
+        if error < warn_error:
             return
         waves = max(float(np.max(np.abs(phase))) for phase in self._phases) / (2.0 * math.pi)
         warnings.warn(

@@ -21,10 +21,6 @@ from wavesim.fields.plane_waves import BandLimit, axial_wavenumbers, lateral_shi
 from wavesim.runtime.arrays import array_module, fft, ifft
 from wavesim.runtime.threads import for_blocks
 
-STEP_GRAIN_MM = 1e-12
-"""Rounding of steps between planes, so that equal steps share a factor; the phase error stays below 1e-5
-rad."""
-
 Sides = tuple[Waves, Waves]
 
 
@@ -254,7 +250,9 @@ class _Steps:
 
     def prepare(self, step_mm: float, like: Any) -> None:
         """Compute the factor of a step, unless it is the previous one."""
-        step_mm = round(step_mm / STEP_GRAIN_MM) * STEP_GRAIN_MM
+        # Steps are rounded so that equal ones share a factor; the phase error stays below 1e-5 rad.
+        step_grain_mm = 1e-12
+        step_mm = round(step_mm / step_grain_mm) * step_grain_mm
         self.is_zero = step_mm == 0.0
         if self.is_zero or step_mm == self.step_mm:
             return

@@ -28,10 +28,6 @@ from wavesim.scene.scene import Scene
 
 BAND_MARGIN, REACH_MARGIN, WINDOW_MARGIN = 1.1, 1.05, 1.02
 FRESNEL_ZONES = 4.0
-STEEPEST_SINE = 0.98
-FINENESS = 0.9
-"""Pitch, as a fraction of the coarsest that samples the field."""
-PROFILE_POINTS = 257
 LARGEST_BYTES, LONGEST_SECONDS = 20e9, 3600.0
 """Limits of memory and time above which an engine runs only with `force`."""
 
@@ -265,7 +261,9 @@ def sampled(
     SamplingError
         If the given pitch or width cannot sample the field.
     """
-    pitch = FINENESS * coarsest_mm if pitch_mm is None else pitch_mm
+    # Pitch, as a fraction of the coarsest that samples the field.
+    fineness = 0.9
+    pitch = fineness * coarsest_mm if pitch_mm is None else pitch_mm
     half = WINDOW_MARGIN * narrowest_mm if half_width_mm is None else half_width_mm
     _check(pitch, coarsest_mm, half, narrowest_mm)
     count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
@@ -330,12 +328,13 @@ def _bands(scene: Scene, sines: Array, zones: float) -> tuple[list[float], list[
     """Return the largest transverse wavenumber in each medium, and the tangent of its angle."""
     k = scene.wavenumber_per_mm * scene.system.index[0]
     zone = np.sqrt(k / _first_leg_mm(scene))
-    if np.max(sines) > STEEPEST_SINE:
+    steepest_sine = 0.98
+    if np.max(sines) > steepest_sine:
         raise SamplingError(
             f"light at {math.degrees(math.asin(np.max(sines))):.3g} degrees to the axis: at most "
-            f"{math.degrees(math.asin(STEEPEST_SINE)):.3g} degrees can be carried from plane to plane"
+            f"{math.degrees(math.asin(steepest_sine)):.3g} degrees can be carried from plane to plane"
         )
-    band = np.minimum(k * sines * BAND_MARGIN + zones * zone, STEEPEST_SINE * k)
+    band = np.minimum(k * sines * BAND_MARGIN + zones * zone, steepest_sine * k)
     return list(band), list(band / np.sqrt(k * k - band * band))
 
 
@@ -364,7 +363,7 @@ def _first_leg_mm(scene: Scene) -> float:
 
 def _profile(scene: Scene, surface: int, middle: Array, reach_mm: float) -> tuple[float, float, float]:
     """Return lowest point, highest point and largest slope of a surface along the grid's central lines."""
-    t = np.linspace(-reach_mm, reach_mm, PROFILE_POINTS)
+    t = np.linspace(-reach_mm, reach_mm, 257)
     x, y = np.full_like(t, middle[0]), middle[1] + t
     if not scene.object_grid.is_line:
         x, y = np.append(x, middle[0] + t), np.append(y, np.full_like(t, middle[1]))

@@ -16,12 +16,6 @@ from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
 from wavesim.scene.scene import Scene
 
-DEGREE = 10
-"""Degree of the polynomials in x and y for a surface's transmission."""
-
-BLOCK = 1 << 15
-"""Points at which the polynomials are evaluated at a time."""
-
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
@@ -113,16 +107,20 @@ def transmission_at(scene: Scene, surface: int, crossing: Crossings, x: Array, y
     middle = np.array([np.mean(crossing.x_mm), np.mean(crossing.y_mm)])
     radius = float(np.max(np.hypot(crossing.x_mm - middle[0], crossing.y_mm - middle[1])))
     u, v = (crossing.x_mm - middle[0]) / radius, (crossing.y_mm - middle[1]) / radius
-    powers = np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))
-    basis = chebvander2d(u, v, (DEGREE, DEGREE))[:, powers.ravel() <= DEGREE]
+    # Degree of the polynomials in x and y for a surface's transmission.
+    degree = 10
+    powers = np.add.outer(np.arange(degree + 1), np.arange(degree + 1))
+    basis = chebvander2d(u, v, (degree, degree))[:, powers.ravel() <= degree]
     # Normal equations without BLAS, whose threads would wait for each other longer than this takes.
     square = np.einsum("ni,nj->ij", basis, basis)
     square[np.diag_indices_from(square)] += 1e-12 * len(known)
     terms = np.zeros(powers.shape)
-    terms[powers <= DEGREE] = np.linalg.solve(square, np.einsum("ni,n->i", basis, known))
+    terms[powers <= degree] = np.linalg.solve(square, np.einsum("ni,n->i", basis, known))
     result = np.empty(len(x))
-    for start in range(0, len(x), BLOCK):
-        part = slice(start, start + BLOCK)
+    # Points at which the polynomials are evaluated at a time.
+    block = 1 << 15
+    for start in range(0, len(x), block):
+        part = slice(start, start + block)
         u, v = (x[part] - middle[0]) / radius, (y[part] - middle[1]) / radius
         beyond = np.maximum(np.hypot(u, v), 1.0)
         result[part] = chebval2d(u / beyond, v / beyond, terms)

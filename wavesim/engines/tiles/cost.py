@@ -26,18 +26,9 @@ EDGE_SECONDS, EDGE_PASSES = {True: 0.007, False: 0.02}, 350
 """Time to find the diffraction at the rim of each tile, and complex products that take as long as its
 evaluation for a sample of the plane."""
 
-SPREAD_PASSES = 60
-"""Complex products that take as long as one nonuniform point."""
-
-SPREAD_OUT = {True: 1.0, False: 2.4}
-"""Slowdown of transforms that exceed a processor's cache, on a line and on a plane."""
-
 CARRY_PASSES, TAP_PASSES = 2.0, 0.55
 """Time for each sample of a window in complex products: for its carrier and the plane, and for each tap of
 the interpolation from a coarse grid."""
-
-POINT_BYTES = 24
-"""Memory of both transforms of a tile for each point and dimension."""
 
 BASE_BYTES, LEAST_BYTES = 100_000, {True: 1_500_000, False: 18_000_000}
 """Memory of the rays of one tile, and of the rays with the matrices of the polynomial fits, on a line and on
@@ -75,12 +66,16 @@ def tiles_cost(
     carrier = mapper(middle.centre_mm)
     size = _sizes(scene, plane, middle, carrier, error)
     count, shape = len(tiles), plane.grid.shape
+    # Complex products that take as long as one nonuniform point.
+    spread_passes = 60
     one = rank * (
-        fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(SPREAD_PASSES * size.points)
+        fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(spread_passes * size.points)
     )
     if not size.taps:
         one += pass_seconds(10 * size.window)
-    one *= SPREAD_OUT[scene.object_grid.is_line]
+    # Slowdown of transforms that exceed a processor's cache, on a line and on a plane.
+    spread_out = {True: 1.0, False: 2.4}
+    one *= spread_out[scene.object_grid.is_line]
     if size.taps:
         one += pass_seconds(round((CARRY_PASSES + TAP_PASSES * size.taps) * size.window)) / THREADS
     setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
@@ -129,8 +124,10 @@ def _bytes(
     size: _Size, rank: int, low_rank: bool, dimensions: int, count: int, value_bytes: int
 ) -> tuple[int, int]:
     """Return the memory that one of `count` tiles keeps, and the temporary memory of its set-up and use."""
+    # Memory of both transforms of a tile for each point and dimension.
+    point_bytes = 24
     # Both transforms keep the positions of their points in double precision, and a permutation of them.
-    kept = value_bytes * rank * (size.modes + size.points) + POINT_BYTES * dimensions * size.points
+    kept = value_bytes * rank * (size.modes + size.points) + point_bytes * dimensions * size.points
     kept += value_bytes * size.window + size.coarse if size.taps else size.window
     making = (2 * value_bytes * rank + FLOAT64 * (3 * dimensions + 3)) * size.points
     if dimensions == 1:

@@ -16,31 +16,6 @@ from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import shoot
 from wavesim.scene.scene import Scene
 
-SHARED_ZONES = 2.5
-"""Width of the region, in Fresnel zones on the stop, within which tiles share one footprint if edges are
-sharp.
-
-Where the object as a whole sends no light, the fields of its tiles cancel each other. Edges that are finer
-than diffraction allows would disturb this cancellation.
-"""
-
-LEAST_SHARED = 0.7
-"""Least fraction of its footprint that a tile must share with its neighbours."""
-
-
-FAR_ENERGY = 0.35
-"""Energy that diffraction moves beyond x = 1 from a sharp edge, in the x of :mod:`wavesim.rays.edges`, as a
-fraction of all that it moves; beyond x it is this fraction over x."""
-
-LOST_STRIP = {"sharp": 0.5, "drawn": 0.2}
-"""Fraction of the displacement between the footprints of a tile's ends and of its centre that counts as lost.
-The mean point of a tile is half as far away, and edges with diffraction differ by less than sharp ones. The
-second value is measured."""
-
-SECOND_ORDER = 0.5
-"""Error of Fresnel's edge as a multiple of the squared error of a sharp edge: the next order in wavelength
-over distance. Measured on twins of the paper's lens."""
-
 
 def shared_spans(
     scene: Scene, tiles: Sequence[Tile], carriers: Sequence[RayMap], axes: Sequence[Array]
@@ -55,7 +30,11 @@ def shared_spans(
     SamplingError
         If neighbouring footprints overlap too little.
     """
-    width = SHARED_ZONES * _zone_mm(scene, float(scene.system.vertex[0, scene.lens.stop_index, 2]))
+    # Width of the region, in Fresnel zones on the stop, within which tiles share one footprint if edges are
+    # sharp. Where the object as a whole sends no light, the fields of its tiles cancel each other. Edges that
+    # are finer than diffraction allows would disturb this cancellation.
+    shared_zones = 2.5
+    width = shared_zones * _zone_mm(scene, float(scene.system.vertex[0, scene.lens.stop_index, 2]))
     groups = [_group(scene.object_grid, tile, width) for tile in tiles]
     common: dict[tuple[int, ...], NDArray[np.intp]] = {}
     for group, carrier in zip(groups, carriers, strict=True):
@@ -64,9 +43,11 @@ def shared_spans(
             first = np.maximum(common[group][:, 0], spans[:, 0])
             spans = np.column_stack([first, np.maximum(np.minimum(common[group][:, 1], spans[:, 1]), first)])
         common[group] = spans
+    # Least fraction of its footprint that a tile must share with its neighbours.
+    least_shared = 0.7
     for group, carrier in zip(groups, carriers, strict=True):
         own, shared = (int(np.sum(s[:, 1] - s[:, 0])) for s in (carrier.row_spans(axes), common[group]))
-        if shared < LEAST_SHARED * own:
+        if shared < least_shared * own:
             raise SamplingError(
                 f"plane z = {carrier.plane_z_mm:g} mm: neighbouring tiles illuminate different parts of it, "
                 "since it lies near an image of the object; choose plane_z_mm nearer to the lens"
@@ -101,7 +82,11 @@ def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]
         end = shoot(scene, points, carrier.pupil.rim, carrier.plane_z_mm, clip=False).position
         axes = [1] if carrier.pupil.is_line else [1, 0]
         moved.append(np.mean(np.linalg.norm(end[:, axes] - carrier.rim_mm, axis=1)))
-    strip = LOST_STRIP["sharp" if carrier.edge is None else "drawn"] * float(np.nanmax(moved))
+    # Fraction of the displacement between the footprints of a tile's ends and of its centre that counts as
+    # lost. The mean point of a tile is half as far away, and edges with diffraction differ by less than sharp
+    # ones. The second value is measured.
+    lost_strip = {"sharp": 0.5, "drawn": 0.2}
+    strip = lost_strip["sharp" if carrier.edge is None else "drawn"] * float(np.nanmax(moved))
     apart = max(carrier.plane_z_mm - float(scene.system.vertex[0, 0, 2]), 0.0)
     zone = math.sqrt(1e-3 * scene.wavelength_um * apart)
     per_mm = rim_fraction_per_mm(carrier.rim_mm)
@@ -118,8 +103,14 @@ def drawn_error(scene: Scene, tile: Tile, carrier: RayMap, sharp: float) -> floa
     resolved = carrier.edge.resolved_to(tile.width_mm)
     limit = 0.5e-3 * scene.wavelength_um / tile.pitch_mm
     cut = float(np.mean(np.any(np.abs(carrier.maps.at(carrier.rim_mm)[2:]) > limit, axis=0)))
-    unresolved = min(1.0, FAR_ENERGY / resolved + cut)
-    return min(sharp, math.hypot(SECOND_ORDER * sharp**2, sharp * math.sqrt(unresolved)))
+    # Energy that diffraction moves beyond x = 1 from a sharp edge, in the x of :mod:`wavesim.rays.edges`, as
+    # a fraction of all that it moves; beyond x it is this fraction over x.
+    far_energy = 0.35
+    unresolved = min(1.0, far_energy / resolved + cut)
+    # Error of Fresnel's edge as a multiple of the squared error of a sharp edge: the next order in wavelength
+    # over distance. Measured on twins of the paper's lens.
+    second_order = 0.5
+    return min(sharp, math.hypot(second_order * sharp**2, sharp * math.sqrt(unresolved)))
 
 
 def rim_fraction_per_mm(rim_mm: Array) -> float:

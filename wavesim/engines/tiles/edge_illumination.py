@@ -21,13 +21,6 @@ from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
-NEAR_RIM = 0.05
-"""Width of the rim, relative to the aperture's radius, unless a tile's light resolves directions less finely.
-It is measured: predictions with this value bound the errors of all objects."""
-
-BINS = 8.0
-"""Least number of bins of a spectrum over the aperture's radius."""
-
 
 def edge_illumination(scene: Scene, tiles: Sequence[Tile], plane_z_mm: float, light: Light) -> float:
     """Return the amplitude of an object's light at the aperture's rim, relative to an evenly filled aperture.
@@ -93,13 +86,18 @@ def _densities(values: NDArray, tile: Tile, rim: Array, wavelength_mm: float) ->
     """Return the mean energy in a direction: next to the rim outside and inside, and over the aperture."""
     middle = rim.mean(axis=0)
     radius = float(np.mean(np.linalg.norm(rim - middle, axis=1)))
-    least = math.ceil(BINS * wavelength_mm / (tile.pitch_mm * radius))
+    # Least number of bins of a spectrum over the aperture's radius.
+    bins = 8.0
+    least = math.ceil(bins * wavelength_mm / (tile.pitch_mm * radius))
     # A line has only two rim points to average over, and needs a finer spectrum.
     shape = [scipy.fft.next_fast_len(max((3 - values.ndim) * n, least)) for n in values.shape]
     energy = scipy.fft.fftshift(np.abs(scipy.fft.fftn(values, shape)) ** 2)
     axes = [wavelength_mm * scipy.fft.fftshift(scipy.fft.fftfreq(n, tile.pitch_mm)) for n in shape]
     resolved = wavelength_mm / (min(values.shape) * tile.pitch_mm)
-    width = max(NEAR_RIM * radius, resolved)
+    # Width of the rim, relative to the aperture's radius, unless a tile's light resolves directions less
+    # finely. It is measured: predictions with this value bound the errors of all objects.
+    rim_width = 0.05
+    width = max(rim_width * radius, resolved)
     beyond, inside, within = (inside_border(moved(rim, by), axes) for by in (width, 0.0, -width))
     parts = (beyond & ~inside, inside & ~within, inside)
     return np.array([energy[part].mean() if part.any() else 0.0 for part in parts])

@@ -49,9 +49,6 @@ TILE_FRACTION, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05
 NARROWEST, NARROWEST_DRAWN = 8, 2
 """Narrowest tile that the choice of an engine tries, and that comparisons show, in object samples."""
 
-EXPANSION_FRACTION = 0.5
-"""Fraction of the allowed error that the expansion of a tile may cause."""
-
 
 class EikonalTiles(Engine):
     """Eikonal tiles.
@@ -131,7 +128,9 @@ class EikonalTiles(Engine):
             raise InputError(f"plane_z_mm = {plane_z_mm!r}: must be finite")
         self._tile_width_mm, self._error, self._quadratic = tile_width_mm, error, quadratic
         self._plane_z_mm = plane_z_mm
-        self._allowed = EXPANSION_FRACTION * error if quadratic == "low-rank" else error
+        # Fraction of the allowed error that the expansion of a tile may cause.
+        expansion_fraction = 0.5
+        self._allowed = expansion_fraction * error if quadratic == "low-rank" else error
         self._maps: dict[tuple[float, float], RayMap] = {}
         self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
 

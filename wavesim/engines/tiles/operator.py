@@ -41,23 +41,6 @@ Result = TypeVar("Result")
 BAND_MARGIN = 1.1
 """Margin of the coarse grid's band for the slowly varying factors besides the Fourier kernel."""
 
-WORTH_WHILE = 1.5
-"""Least ratio of the coarse to the fine pitch for which a coarse grid is used."""
-
-COARSEST = 1.0 / 300.0
-"""Largest step of a coarse grid as a fraction of the footprint's width. Its samples extend beyond the border,
-where no rays support the maps."""
-
-SAMPLES = 2**18
-"""Samples of a carrier that are computed at a time."""
-
-WITHIN_BAND = 0.99
-"""Fraction of the object grid's largest cosine. If all rays are below it, samples are not checked one by
-one."""
-
-POINTS_PER_THREAD = 2**16
-"""Least points for each thread of a transform. With fewer points, threads wait longer than they work."""
-
 GROUP = 4 * THREADS
 """Tiles whose fields are computed before they are added, since threads wait between groups."""
 
@@ -108,7 +91,10 @@ def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float
     slopes = np.abs(bundle.cosine_jacobian[ok] @ np.linalg.inv(bundle.jacobian[ok]))
     reach = np.max(np.abs(spans_mm), axis=1)
     band = wavenumber_per_mm * np.max(np.einsum("i,nij->nj", reach, slopes), axis=0)
-    widest = COARSEST * np.ptp(bundle.sensor_mm[ok], axis=0)
+    # Largest step of a coarse grid as a fraction of the footprint's width. Its samples extend beyond the
+    # border, where no rays support the maps.
+    coarsest = 1.0 / 300.0
+    widest = coarsest * np.ptp(bundle.sensor_mm[ok], axis=0)
     return np.minimum(math.pi / (OVERSAMPLING * BAND_MARGIN * band), widest)
 
 
@@ -116,7 +102,9 @@ def coarse_is_used(steps_mm: Array, axes: tuple[Array, ...]) -> bool:
     """Return whether a tile's field is computed on a coarse grid instead of the samples themselves."""
     if len(axes) == 1 or min(len(axis) for axis in axes) < 2:
         return False
-    return bool(steps_mm.min() > WORTH_WHILE * (axes[0][1] - axes[0][0]))
+    # Least ratio of the coarse to the fine pitch for which a coarse grid is used.
+    least_ratio = 1.5
+    return bool(steps_mm.min() > least_ratio * (axes[0][1] - axes[0][0]))
 
 
 class TileOperator:
@@ -302,7 +290,9 @@ def at_once(works: Sequence[Callable[[], Result]]) -> list[Result]:
 def _plans(angles: Array, shape: tuple[int, ...], precision: Precision, threads: int) -> tuple[Any, Any]:
     """Return transforms of types 2 and 1 that are each other's conjugate transpose."""
     points = folded(angles, precision.dtype)
-    most = min(threads, max(1, shape[0] * angles.shape[1] // POINTS_PER_THREAD))
+    # Least points for each thread of a transform. With fewer points, threads wait longer than they work.
+    points_per_thread = 2**16
+    most = min(threads, max(1, shape[0] * angles.shape[1] // points_per_thread))
     first, second = (plan_of_terms(kind, shape, precision, most) for kind in (2, 1))
     for plan in (first, second):
         plan.setpts(*points)
@@ -326,12 +316,16 @@ def _carrier(
     wavelength_mm = 2.0 * np.pi / wavenumber_per_mm
     constant_phase = -0.25 * np.pi * len(axes) - 0.5 * np.pi * carrier.caustics
     scale = wavelength_mm ** (-0.5 * len(axes))
-    is_within = np.abs(carrier.bundle.cosines[carrier.bundle.ok]).max() < WITHIN_BAND * limit
+    # If all rays are below this fraction of the grid's largest cosine, single samples are not checked.
+    within_band = 0.99
+    is_within = np.abs(carrier.bundle.cosines[carrier.bundle.ok]).max() < within_band * limit
     maps = (
         carrier.maps if not is_within else replace(carrier.maps, coefficients=carrier.maps.coefficients[:2])
     )
     result = np.zeros(tuple(len(a) for a in axes), dtype)
-    rows_at_once = max(1, SAMPLES // len(axes[1])) if len(axes) == 2 else len(axes[0])
+    # Samples of a carrier that are computed at a time.
+    samples_at_once = 2**18
+    rows_at_once = max(1, samples_at_once // len(axes[1])) if len(axes) == 2 else len(axes[0])
     columns = np.arange(len(axes[-1]))
     for start in range(0, len(axes[0]), rows_at_once):
         rows = slice(start, start + rows_at_once)

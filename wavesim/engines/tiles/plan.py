@@ -24,9 +24,6 @@ TARGET_RANK, TARGET_RANK_OF_MANY, MANY = 5, 8, 16
 from which they are many. Each tile needs its own rays and maps. Transforms process eight terms in two
 vectors."""
 
-REFUSED = 3.0
-"""Largest error of a given tile width, as a multiple of the allowed error."""
-
 Mapper = Callable[[tuple[float, float]], RayMap]
 
 
@@ -168,7 +165,9 @@ def checked_probe(scene: Scene, width_mm: float, error: float, quadratic: Quadra
             f"tile_width_mm = {width_mm:g}: leaves a relative error of {tile_error:.2g} "
             f"(allowed: {error:.2g}); make tiles narrower, or allow a larger error"
         )
-        if tile_error > REFUSED * error:
+        # Largest error of a given tile width, as a multiple of the allowed error.
+        largest_multiple = 3.0
+        if tile_error > largest_multiple * error:
             raise SamplingError(message)
         warnings.warn(message, SamplingWarning, stacklevel=2)
     return found

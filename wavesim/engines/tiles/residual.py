@@ -33,8 +33,6 @@ FINE_NODES = 14
 SAMPLE_ORDER, FACTOR_ORDER = {True: 48, False: 14}, {True: 40, False: 12}
 """Orders of the rays' sampling, and of the polynomials for u_r(s), on a line and on a plane."""
 
-AIM_STEPS = 5
-AIMED_MM = 1e-6
 MAX_RANK = 32
 
 
@@ -224,15 +222,17 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
     inverse = np.tile(inverses(base.jacobian), (m, 1, 1))
     target = np.tile(base.sensor_mm, (m, 1))
     axes = [1] if d == 1 else [1, 0]
-    for _ in range(AIM_STEPS):
+    aim_steps = 5
+    aimed_mm = 1e-6
+    for _ in range(aim_steps):
         end = shoot(scene, points, stop, carrier.plane_z_mm, clip=False)
         miss = np.where(end.ok[:, None], target - end.position[:, axes], 0.0)
-        if np.max(np.abs(miss)) < 0.1 * AIMED_MM:
+        if np.max(np.abs(miss)) < 0.1 * aimed_mm:
             break
         stop = stop + _as_xy(np.einsum("nij,nj->ni", inverse, miss))
     aimed = trace_bundle(scene, points, stop, carrier.plane_z_mm)
     miss = target - aimed.sensor_mm
-    good = (aimed.ok & (np.abs(miss).max(axis=1) < AIMED_MM)).reshape(m, n).all(axis=0) & base.ok
+    good = (aimed.ok & (np.abs(miss).max(axis=1) < aimed_mm)).reshape(m, n).all(axis=0) & base.ok
     lit = carrier.pupil.inwards(pupil) > 0.0
     reached, all_lit = np.count_nonzero(good & lit), np.count_nonzero(lit)
     if reached < 0.7 * all_lit:

@@ -48,19 +48,9 @@ from wavesim.scene.engine import Cost, ErrorTerm, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
-ZONES = 0.74
-"""Width of tiles over sqrt(wavelength x working distance) / NA, for which a few terms describe the
-residual."""
-
 EXPANSION_FRACTION, MAPS_FRACTION, INTERPOLATION_FRACTION, TRANSFORM_FRACTION = 0.5, 0.01, 0.1, 0.05
 """Fraction of the allowed error that each step may cause; that of the maps is in waves."""
 
-
-NARROWINGS = 3
-"""Number of times that tiles of default width are halved where rays cannot be traced all over them."""
-
-MANY_TILES = 16
-"""Number of tiles along a side of the object above which two levels are worth their set-up."""
 
 LEAST_ERROR = 1e-4
 """Smallest error that can be requested, since values are complex64."""
@@ -73,7 +63,9 @@ Cut = tuple[tuple[Tile, tuple[int, ...]], ...]
 def tile_width_for(scene: Scene) -> float:
     """Return the width in mm of tiles whose residual a few terms describe."""
     zone_mm = math.sqrt(1e-3 * scene.wavelength_um * -scene.object_grid.z_mm)
-    return ZONES * zone_mm / scene.lens.object.numerical_aperture
+    # Width over sqrt(wavelength x working distance) / NA for which a few terms describe the residual.
+    zones = 0.74
+    return zones * zone_mm / scene.lens.object.numerical_aperture
 
 
 def tiles_along(scene: Scene) -> float:
@@ -123,7 +115,9 @@ class WholeFieldEngine(Tiled):
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
-        if tiles_along(scene) > MANY_TILES:
+        # Number of tiles along a side of the object above which two levels are worth their set-up.
+        many_tiles = 16
+        if tiles_along(scene) > many_tiles:
             yield {"error": float(np.clip(TILE_FRACTION * error, LEAST_ERROR, MOST_ERROR))}
 
     @classmethod
@@ -162,7 +156,9 @@ class WholeFieldEngine(Tiled):
     def _prepared(self) -> tuple[float, Cut, WholeFieldSettings]:
         """Width of tiles, the tiles, and their common settings; narrower where the first are too wide."""
         width, maps = self._asked_width_mm or tile_width_for(self.scene), None
-        for narrower in range(NARROWINGS, -1, -1):
+        # Number of times that tiles of default width are halved where rays cannot be traced all over them.
+        narrowings = 3
+        for narrower in range(narrowings, -1, -1):
             tiles = self._tiles(width)
             spans_mm = _shared_spans(tiles)
             if maps is None:  # narrower tiles need no more accurate maps

@@ -18,14 +18,6 @@ from wavesim.engines.whole_field.ray_maps import OverObject, Region, fit_over_ob
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 
-SENSOR_ORDER = 12
-OBJECT_ORDERS = (2, 4)
-"""Orders in the object point; the first accurate one is used. The lower one needs less than half of the
-rays."""
-
-SPECTRUM_FRACTION = 0.5
-"""Fraction of the allowed error for omitted terms; the rest is for polynomials."""
-
 
 @dataclass(frozen=True, eq=False)
 class FactorsOverObject:
@@ -86,7 +78,9 @@ def factors_over_object(
         If more than 32 terms are needed, or polynomials cannot represent the factors; tiles are then too
         wide.
     """
-    for order in OBJECT_ORDERS:
+    # The first accurate order in the object point is used. The lower one needs less than half of the rays.
+    object_orders = (2, 4)
+    for order in object_orders:
         found = _factors_of_order(order, scene, region, spans_mm, mapper, error)
         if found.relative_error <= error:
             return found
@@ -111,10 +105,13 @@ def _factors_of_order(
     places = [(float(x), float(y)) for y, x in points]
     residuals = [tile_residual(scene, place, spans_mm, mapper(place)) for place in places]
     values, shares = [r.fine[0] for r in residuals], residuals[0].fine[1]
-    basis = _shared_basis([r.weights for r in residuals], values, shares, SPECTRUM_FRACTION * error)
+    # Fraction of the allowed error for omitted terms; the rest is for polynomials.
+    spectrum_fraction = 0.5
+    basis = _shared_basis([r.weights for r in residuals], values, shares, spectrum_fraction * error)
     tile = basis / np.sqrt(shares)
     factors = [(v * np.sqrt(shares) @ basis.conj().T).T for v in values]
-    sensor = fit_over_object(region, (order, SENSOR_ORDER), points, [r.sensor_mm for r in residuals], factors)
+    sensor_order = 12
+    sensor = fit_over_object(region, (order, sensor_order), points, [r.sensor_mm for r in residuals], factors)
     means = np.stack([r.mean for r in residuals])
     logarithm = solve(object_terms(region.scaled(points), order), means.reshape(len(points), -1))
     left = 0.0

@@ -31,12 +31,6 @@ from wavesim.scene.engine import Direction
 MOST_ROWS, LEAST_ROWS = 512, 16
 """Rows of a block."""
 
-SAMPLE_BYTES = 64
-"""Memory for a sample of a row block while its carrier is computed."""
-
-AHEAD = 2
-"""Tiles that each thread prepares before the device needs them."""
-
 
 class OnDevice:
     """Computes super-tiles on a device, as :class:`wavesim.engines.whole_field.on_cpu.OnCpu` on the
@@ -78,8 +72,10 @@ def _frames(group: SuperTile) -> Iterator[TileFrame]:
     waiting, ready = iter(group.tiles), deque[Future[TileFrame]]()
     alike: dict[Any, Any] = {}
     with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
+        # Tiles that each thread prepares before the device needs them.
+        ahead = 2
         while True:
-            room = AHEAD * THREADS - len(ready)
+            room = ahead * THREADS - len(ready)
             ready.extend(pool.submit(tile_frame, group, tile, alike) for tile in islice(waiting, room))
             if not ready:
                 return
@@ -151,7 +147,9 @@ class DeviceStep:
     def __init__(self, device: Device, carried: CarriedStep) -> None:
         self.device, self.window, ways = device, carried.window, carried.ways
         width = self.window[1].stop - self.window[1].start
-        rows = int(np.clip(device.memory_bytes // (SAMPLE_BYTES * width), LEAST_ROWS, MOST_ROWS))
+        # Memory for a sample of a row block while its carrier is computed.
+        sample_bytes = 64
+        rows = int(np.clip(device.memory_bytes // (sample_bytes * width), LEAST_ROWS, MOST_ROWS))
         self.along_y, self.along_x = (blocks_of(device, weights, rows) for weights in ways.field)
         cubic = [
             Weights(first, share, count)

@@ -31,8 +31,6 @@ SLOPE_ORDER = 2
 border."""
 
 ARMS = 72
-HELD_OUT = 7
-"""Number of object points at which the polynomials are checked against rays that were not fitted."""
 
 
 @dataclass(frozen=True)
@@ -251,8 +249,10 @@ def maps_over_object(
 
 def _held_out(region: Region) -> Array:
     """Return points between the nodes, towards the border."""
-    turn = 2.0 * np.pi * np.arange(HELD_OUT) * 0.381966
-    share = np.sqrt((np.arange(HELD_OUT) + 0.5) / HELD_OUT)
+    # Number of object points at which the polynomials are checked against rays that were not fitted.
+    held_out = 7
+    turn = 2.0 * np.pi * np.arange(held_out) * 0.381966
+    share = np.sqrt((np.arange(held_out) + 0.5) / held_out)
     return np.asarray(region.centre_mm + region.half_mm * (share * np.stack([np.sin(turn), np.cos(turn)])).T)
 
 

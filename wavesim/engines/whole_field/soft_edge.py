@@ -18,15 +18,8 @@ from wavesim.rays.maps import RayMap
 SOFT = 2.7
 """Width of the rise in x that minimizes the difference to F, also in the mean over a tile's points."""
 
-SOFTEST = 0.15
-"""Largest width of the rise, in the squared relative distance from the centre to the rim; rays extend to
-1.1."""
-
 FARTHEST, STEP, NODES = 60.0, 2e-3, 8
 """Largest x and step at which F is sampled, and number of points of a tile across the rim."""
-
-INWARDS = 0.01
-"""Relative distance from the rim to the footprint's centre over which x is taken as linear."""
 
 
 def x_per_square(carrier: RayMap) -> float:
@@ -37,7 +30,9 @@ def x_per_square(carrier: RayMap) -> float:
 
 def softness(carrier: RayMap) -> float:
     """Return the rise's width in the squared relative distance to the rim; 0 where it is unknown."""
-    return min(SOFT / x_per_square(carrier), SOFTEST) if carrier.resolves_edge else 0.0
+    # Largest width of the rise in the squared relative distance to the rim; rays extend to 1.1.
+    softest = 0.15
+    return min(SOFT / x_per_square(carrier), softest) if carrier.resolves_edge else 0.0
 
 
 def soft_edge_error(carrier: RayMap, spans_mm: Array, rise: float) -> float:
@@ -58,9 +53,11 @@ def soft_edge_error(carrier: RayMap, spans_mm: Array, rise: float) -> float:
     away = rim - rim.mean(axis=0)
     turned = np.roll(away, -1, axis=0)
     parts = 0.5 * np.abs(away[:, 0] * turned[:, 1] - away[:, 1] * turned[:, 0])
-    inwards = carrier.pupil.inwards(carrier.stop.at(rim - INWARDS * away)[::-1].T)
+    # Relative distance from the rim to the footprint's centre over which x is taken as linear.
+    inward_fraction = 0.01
+    inwards = carrier.pupil.inwards(carrier.stop.at(rim - inward_fraction * away)[::-1].T)
     # A relative distance s from the rim to the centre is 2 s of a sector's area.
-    per_x = 2.0 * INWARDS / (edge.rate * inwards)
+    per_x = 2.0 * inward_fraction / (edge.rate * inwards)
     moved = 0.5 * edge.shift_per_mm * float(np.mean(np.ptp(spans_mm, axis=1)))
     lost = missed(rise * x_per_square(carrier), moved)
     return math.sqrt(min(1.0, lost * float(parts @ per_x / np.sum(parts))))

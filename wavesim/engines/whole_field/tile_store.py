@@ -15,9 +15,6 @@ from lensdesign.errors import InputError
 
 KEY_FILE = "key.txt"
 
-SPARE_BYTES = 100_000_000
-"""Disk space that stays free."""
-
 
 class TileStore(MutableMapping[int, NDArray]):
     """Arrays by index, each in a file of a folder; reading one maps its file into memory.
@@ -89,10 +86,12 @@ class TileStore(MutableMapping[int, NDArray]):
         """
         kept = sum(path.stat().st_size for path in self.folder.glob("*.npy"))
         free = shutil.disk_usage(self.folder).free
-        if needed_bytes - kept + SPARE_BYTES > free:
+        # Disk space that stays free.
+        spare_bytes = 100_000_000
+        if needed_bytes - kept + spare_bytes > free:
             raise InputError(
                 f"the disk of {self.folder} has {free / 1e9:.3g} GB free: parts of the field need "
-                f"{(needed_bytes - kept + SPARE_BYTES) / 1e9:.3g} GB"
+                f"{(needed_bytes - kept + spare_bytes) / 1e9:.3g} GB"
             )
 
     def drop(self) -> None:

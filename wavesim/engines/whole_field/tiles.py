@@ -33,9 +33,6 @@ TAPER = 3.0
 TAPER_LOSS = 0.059
 """Integral of the squared difference between a sharp edge and 3 e^2 - 2 e^3, over the edge's width."""
 
-SMOOTH_SAMPLES = 150
-"""Number of samples of phase and edge over half of a footprint."""
-
 
 @dataclass(frozen=True, eq=False)
 class WholeFieldSettings:
@@ -171,7 +168,9 @@ def window_between(axes: Sequence[Array], low: Array, high: Array) -> tuple[slic
 
 def _smooth_axis(fine: Array, settings: WholeFieldSettings) -> Array:
     """Return the samples between which phase and edge are interpolated by cubic polynomials."""
-    step = float(np.max(settings.half_width_mm)) / SMOOTH_SAMPLES
+    # Number of samples of phase and edge over half of a footprint.
+    smooth_samples = 150
+    step = float(np.max(settings.half_width_mm)) / smooth_samples
     count = math.ceil((fine[-1] - fine[0]) / step) + 4
     return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
 

@@ -10,12 +10,6 @@ from wavesim.engines.wpm.staircase import planes
 from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
-RAY_BYTES = 250_000
-"""Memory of the rays of the object's centre."""
-
-POLYNOMIAL_PASSES = 150.0
-"""Time to evaluate a polynomial for the transmission, in complex products."""
-
 
 def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str) -> tuple[float, int]:
     """Return seconds of one propagation through all surfaces, and peak bytes, including stored arrays."""
@@ -40,17 +34,21 @@ def setup_cost(working: WorkingGrid) -> tuple[float, int]:
     """Return seconds and peak bytes of the sampling of all surfaces."""
     size, samples = working.grid.size, max(working.samples_on_surfaces)
     seconds = 0.01 if working.grid.is_line else 0.02
+    # Time to evaluate a polynomial for the transmission, in complex products.
+    polynomial_passes = 150.0
     for count in working.samples_on_surfaces:
         seconds += 40.0 * pass_seconds(count) + 6.0 * pass_seconds(size)
         if not working.grid.is_line:
-            seconds += POLYNOMIAL_PASSES * pass_seconds(count)
+            seconds += polynomial_passes * pass_seconds(count)
     return seconds, 3 * FLOAT64 * size + 25 * FLOAT64 * samples + kept_bytes(working)
 
 
 def kept_bytes(working: WorkingGrid) -> int:
     """Return the memory of the media's axial wavenumbers, the samples of the surfaces, and the rays."""
     media = (FLOAT64 + 1) * working.grid.size * len(working.media)
-    return RAY_BYTES + media + FLOAT64 * (3 + len(working.grid.shape)) * sum(working.samples_on_surfaces)
+    # Memory of the rays of the object's centre.
+    ray_bytes = 250_000
+    return ray_bytes + media + FLOAT64 * (3 + len(working.grid.shape)) * sum(working.samples_on_surfaces)
 
 
 def _staircase_cost(working: WorkingGrid, step_mm: float) -> tuple[float, int]:

@@ -53,23 +53,6 @@ WARN_PHASE, REFUSE_PHASE = math.pi, 1.5 * math.pi
 """Phase difference after one step above which a run causes a warning or is refused: between the steepest and
 the axial wave (substep), or between both media (staircase)."""
 
-SUBSTEP_PHASE = 1.2
-"""Phase difference after one step of the default step; its interpolation error is 1e-4."""
-
-CANDIDATE_ZONES = (FRESNEL_ZONES, 20.0, 80.0)
-"""Fresnel zones that the choice of an engine tries. For a point that fills the stop of a one-quarter twin of
-the paper's lens, 4 zones omit 1.7 % of the field, 80 omit 0.23 %."""
-
-CURVE_ZONES = (4.0, 10.0, 20.0, 40.0)
-"""Fresnel zones in comparisons, where the reference uses at least twice as many."""
-
-STAIRCASE_WAVES = 0.25
-"""Default step of the staircase, in wavelengths."""
-
-STAIR_EDGES = 0.5
-"""Relative error of a staircase with short steps: 0.1 for a beam through cylinders, but 0.6 to 1 where light
-of all directions fills a lens."""
-
 TANGENT_PLANE = 1.0
 """Relative error of the tangent plane approximation of a curved surface, times k r."""
 
@@ -107,13 +90,18 @@ class WavePropagation(Engine):
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         """Yield a small margin for diffraction, then larger ones."""
-        for zones in CANDIDATE_ZONES:
+        # Fresnel zones that the choice of an engine tries. For a point that fills the stop of a one-quarter
+        # twin of the paper's lens, 4 zones omit 1.7 % of the field, 80 omit 0.23 %.
+        candidate_zones = (FRESNEL_ZONES, 20.0, 80.0)
+        for zones in candidate_zones:
             yield {"zones": zones}
 
     @classmethod
     def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
+        # Fresnel zones in comparisons, where the reference uses at least twice as many.
+        curve_zones = (4.0, 10.0, 20.0, 40.0)
         return {
-            "wpm, substep": [{"step_um": step} for step in (2.0, 1.0)] + [{"zones": z} for z in CURVE_ZONES],
+            "wpm, substep": [{"step_um": step} for step in (2.0, 1.0)] + [{"zones": z} for z in curve_zones],
             "wpm, staircase": [{"step_um": step, "interface": "staircase"} for step in (0.25, 0.1, 0.05)],
         }
 
@@ -179,7 +167,10 @@ class WavePropagation(Engine):
             # The height of a stair is wrong by up to half a step.
             rms = math.sqrt(sum(phase**2 for phase in self._phases()) / 12.0)
             stairs = 2.0 * math.sin(min(0.5 * rms, 0.5 * math.pi))
-            found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, STAIR_EDGES)))
+            # Relative error of a staircase with short steps: 0.1 for a beam through cylinders, but 0.6 to 1
+            # where light of all directions fills a lens.
+            edge_error = 0.5
+            found.append(ErrorTerm("surfaces as stairs", math.hypot(stairs, edge_error)))
         if self.working.reflected > 0.0:
             found.append(ErrorTerm("light totally reflected", math.sqrt(self.working.reflected)))
         if self.scene.coating == "bare" and system.surfaces > 1:
@@ -216,8 +207,12 @@ class WavePropagation(Engine):
         if self._step_um is not None:
             return [1e-3 * self._step_um] * len(media)
         if self.interface == "staircase":
-            return [STAIRCASE_WAVES * 1e-3 * self.scene.wavelength_um] * len(media)
-        return [SUBSTEP_PHASE / medium.phase_across(1.0) for medium in media]
+            # Default step of the staircase, in wavelengths.
+            staircase_waves = 0.25
+            return [staircase_waves * 1e-3 * self.scene.wavelength_um] * len(media)
+        # Phase difference after one step of the default step; its interpolation error is 1e-4.
+        substep_phase = 1.2
+        return [substep_phase / medium.phase_across(1.0) for medium in media]
 
     def _phases(self) -> list[float]:
         """Return the phase difference after a step, on each side of each surface."""

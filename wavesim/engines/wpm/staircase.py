@@ -24,9 +24,6 @@ from wavesim.engines.surfaces.waves import SurfaceSamples
 
 ComplexArray = NDArray[np.complex128]
 
-MOST_GROWTH = 1.5
-"""Largest ratio of energies behind and in front of the stairs, beyond the ratio that the indices explain."""
-
 
 class Staircase:
     """The operator from the lowest to the highest plane that intersects a surface.
@@ -98,7 +95,9 @@ class Staircase:
     def _validate_energy(self, energy_in: float, energy_out: float) -> None:
         first, last = self.media[0].index, self.media[-1].index
         energy_in *= max(1.0, first / last, last / first)
-        if energy_out > MOST_GROWTH * energy_in:
+        # Largest ratio of energies behind and in front of the stairs, apart from that of the indices.
+        most_growth = 1.5
+        if energy_out > most_growth * energy_in:
             raise SamplingError(
                 f"interface = staircase: the energy grows by a factor of {energy_out / energy_in:.3g}, since "
                 "the stairs scatter too much of this light; use interface = substep"

@@ -10,9 +10,6 @@ from wavesim.fields.field import Field
 from wavesim.scene.bench import Orders, light_mode
 from wavesim.sensor.measurement import Array
 
-DARK = 1e-3
-"""Fraction of the peak modelled intensity below which a measured intensity counts as background."""
-
 BENDS: tuple[Orders, ...] = ((2, 0), (1, 1), (0, 2))
 SHAPES: tuple[Orders, ...] = ((1, 0), (0, 1), *BENDS)
 """Modes of a phase: its tilts, and its second orders."""
@@ -43,7 +40,9 @@ def centroid(intensity: Array) -> tuple[float, float]:
 
 def background(measured: Array, modelled: Array) -> tuple[float, float]:
     """Return the constant intensity where a result is dark: over the mean intensity, and its level."""
-    dark = modelled < DARK * modelled.max()
+    # Fraction of the peak modelled intensity below which a measured intensity counts as background.
+    dark_fraction = 1e-3
+    dark = modelled < dark_fraction * modelled.max()
     level = float(np.mean(measured[dark] - modelled[dark])) if np.any(dark) else 0.0
     return level / float(measured.mean()), level
 

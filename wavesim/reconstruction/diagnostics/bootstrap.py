@@ -39,9 +39,6 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement
 
-ITERATIONS = 12
-"""Iterations of a repeat, which starts at the reconstruction and differs only by noise."""
-
 LARGEST_NOISE_RATIO = 1.5
 """Misfit over that of noise alone above which the frames are not explained."""
 
@@ -50,13 +47,6 @@ EQUIVALENT_RATIO = 1.1
 
 LARGEST_DIFFERENCE = 0.1
 """Relative difference of two equivalent objects above which the frames do not determine the object."""
-
-START_SAMPLES = 4.0
-"""Standard deviation, in samples, of the kernel that smooths a random start."""
-
-NOT_INCLUDED = (
-    "errors that all starts have in common are not included, such as a wrong model of lens, light or camera"
-)
 
 
 class UndeterminedError(TransferLensError):
@@ -98,7 +88,7 @@ def uncertainty(
     *,
     kind: Kind = "complex",
     tv_weight: float | Literal["auto"] = 0.0,
-    iterations: int = ITERATIONS,
+    iterations: int = 12,
     fill_factor: float = 0.0,
     held_out: Measurement | None = None,
     repeats: int = 8,
@@ -194,13 +184,17 @@ def uncertainty(
     results = repeated(sharp, modelled(recorded, sharp))
     by_noise = np.asarray(np.mean(np.abs(np.asarray(results) - sharp) ** 2, axis=0), float)
     by_start = _variance([found.transmission.values, *others])
+    not_included = (
+        "errors that all starts have in common are not included: a wrong model of lens, light or camera, and "
+        "the part of the rounding of edges by the total variation that a second reconstruction does not show"
+    )
     return Uncertainty(
         np.sqrt(by_noise + by_start),
         math.sqrt(float(by_noise[lit].mean())),
         math.sqrt(float(by_start[lit].mean())),
         misfit_over_noise,
         held_out_over_noise,
-        NOT_INCLUDED if held_out is not None else f"{NOT_INCLUDED}; no plane was held out",
+        not_included if held_out is not None else f"{not_included}; no plane was held out",
     )
 
 
@@ -237,7 +231,9 @@ def _noise_ratio(planes: Sequence[Measurement], modelled: Sequence[RealArray], s
 def _starts(illumination: Field, kind: Kind, seed: int) -> list[Field | Literal["amplitude"] | None]:
     """Return a constant start, an amplitude object, and a smooth random start."""
     random = np.random.default_rng(seed).standard_normal(illumination.grid.shape)
-    smooth = gaussian_filter(random, START_SAMPLES)
+    # Standard deviation, in samples, of the kernel that smooths a random start.
+    start_samples = 4.0
+    smooth = gaussian_filter(random, start_samples)
     smooth /= smooth.std()
     values = 1.0 / (1.0 + np.exp(smooth)) if kind == "amplitude" else np.exp(1j * smooth)
     start = illumination.with_values(values.astype(illumination.values.dtype))

@@ -69,9 +69,6 @@ SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0), (0.15, 0.3)
 (rms).
 """
 
-IMPROVES = 0.995
-"""Ratio of misfits below which a first step helps, so that longer ones are tried."""
-
 
 class Change(NamedTuple):
     """A change of the model.
@@ -385,7 +382,9 @@ class CauseTrials:
             return tried[step].misfit_ratio
 
         best = step = min((first, -first), key=ratio)
-        if ratio(best) < IMPROVES:
+        # Ratio of misfits below which a first step helps, so that longer ones are tried.
+        improving_ratio = 0.995
+        if ratio(best) < improving_ratio:
             while abs(step) <= 0.5 * LONGEST:
                 step *= 2.0
                 best = min(best, step, key=ratio)

@@ -17,12 +17,6 @@ from wavesim.scene.settings import SettingError
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement
 
-HELD_OUT_FRACTION = 0.02
-"""Fraction of each plane's pixels that is held out."""
-
-SEED = 7
-"""Seed of the random choice of pixels, which is the same for all runs."""
-
 
 class HeldOut(NamedTuple):
     """Held-out pixels of a plane (flat indices), and their standard deviations."""
@@ -84,15 +78,17 @@ def hold_out(
             f"{{hold_out_plane}} = {whole_plane}: must be from 1 to {len(recorded)}, and one of two planes "
             "at least"
         )
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(7)  # all runs choose the same pixels
     planes, held_out = [], []
+    # Fraction of each plane's pixels that is held out.
+    held_out_fraction = 0.02
     for plane_number, plane in enumerate(recorded, start=1):
         assert plane.sigma is not None
         flat = plane.sigma.ravel()
         if plane_number == whole_plane:
             chosen = np.arange(flat.size)
         else:
-            chosen = np.unique(random.integers(0, flat.size, int(HELD_OUT_FRACTION * flat.size)))
+            chosen = np.unique(random.integers(0, flat.size, int(held_out_fraction * flat.size)))
         chosen = chosen[np.isfinite(flat[chosen])]
         held_out.append(HeldOut(chosen, flat[chosen]))
         sigma = plane.sigma.copy()

@@ -16,12 +16,6 @@ from wavesim.metrics.goodness_of_fit import Finding
 from wavesim.reconstruction.diagnostics.bench_estimates import shift_pixels
 from wavesim.sensor.measurement import Array, Measurement
 
-SURE = 100.0
-"""Difference of chi-square above which another picture fits better."""
-
-LEAST_SHIFT_PIXELS = 0.7
-"""Shift in pixels above which a picture counts as displaced if the displaced picture fits better."""
-
 ORIENTATIONS: dict[str, Callable[[Any], Any]] = {
     "mirrored left to right": lambda a: a[:, ::-1],
     "mirrored top to bottom": lambda a: a[::-1],
@@ -45,6 +39,8 @@ def orientation_findings(recorded: Sequence[Measurement], maps: Sequence[Array])
         For each plane, modelled less measured amplitude.
     """
     found = []
+    # Difference of chi-square above which another picture fits better.
+    sure_gain = 100.0
     for plane_number, (plane, error) in enumerate(zip(recorded, maps, strict=True), start=1):
         assert plane.sigma is not None
         fits = {"orientation": _best_orientation(plane, error), "shift": _best_shift(plane, error)}
@@ -56,7 +52,7 @@ def orientation_findings(recorded: Sequence[Measurement], maps: Sequence[Array])
                 gain,
             )
             for cause, (description, gain) in fits.items()
-            if gain > SURE
+            if gain > sure_gain
         ]
     return found
 
@@ -82,7 +78,9 @@ def _best_shift(plane: Measurement, error: Array) -> tuple[str, float]:
     measured = np.where(is_known, plane.amplitude, modelled).astype(float)
     x, y = shift_pixels(measured**2, modelled**2)
     shift = (-round(y), -round(x))
-    if np.hypot(x, y) < LEAST_SHIFT_PIXELS or shift == (0, 0):
+    # Shift in pixels above which a picture counts as displaced if the displaced picture fits better.
+    least_shift_pixels = 0.7
+    if np.hypot(x, y) < least_shift_pixels or shift == (0, 0):
         return "", 0.0
     amplitude, sigma = (np.roll(values, shift, (0, 1)) for values in (plane.amplitude, plane.sigma))
     gain = _gain(plane.amplitude, plane.sigma, amplitude, sigma, modelled)

@@ -40,26 +40,12 @@ from wavesim.sensor.measurement import Measurement, weights_of
 
 MOUNTING = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg", "working_distance_mm")
 
-STEP_RAD = 0.12
-"""Phase in rad at the rim of the aperture that a finite step of a parameter causes."""
-
-FOLLOWING_ITERATIONS = 12
-"""Iterations of conjugate gradients by which the object follows a change."""
-
-DEVIATIONS = 2.0
-"""Standard deviations up to which an error of the bench counts as noise."""
-
 CERTAIN_CHI_SQUARE, CERTAIN_PER_PIXEL = 60.0, 3e-3
 """Chi-square above which frames prefer another bench: a constant, plus an amount for each pixel.
 
 Small model errors and iterations that end early add up over pixels. A bench as designed reaches about a
 third of this value.
 """
-
-LEAST_LOSS = 0.004
-"""Loss of correlation above which an error of the bench matters."""
-
-CAUSES = {"decenter": "mounting", "tilt": "mounting", "working": "working distance"}
 
 
 @dataclass(frozen=True)
@@ -93,7 +79,9 @@ class ScoreTest:
     def is_preferred(self) -> bool:
         """True if frames clearly prefer another bench, and the object would differ."""
         threshold = CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * self.pixels
-        return self.chi_square > threshold and 1.0 - self.correlation > LEAST_LOSS
+        # Loss of correlation above which an error of the bench matters.
+        least_loss = 0.004
+        return self.chi_square > threshold and 1.0 - self.correlation > least_loss
 
     @property
     def explanation(self) -> str:
@@ -180,8 +168,10 @@ def score_test(
         return agreement([light.with_values(light.values * one) for one in (values, values + change)])
 
     undetected = []
+    # Standard deviations up to which an error of the bench counts as noise.
+    deviations = 2.0
     for j, name in enumerate(MOUNTING):
-        size = DEVIATIONS * math.sqrt(noise[j, j]) + model_error
+        size = deviations * math.sqrt(noise[j, j]) + model_error
         detected = correlation(size * np.eye(len(columns))[j])
         undetected.append(Undetected(name, float(size * unit[j]), detected))
     return ScoreTest(
@@ -196,7 +186,11 @@ def score_test(
 
 def _scores(names: Sequence[str], gradient: Array, noise: Array) -> dict[str, float]:
     """Return the chi-square of the parameters of each cause alone."""
-    causes = [CAUSES.get(name.split("_")[0], "distance" if "distance" in name else "shift") for name in names]
+    cause_of_prefix = {"decenter": "mounting", "tilt": "mounting", "working": "working distance"}
+    causes = [
+        cause_of_prefix.get(name.split("_")[0], "distance" if "distance" in name else "shift")
+        for name in names
+    ]
     scores = {}
     for cause in dict.fromkeys(causes):
         indices = [n for n, name_of_cause in enumerate(causes) if name_of_cause == cause]
@@ -209,7 +203,9 @@ def _scores(names: Sequence[str], gradient: Array, noise: Array) -> dict[str, fl
 def _displaced_scenes(scene: Scene) -> Iterator[tuple[str, Scene, float]]:
     """Yield the name of each displacement, the displaced scene, and the size of the step."""
     aperture = min(scene.lens.object.numerical_aperture, 0.99)
-    across_mm = STEP_RAD / (2.0 * math.pi) * 1e-3 * scene.wavelength_um / aperture
+    # Phase in rad at the rim of the aperture that a finite step of a parameter causes.
+    step_rad = 0.12
+    across_mm = step_rad / (2.0 * math.pi) * 1e-3 * scene.wavelength_um / aperture
     tilt_deg = math.degrees(3.0 * across_mm / abs(scene.lens.object_z_mm))
     for name, step in zip(MOUNTING, (across_mm, across_mm, tilt_deg, tilt_deg), strict=False):
         pose = replace(scene.pose, **{name: getattr(scene.pose, name) + step})
@@ -267,7 +263,9 @@ def _following_change(
     remaining = column.copy()
     direction = -gradient(remaining)
     change_of_object, energy = np.zeros_like(direction), float(np.vdot(direction, direction).real)
-    for _ in range(FOLLOWING_ITERATIONS):
+    # Iterations of conjugate gradients by which the object follows a change.
+    following_iterations = 12
+    for _ in range(following_iterations):
         change = linear.jacobian_times_object(direction)
         size = float(np.vdot(change, change))
         if size <= 0.0 or energy <= 0.0:

@@ -22,11 +22,6 @@ from wavesim.sensor.measurement import Measurement
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
-DARK = 1e-6
-"""Fraction of a plane's mean intensity, added to measured and modelled means of pixels to bound their
-ratio.
-"""
-
 ROWS = 64
 """Rows of a plane that a thread processes at a time."""
 
@@ -151,7 +146,8 @@ class PlaneRecord:
         """
         real = self.amplitude.dtype.type
         mean = float(np.vdot(self.amplitude, self.amplitude)) / self.amplitude.size / scale**2
-        dark = real(DARK * mean)
+        # It is added to measured and modelled means of pixels to bound their ratio.
+        dark = real(1e-6 * mean)
 
         def rows(intensity: RealArray, first: int) -> FitSums:
             block_rows = slice(first, first + len(intensity))

@@ -37,11 +37,6 @@ from wavesim.runtime.threads import for_blocks, rows_in
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
-TAPS = 3
-"""Pairs of samples at 1/2, 1 and 3/2 of a pixel from its middle. With the middle they give the mean over
-it.
-"""
-
 COLUMNS = 32
 """Columns that are transformed at a time."""
 
@@ -375,7 +370,9 @@ def _taps(fill_factor: float) -> list[float]:
     weights of the fit fall in the same way.
     """
     cycles = np.linspace(0.0, 1.0, 201)
-    cosines = 2.0 * np.cos(np.pi * np.outer(cycles, np.arange(1, TAPS + 1)))
+    # Pairs of samples at 1/2, 1 and 3/2 of a pixel from its middle; with the middle they give the mean.
+    taps = 3
+    cosines = 2.0 * np.cos(np.pi * np.outer(cycles, np.arange(1, taps + 1)))
     weights = 1.0 - cycles
     # The weights sum to 1, which fixes that of the middle.
     found, *_ = np.linalg.lstsq(

@@ -37,12 +37,6 @@ T = TypeVar("T")
 BLOCK_BYTES = 2**20
 """Size of a block of rows, about a core's second-level cache. Blocks hold a multiple of `LANES` rows."""
 
-FLOOR = 1e-6
-"""Fraction of the root mean square that is added to each modulus by which A4 divides."""
-
-EVEN = 1e-12
-"""Variance over mean square below which amplitudes count as constant; their correlation is then 0."""
-
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -236,7 +230,9 @@ class Passes:
             sums_of_first = sums if plane is self.planes[0] else sums_of_first
             powers.append(self._propagate_back(plane))
         least = float(np.finfo(now.dtype).tiny)
-        floors = [FLOOR * math.sqrt(power / now.size) + least for power in powers]
+        # Fraction of the root mean square that is added to each modulus by which A4 divides.
+        floor = 1e-6
+        floors = [floor * math.sqrt(power / now.size) + least for power in powers]
         last = self._feed_back(now, previous, weights, tv_step, floors)
         return _match_of(sums_of_first or last)
 
@@ -412,6 +408,8 @@ def _match_of(sums: Sequence[Sums]) -> AmplitudeMatch:
     """Return the agreement from the sums over all blocks."""
     count, sx, sy, sxx, syy, sxy, off = (math.fsum(values) for values in zip(*sums, strict=True))
     x, y = sxx - sx * sx / count, syy - sy * sy / count
-    even = x <= EVEN * sxx or y <= EVEN * syy
+    # Variance over mean square below which amplitudes count as constant; their correlation is then 0.
+    tolerance = 1e-12
+    even = x <= tolerance * sxx or y <= tolerance * syy
     correlation = 0.0 if even else (sxy - sx * sy / count) / math.sqrt(x * y)
     return AmplitudeMatch(correlation, math.sqrt(off / syy) if syy > 0.0 else math.inf)

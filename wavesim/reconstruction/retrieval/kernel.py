@@ -18,8 +18,7 @@ from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from wavesim.runtime.fourier import lanes
 from wavesim.runtime.fourier.lanes import LANES, alike, load, store
 
-_FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 SUMMED_ROWS = 64
 """Rows of a panel that are added in the panel's own precision."""

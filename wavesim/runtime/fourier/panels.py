@@ -25,9 +25,6 @@ from wavesim.runtime.fourier.passes import SAMPLE, Steps
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
-RADICES = (8, 4, 2, 3, 5, 7, 11, 13)
-"""Radices of the passes, in this order; with other prime factors a transform is a convolution."""
-
 APART = 16
 """Padding rows between panels, since panels at distances of powers of 2 would share the same lines of a
 cache."""
@@ -145,7 +142,9 @@ def convolved(count: int) -> int:
 def _radices(count: int) -> list[int]:
     """Return the factors for which there are passes."""
     found = []
-    for radix in RADICES:
+    # Radices of the passes, in this order; with other prime factors a transform is a convolution.
+    radices = (8, 4, 2, 3, 5, 7, 11, 13)
+    for radix in radices:
         while count % radix == 0:
             found.append(radix)
             count //= radix

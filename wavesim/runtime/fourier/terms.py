@@ -36,15 +36,6 @@ from wavesim.runtime.fourier.terms_kernel import (
     take_modes,
 )
 
-OVERSAMPLING = 1.25
-"""Cells of the grid over modes."""
-
-WIDTHS = range(3, 13)
-"""Cells under a kernel that there may be."""
-
-_REPEATS = np.array([*range(-8, 0), *range(1, 9)])
-"""Periods of the grid that are looked at."""
-
 
 @dataclass(frozen=True, eq=False)
 class Axis:
@@ -80,7 +71,9 @@ class Axis:
     @property
     def squared_error(self) -> float:
         """Return the relative aliasing error for modes of equal size."""
-        repeats = self.modes + self.cells * _REPEATS[:, None]
+        # Periods of the grid that are looked at.
+        periods = np.array([*range(-8, 0), *range(1, 9)])
+        repeats = self.modes + self.cells * periods[:, None]
         return float(np.mean(np.sum((self.transformed(repeats) / self.transformed(self.modes)) ** 2, axis=0)))
 
     @property
@@ -97,11 +90,15 @@ class Axis:
 @cache
 def axes_for(shape: tuple[int, ...], error: float) -> tuple[Axis, ...]:
     """Grid and the narrowest kernel for so many modes (along y, along x) and a relative error."""
-    for width in WIDTHS:
+    # Cells of the grid over modes.
+    oversampling = 1.25
+    # Cells under a kernel that there may be.
+    widths = range(3, 13)
+    for width in widths:
         axes = tuple(
             Axis(
                 # Of 2, 3 and 5 alone, as a real one's are.
-                scipy.fft.next_fast_len(max(math.ceil(OVERSAMPLING * n), 2 * width), real=True),
+                scipy.fft.next_fast_len(max(math.ceil(oversampling * n), 2 * width), real=True),
                 width,
                 np.arange(n) - n // 2,
             )

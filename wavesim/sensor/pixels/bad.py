@@ -14,9 +14,6 @@ from wavesim.sensor.pixels.kernel import outlying_pixels
 
 Mask = NDArray[np.bool_]
 
-FAR = 10.0
-"""Least deviation of a bad pixel, in standard deviations of the noise."""
-
 ALONE, ON_ALL = 20.0, 4.0
 """Least ratio of a hot pixel to its brightest neighbour, on a single plane and on each of several. Focused
 light reaches a ratio of 8, but not on the same pixel of every plane."""
@@ -24,15 +21,6 @@ light reaches a ratio of 8, but not on the same pixel of every plane."""
 DEAD, DEAD_NOISE, LIT = 0.02, 3.0, 30.0
 """Largest ratio of a dead pixel to its darkest neighbour, its additional allowance in standard deviations,
 and the least signal of that neighbour. The dark point of a vortex has a ratio of one sixth."""
-
-UNLIKE = 0.1
-"""Relative difference of a pixel's intensities in two exposures that is allowed in addition to noise."""
-
-MOST_FOUND = 0.01
-"""Largest fraction of bad pixels; a larger one has another cause, and none is marked."""
-
-ROWS = 64
-"""Rows that a thread examines at a time."""
 
 
 def find_bad_pixels(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
@@ -52,14 +40,21 @@ def find_bad_pixels(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
         start, stop = max(first - 1, 0), min(last + 1, shape[0])
         block, own = slice(first, last), slice(first - start, last - start)
         stacks = [stacked(plane, slice(start, stop)) for plane in planes]
+        # Least deviation of a bad pixel, in standard deviations of the noise.
+        bad_deviations = 10.0
         outlying = [
-            outlying_pixels(*stack.merged(), limit, FAR, DEAD, DEAD_NOISE, LIT)[:, own] for stack in stacks
+            outlying_pixels(*stack.merged(), limit, bad_deviations, DEAD, DEAD_NOISE, LIT)[:, own]
+            for stack in stacks
         ]
         hot = np.logical_and.reduce([masks[0] for masks in outlying])
         lit = np.logical_or.reduce([masks[1] for masks in outlying])
         dead = np.logical_or.reduce([masks[2] for masks in outlying]) & ~lit
+        # Relative difference of a pixel's intensities in two exposures that is allowed in addition to noise.
+        contradiction = 0.1
         for mask, stack in zip(found, stacks, strict=True):
-            mask[block] = hot | dead | stack.contradicting(FAR, UNLIKE)[own]
+            mask[block] = hot | dead | stack.contradicting(bad_deviations, contradiction)[own]
 
-    for_blocks(examine_rows, shape[0], ROWS)
-    return [mask if mask.mean() <= MOST_FOUND else np.zeros(shape, bool) for mask in found]
+    for_blocks(examine_rows, shape[0], 64)
+    # Largest fraction of bad pixels; a larger one has another cause, and none is marked.
+    most_found = 0.01
+    return [mask if mask.mean() <= most_found else np.zeros(shape, bool) for mask in found]

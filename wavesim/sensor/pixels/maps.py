@@ -17,9 +17,6 @@ from wavesim.fields.picture_files import FRAME_FORMATS, Picture, PictureFile
 
 Mask = NDArray[np.bool_]
 
-MOST_BAD = 0.2
-"""Largest allowed fraction of bad pixels."""
-
 
 @dataclass(frozen=True, eq=False)
 class PixelMaps:
@@ -142,9 +139,11 @@ def read_pixel_maps(
     if flat is None and dark is None and bad is None:
         return None
     mask = None if bad is None else _of_shape(bad, shape, several=False) != 0.0
-    if mask is not None and mask.mean() > MOST_BAD:
+    # Largest allowed fraction of bad pixels.
+    most_bad = 0.2
+    if mask is not None and mask.mean() > most_bad:
         raise InputError(
-            f"{bad}: marks {100.0 * mask.mean():.3g} % of the pixels as bad; at most {100.0 * MOST_BAD:g} % "
+            f"{bad}: marks {100.0 * mask.mean():.3g} % of the pixels as bad; at most {100.0 * most_bad:g} % "
             "may be: bad pixels are those that are not 0"
         )
     black = np.full(shape, offset_counts) if dark is None else _of_shape(dark, shape)

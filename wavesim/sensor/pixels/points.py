@@ -23,8 +23,6 @@ from wavesim.sensor.exposures import merged_intensity
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, recorded_intensity
 
-DEGREE = 4
-
 
 def points_among(count: int, apart: int) -> slice:
     """Return the slice of points `apart` pixels apart, centred in `count` pixels, without the margins."""
@@ -70,7 +68,8 @@ def recorded_points(
 
 def point_weights(apart: int, fill_factor: float) -> Array:
     """Return the weights of the pixels around a point, along one axis, in the intensity at the point."""
-    fitted = np.linalg.pinv(np.vander(np.arange(-apart, apart + 1.0), DEGREE + 1, increasing=True))
+    degree = 4
+    fitted = np.linalg.pinv(np.vander(np.arange(-apart, apart + 1.0), degree + 1, increasing=True))
     value, second_derivative = fitted[0], 2.0 * fitted[2]
     return np.asarray(value - fill_factor**2 / 24.0 * second_derivative, np.float32)
 
