@@ -16,17 +16,18 @@ DOCS_PICTURES = "images/paper"
 
 HEAD = """# The paper, figure by figure
 
-*Computational diffraction-limited imaging with a non-imaging spatial information transfer lens* (Chinese
-Laser Press, 2024), beside this toolkit: every equation, table, figure and number, what comes out here, and
-with which command. Made by
+This page compares this toolkit with *Computational diffraction-limited imaging with a non-imaging spatial
+information transfer lens* (Chinese Laser Press, 2024). For every equation, table, figure and number it shows
+our result and the command that gives it. The page is made by
 
     make paper
 
-which is `python -m paper --quick -o paper_output`: on small twins of the lens where waves are carried, in
-minutes. Without `--quick` it takes hours. A run that was cut off goes on, and what is finished is kept.
-`--only figure-2d` makes one element, `--list` tells their names. Not here are photographs: Figs. 1b and 2f.
+which is `python -m paper --quick -o paper_output`. It takes minutes, because it propagates waves only on
+small twins of the lens. Without `--quick` it takes hours. Finished elements are kept, and an interrupted run
+continues. `--only figure-2d` makes one element, and `--list` lists their names. Photographs (Figs. 1b and
+2f) are not included.
 
-Where a number is not the paper's to its last digit, the remark says why.
+If a number differs from the paper's, the remark states the reason.
 """
 
 NO_BREAK = "\u00a0"

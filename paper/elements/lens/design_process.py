@@ -31,12 +31,12 @@ def figure_2a(work: Work) -> Made:
         Number("its exit surface: conic constant", back.conic),
     )
     picture = work.picture(
-        _flow(printed, found), "The process of the design; each box holds the numbers of this lens."
+        _flow(printed, found), "The process of the design; each box contains the numbers of this lens."
     )
     difference = (
-        "The flow is the paper's. Searched for again from a plane-parallel plate, with the same thickness, "
-        "aperture and distances, the same kinds of surfaces come to a smaller angle than Table 1, and meet "
-        "Eq. 2, which Table 1 misses by 0.9 %."
+        "The process is the paper's. A new search from a plane-parallel plate uses the same thickness, "
+        "aperture, distances and kinds of surfaces. It finds a smaller angle than Table 1 and meets Eq. "
+        "2, which Table 1 misses by 0.9 %."
     )
     command = f"lensdesign optimize designs/{SPECIFICATION} -o found.toml"
     return Made(numbers, (command,), difference, (picture,))
@@ -94,9 +94,9 @@ ELEMENTS = (
     Element(
         "figure-2a",
         "Fig. 2a: the process of the design",
-        "From field and NA to the SBP of the lens, from that to a sensor (Eq. 1), from its pixels to the "
-        "largest angle (Eq. 2); then the surfaces are optimized until no ray of the sampled field points "
-        "exceeds it.",
+        "Field and NA give the SBP of the lens, which determines the sensor (Eq. 1). Its pixels "
+        "determine the largest angle (Eq. 2). Then the surfaces are optimized until no ray of the "
+        "sampled field points exceeds it.",
         figure_2a,
         seconds={"quick": 4.0, "full": 4.0},
         designs=(PAPER_DESIGN, SPECIFICATION),

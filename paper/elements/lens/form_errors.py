@@ -40,10 +40,11 @@ def figure_2g(work: Work) -> Made:
         _maps(made), "Sag error of both surfaces, piston and tilt removed: the example in designs/."
     )
     difference = (
-        "The paper's maps are not published as data: `designs/measured_singlet.toml` ships an example of "
-        "two, drawn at random and scaled to the paper's peak-to-valley errors. A reconstruction that takes "
-        "the lens for the nominal one keeps 96 % of the Strehl ratio: such surfaces do not explain why the "
-        "paper resolves 0.87 µm where 0.532 µm is expected. One that reads the maps loses nothing."
+        "The paper's maps are not published as data. `designs/measured_singlet.toml` contains two random "
+        "examples, scaled to the paper's peak-to-valley errors. A reconstruction that assumes the "
+        "nominal lens keeps 96 % of the Strehl ratio. Such surfaces therefore do not explain why the "
+        "paper resolves 0.87 µm where 0.532 µm is expected. A reconstruction that uses the maps loses "
+        "nothing."
     )
     commands = (f"lensdesign check designs/{DESIGN}", f"lensdesign draw designs/{DESIGN} -o DIR")
     return Made(tuple(numbers), commands, difference, (picture,))

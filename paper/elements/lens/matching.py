@@ -29,12 +29,12 @@ def equation_1(work: Work) -> Made:
             "",
             1.0,
             0.05,
-            remark="the paper makes them equal; by its own numbers the sensor holds half as much again",
+            remark="the paper makes them equal; by its own numbers the sensor has half as much again",
         ),
     )
     difference = (
-        "The sensor's product is 1.54 times the object's, so that Eq. 1 is kept with room to spare, and the "
-        "match is not the perfect one that the paper speaks of."
+        "The sensor's product is 1.54 times the object's. Eq. 1 is therefore met with a margin, and the "
+        "match is not perfect as the paper states."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference)
 
@@ -62,8 +62,8 @@ def equation_2(work: Work) -> Made:
         Number("field height of that ray", abs(spread.field_mm[1]), "mm"),
     )
     difference = (
-        "Rounded to 4.8° both agree. Unrounded, the lens of Table 1 misses its own Eq. 2 by 0.9 %, at the "
-        "edge of the field; `lensdesign check` says so and ends with status 1."
+        "Rounded to 4.8° both agree. Unrounded, the lens of Table 1 misses its own Eq. 2 by 0.9 %, at "
+        "the edge of the field. `lensdesign check` reports this and ends with status 1."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference)
 
@@ -72,15 +72,15 @@ ELEMENTS = (
     Element(
         "equation-1",
         "Eq. 1: the sensor holds the object",
-        "π(D/2)² π(1/(2Δ))² ≥ SBP of the object, for a field of 3 mm at NA 0.5 and a sensor of 9344 × 7000 "
-        "pixels of 3.2 µm; the two are made equal.",
+        "π(D/2)² π(1/(2Δ))² ≥ SBP of the object, for a field of 3 mm at NA 0.5 and a sensor of 9344 × "
+        "7000 pixels of 3.2 µm. The paper makes both equal.",
         equation_1,
     ),
     Element(
         "equation-2",
         "Eq. 2: the pixels sample every angle",
-        "√(1 − cos²θx − cos²θy) / λ ≤ 1 / (2Δ): no ray may leave the lens at more than 4.8°, which is 156 "
-        "lp/mm.",
+        "√(1 − cos²θx − cos²θy) / λ ≤ 1 / (2Δ): rays may leave the lens at no more than 4.8°, which is "
+        "156 lp/mm.",
         equation_2,
     ),
 )

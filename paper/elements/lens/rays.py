@@ -36,7 +36,9 @@ def figure_2b(work: Work) -> Made:
     picture = work.picture(
         layout_figure(work.lens), "The lens of Table 1 to scale, with rays of three field heights."
     )
-    difference = "As in the paper; the stop, the planes of the sensor and a scale are drawn, too."
+    difference = (
+        "The figure agrees with the paper's. It also shows the stop, the planes of the sensor and a scale."
+    )
     return Made((), ("lensdesign draw designs/paper_singlet.toml -o DIR",), difference, (picture,))
 
 
@@ -59,8 +61,8 @@ def figure_2c(work: Work) -> Made:
         "Rays of three field heights on the plane 3 mm behind the exit vertex; the frame is the sensor.",
     )
     difference = (
-        "The same; the diameter is twice the root mean square distance of the rays from their centroid, the "
-        "stop filled evenly."
+        "The diameters agree. They are twice the root mean square distance of the rays from their "
+        "centroid, with a uniformly filled stop."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference, (picture,))
 
@@ -158,15 +160,16 @@ def figure_2d(work: Work) -> Made:
         ]
     picture = work.picture(
         _intensities(found, limit),
-        "Radiance by direction at four points 3 mm behind the exit vertex, from an even isotropic disc of 3 "
-        "mm; below, cuts through the middle of each. Red: the limit of Eq. 2.",
+        "Radiance by direction at four points 3 mm behind the exit vertex, from a uniform isotropic disc "
+        "of 3 mm; below, cuts through the middle of each. Red: the limit of Eq. 2.",
     )
     difference = (
-        "No light comes in above 4.8°, to the last digit; at 9 mm it is 4.80° where the pixels' limit is "
-        "4.77°. It fills a disc wherever light of the whole field arrives, and is cut off where the rim of "
-        "the stop is in its way. Radiance is conserved: it is 1 / cos of the angle at which this light left "
-        "the isotropic source. The lens being one of revolution, rays on a thin ring through each point "
-        "count for it; the paper's program and its number of rays are not stated."
+        "No light arrives above 4.8°, to the last digit. At 9 mm the largest angle is 4.80°, where the "
+        "pixels' limit is 4.77°. The light fills a disc at points that light of the whole field reaches; "
+        "elsewhere the edge of the stop cuts it off. Radiance is conserved: it is 1 / cos of the angle "
+        "at which this light left the isotropic source. Because the lens is a body of revolution, all "
+        "rays on a thin ring through a point are counted for that point. The paper does not state its "
+        "program or its number of rays."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-2d",), difference, (picture,))
 
@@ -221,8 +224,8 @@ ELEMENTS = (
     Element(
         "figure-2d",
         "Fig. 2d: intensity against angle",
-        "From a circular isotropic source of 3 mm, light reaches the points (0, 0), (0, 3), (0, 7) and (0, "
-        "9) of the observation plane at no more than 4.8°, by non-sequential ray tracing.",
+        "According to non-sequential ray tracing, light from a circular isotropic source of 3 mm reaches "
+        "the points (0, 0), (0, 3), (0, 7) and (0, 9) of the observation plane at no more than 4.8°.",
         figure_2d,
         settings={"small": {"rays": 1_000_000}, "quick": {"rays": 40_000_000}, "full": {"rays": 400_000_000}},
         seconds={"quick": 10.0, "full": 100.0},

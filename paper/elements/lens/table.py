@@ -35,9 +35,9 @@ def table_1(work: Work) -> Made:
         Number("front focal point to front vertex", -paraxial.ffl_mm, "mm"),
     )
     difference = (
-        "The clear aperture of 16.52 mm is that of the entrance surface, which is the stop: the ray from "
-        "the axis through its rim has NA 0.5. The object stands 0.37 mm inside the front focal plane, so "
-        "that its light leaves nearly collimated."
+        "The clear aperture of 16.52 mm is that of the entrance surface, which is the stop. The ray from "
+        "the axis through its edge has NA 0.5. The object is 0.37 mm inside the front focal plane, so "
+        "its light leaves nearly collimated."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference)
 

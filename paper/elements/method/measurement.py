@@ -39,7 +39,7 @@ def figure_3(work: Work) -> Made:
         Number("radius of the light on it", feet[0].radius_mm, "mm"),
         Number("radius of the light on the second plane", feet[1].radius_mm, "mm"),
         Number("half of the sensor's shorter side", feet[1].sensor_half_side_mm, "mm"),
-        Number("what the planes tell of the phase, Δz w² / (λ f²)", told),
+        Number("phase diversity of the planes, Δz w² / (λ f²)", told),
         Number("bits of a count", ImageSettings().bits, "", 12),
         Number("iterations", ReconstructionSettings(method="paper").most_iterations, "", PAPER_ITERATIONS),
         Number("step t of A4", TV_STEP, "", PAPER_TV_STEP),
@@ -50,9 +50,9 @@ def figure_3(work: Work) -> Made:
         _figure_3(lens), "Left: both planes, to scale, with rays of three field heights. Right: an iteration."
     )
     difference = (
-        "The same steps and constants. The paper gives the distance between the planes and not where they "
-        "stand: at 2 and 22 mm the light just fits the sensor. It says nothing of the amplitudes' scale, on "
-        "which its step t depends; here their median is 64 where they are lit."
+        "Steps and constants are the same. The paper states the distance between the planes but not "
+        "their positions. At 2 and 22 mm the light just fits the sensor. The paper does not state the "
+        "scale of the amplitudes, on which its step t depends. Here their median in the lit area is 64."
     )
     command = "python -m pytest tests/wavesim/reconstruction/test_phase_retrieval.py"
     return Made(numbers, (command,), difference, (picture,))
@@ -137,11 +137,12 @@ def figure_9(work: Work) -> Made:
         panel(figure, axes, powers, side_mm, "mm", "amplitude, powers of ten", "inferno")
         axes.set_title(name)
     caption = (
-        f"A chart in front of a lens {1.0 / scale:.0f} times as small: what is recorded, what is sought."
+        f"A chart in front of a lens {1.0 / scale:.0f} times as small: "
+        "the recorded and the retrieved amplitudes."
     )
     difference = (
-        "The picture of the paper is a drawing; here are the amplitudes themselves, on a twin with the same "
-        f"angles. Both planes' distances are the lens's over {1.0 / scale:.0f}."
+        "The figure of the paper is a drawing. This one shows the amplitudes themselves, on a twin with the "
+        f"same angles. The distances of both planes are those of the lens divided by {1.0 / scale:.0f}."
     )
     assert math.isclose(near / far, 2.0 / 22.0)
     return Made(numbers, ("python -m paper --only figure-9",), difference, (work.picture(figure, caption),))
@@ -150,14 +151,15 @@ def figure_9(work: Work) -> Made:
 FIGURE_3 = Element(
     "figure-3",
     "Fig. 3: two intensities and the retrieval's flow",
-    "Two intensity patterns of 12 bits are taken 20 mm from each other, and the field at the exit vertex is "
+    "Two intensity patterns of 12 bits are recorded 20 mm apart. The field at the exit vertex is "
     "retrieved from them in 500 iterations, with weights 0.7 and 0.5 and a total-variation step of 0.05.",
     figure_3,
 )
 FIGURE_9 = Element(
     "figure-9",
     "Fig. 9 and Eqs. A1 to A6: planes of the retrieval",
-    "The field at z = 0 is carried to two planes, takes the recorded amplitudes there, and is carried back.",
+    "The field at z = 0 is propagated to two planes, gets the recorded amplitudes on them, and is "
+    "propagated back.",
     figure_9,
     SETTINGS,
     SECONDS,

@@ -34,15 +34,16 @@ def figure_11(work: Work) -> Made:
     )
     picture = work.picture(
         _figure_11(Sliced(lens, SLICES)),
-        f"The way back through the lens, {SLICES} slices a surface drawn, to scale; one slice of each is "
-        f"followed.",
+        f"The path back through the lens, drawn to scale with {SLICES} slices per surface; one slice of each "
+        "is followed.",
     )
     difference = (
-        "The same way; z counts from the exit vertex. The virtual plane is the cutting plane through the "
-        "rim of the exit surface, in glass, so that no further step is needed. The engine's adjoint is "
-        "exact to rounding (dot-product test), and takes the same planes forward. Its working grid, fine "
-        "enough for light of NA 0.5 in glass everywhere, stands in for Bluestein's method of Appendix B, "
-        "which free space uses (`wavesim.fields.propagator`) where pitches differ."
+        "The path is the same, with z measured from the exit vertex. The virtual plane is the cutting "
+        "plane through the edge of the exit surface, in glass, so no further step is needed. The "
+        "engine's adjoint is exact to rounding (dot-product test) and uses the same planes as the "
+        "forward direction. Its working grid is fine enough for light of NA 0.5 in glass everywhere. It "
+        "replaces Bluestein's method of Appendix B, which free-space propagation uses "
+        "(`wavesim.fields.propagator`) if pitches differ."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"
@@ -143,9 +144,10 @@ ELEMENTS = (
     Element(
         "figure-11",
         "Fig. 11 and Eqs. C1 to C7: the full path",
-        "From the tangential plane at the exit vertex to each annulus p₁ in air (C1, C2), over the slice to "
-        "p₂ in glass (C3), to one virtual plane, where all are summed (C4); from there to each q₁ (C5), "
-        "over to q₂ in air (C6), and to the tangential plane at the entrance vertex (C7).",
+        "The field passes from the tangential plane at the exit vertex to each annulus p₁ in air (C1, "
+        "C2), over the slice to p₂ in glass (C3), and to one virtual plane, where all are summed (C4). "
+        "It continues to each q₁ (C5), over the slice to q₂ in air (C6), and to the tangential plane at "
+        "the entrance vertex (C7).",
         figure_11,
         seconds={"quick": 2.0, "full": 2.0},
     ),

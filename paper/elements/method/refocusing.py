@@ -59,15 +59,15 @@ def equation_5(work: Work) -> Made:
     )
     picture = work.picture(
         _curve(found, lens.object.working_distance_mm),
-        f"SVFG of a chart that stands {1e3 * OFF_MM:g} µm farther than designed, against the working "
-        f"distance.",
+        f"SVFG of a chart that is {1e3 * OFF_MM:g} µm farther away than designed, against the working "
+        "distance.",
     )
     difference = (
-        "That the paper's bench stood at 13.501 mm is a measurement, which no simulation can repeat; a "
-        "chart put there is found there, to some nanometres. The field behind the lens is taken as known "
-        "here. The curve falls within 15 µm and rises slowly beyond, as the light of fine bars spreads: an "
-        "interval of some tens of micrometres has one clear peak; of few bars on a dark ground wider ones "
-        "have others."
+        "The paper's 13.501 mm are a measurement, which a simulation cannot repeat. A chart at this "
+        "distance is found there to a few nanometres. The field behind the lens is assumed known. The "
+        "curve falls within 15 µm and rises slowly beyond, because the light of fine bars spreads. An "
+        "interval of some tens of micrometres therefore has one clear peak. For a few bars on a dark "
+        "background, wider intervals have other peaks."
     )
     return Made(numbers, ("python -m benchmarks.refocusing",), difference, (picture,))
 

@@ -34,8 +34,8 @@ def equation_b1(work: Work) -> Made:
         Number("what the Fourier transform needs, 2π f x", 2.0 * math.pi * f * x, "rad"),
     )
     difference = (
-        "The method is the same, the identity as printed is not one: π[l x² + f²/l − (l x − f)²/l] is 2π f "
-        "x, and that is what the code has. Free space takes it wherever window or pitch change."
+        "The method is the same. The identity as printed is wrong: π[l x² + f²/l − (l x − f)²/l] is 2π f "
+        "x, which the code uses. Free-space propagation uses the method wherever window or pitch change."
     )
     command = "python -m pytest tests/wavesim/fields/test_chirp_z.py"
     return Made(numbers, (command,), difference)
@@ -55,7 +55,7 @@ ELEMENTS = (
         "equation-b1",
         "Eq. B1: Bluestein's method",
         "An inverse Fourier transform becomes a convolution with chirps, so that window and sampling "
-        "interval of what comes out can be chosen.",
+        "interval of the result can be chosen.",
         equation_b1,
     ),
 )

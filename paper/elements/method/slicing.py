@@ -108,8 +108,8 @@ def figure_4(work: Work) -> Made:
         Number("inner radius R_p of its annulus", inner, "mm", digits=5),
         Number("outer radius R_(p+1) of its annulus", outer, "mm", digits=5),
         Number("compensation over it: glass in place of air", float(gained), "waves"),
-        Number("vertical compensation errs in one slice by up to", largest[False], "waves"),
-        Number("oblique compensation errs in one slice by up to", largest[True], "waves"),
+        Number("largest error of vertical compensation in one slice", largest[False], "waves"),
+        Number("largest error of oblique compensation in one slice", largest[True], "waves"),
     )
     picture = work.picture(
         _figure_4(lens, cut, far),
@@ -118,12 +118,12 @@ def figure_4(work: Work) -> Made:
         f"planes.",
     )
     difference = (
-        "Eq. 4 lets light run along the axis within a slice. Rays of NA 0.5 do not: with 200 slices of "
-        "equal thickness its phase is wrong by a wave and more in each slice near the rim, in teeth whose "
-        "mean a refocusing takes out in part. With the local angle of the light (oblique compensation) "
-        "nothing of it is left. The paper spaces planes by the radius of curvature but does not say by "
-        "which rule; thickness in proportion to the local radius (`--spacing paper`) makes slices of the "
-        "entrance surface thicker still."
+        "Eq. 4 assumes that light runs along the axis within a slice. Rays of NA 0.5 do not. With 200 "
+        "slices of equal thickness its phase has an error of a wave and more in each slice near the "
+        "edge. The error is a sawtooth, whose mean refocusing removes in part. With the local angle of "
+        "the light (oblique compensation) the error vanishes. The paper spaces planes by the radius of "
+        "curvature but does not state the rule. Thickness in proportion to the local radius (`--spacing "
+        "paper`) makes slices of the entrance surface even thicker."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"

@@ -138,7 +138,7 @@ def _numbers(panels: _Panels, apart: float) -> tuple[Number, ...]:
             0.5,
             remark=_remark(panels),
         ),
-        Number("the same, as it was put", FARTHER_UM, "µm"),
+        Number("the same, true value", FARTHER_UM, "µm"),
         Number("working distance of the twin, as found", nominal - focus.distance_mm, "mm", digits=6),
         Number(
             "peaks of SVFG within 1 % of the highest",
@@ -182,19 +182,20 @@ def _resolves(what: str, found: Field, elements: tuple[UsafElement, ...], paper:
 
 
 REMARKS = {
-    "with the lens, Appendix A": "lines show, and the object is not whole: two planes do not tell all of it",
-    "with the lens, in the object domain": "finer: the finest lines that the samples of the object show",
-    "without the lens": "as far as the pixels' 156 lp/mm go",
+    "with the lens, Appendix A": "lines are resolved, but the object is incomplete: two planes do not "
+    "determine all of it",
+    "with the lens, in the object domain": "finer: the finest lines that the samples of the object resolve",
+    "without the lens": "the limit of the pixels' 156 lp/mm",
 }
 DIFFERENCE = (
-    "The same lens, so many times as small, with the paper's pixels and angles. Frames are brackets of "
-    "three exposures of 12 bits on two planes. From them Appendix A brings lines and not the whole object; "
-    "the next elements say what it takes. The object domain brings it, and finer. SVFG of what Appendix A "
-    "finds has one peak, and finds the object within a depth of focus, 2.1 µm. Without the lens, the sensor "
-    "stands where the steepest light that its pixels resolve falls on it from the whole field; the pixels' "
-    "156 lp/mm lie between elements 2 and 3 of group 7. The thin lens is given the light that belongs to "
-    "the object-domain result: fine lines go. Aberrations shrink with the twin, so that coarser ones stay "
-    "here."
+    "The lens is a twin with the paper's pixels and angles. Frames are brackets of three exposures of 12 "
+    "bits on two planes. From them Appendix A gives lines but not the whole object; the next elements "
+    "show its requirements. The object-domain method gives the whole object, with finer lines. The SVFG "
+    "of the result of Appendix A has one peak, and finds the object within a depth of focus, 2.1 µm. "
+    "Without the lens, the sensor is placed where it receives, from the whole field, the steepest light "
+    "that its pixels resolve. The pixels' 156 lp/mm lie between elements 2 and 3 of group 7. The thin "
+    "lens gets the light of the object-domain result, and fine lines are lost. Aberrations shrink with "
+    "the twin, so coarser lines survive here."
 )
 
 
@@ -262,8 +263,8 @@ FIGURE_5 = Element(
     "figure-5",
     "Fig. 5: the test chart, with and without the lens",
     "From two 12-bit intensities, 20 mm apart, SVFG has one peak at a working distance of 13.501 mm, and "
-    "group 9, element 2 (0.87 µm) is resolved. Without the lens it is group 7, element 2 (3.5 µm), which "
-    "the pixels determine; with a thin lens in the model the object is very blurred.",
+    "group 9, element 2 (0.87 µm) is resolved. Without the lens, group 7, element 2 (3.5 µm) is "
+    "resolved, the limit of the pixels. With a thin lens in the model the object is very blurred.",
     figure_5,
     SETTINGS,
     {"quick": 90.0, "full": 200.0},

@@ -72,7 +72,7 @@ def full_size(work: Work) -> Made:
         )
         numbers += _numbers(said, found[said])
     picture = work.picture(
-        _fine_groups(found), "Amplitude of the fine groups in the middle of the field, by the frames."
+        _fine_groups(found), "Amplitude of the fine groups in the middle of the field, for different frames."
     )
     return Made(tuple(numbers), COMMANDS, DIFFERENCE, (picture,))
 
@@ -141,14 +141,15 @@ def _fine_groups(found: dict[str, FoundObject]) -> Figure:
 
 
 DIFFERENCE = (
-    "The paper's own steps on the paper's own lens, whole field, sensor and noise: frames of 12 bits on "
-    "planes at 2 and 22 mm, Appendix A from the forward model's field, and the whole-field engine back. From "
-    "brackets the object is near, and its finest lines are there after the first iterations and go again in "
-    "those that follow: A2 puts a pixel's mean in the place of its middle, and to meet that the field gives "
-    "up what it knew of the model. From the paper's one exposure most of the light of fine lines lies below "
-    "the read noise, and little more comes back than without a lens (Fig. 5e). Reconstructed in the object "
-    "domain from the same brackets, lines of 0.775 µm come back, with a correlation of 0.999; from the one "
-    "exposure lines of 1.38 µm, with 0.916 (the page on reconstruction has the commands)."
+    "This element uses the paper's own steps on the paper's own lens with whole field, sensor and noise. "
+    "Frames of 12 bits are on planes at 2 and 22 mm, Appendix A starts from the forward model's field, "
+    "and the whole-field engine propagates back. With brackets, the result is close to the object. Its "
+    "finest lines appear after the first iterations and vanish in later ones. A2 replaces the value in "
+    "the middle of a pixel by its mean, and to fit this the field loses information of the model. With "
+    "the paper's single exposure, most of the light of fine lines is below the read noise, and the "
+    "result is little better than without a lens (Fig. 5e). The object-domain method resolves lines of "
+    "0.775 µm from the same brackets, with a correlation of 0.999, and lines of 1.38 µm from the single "
+    "exposure, with 0.916 (the page on reconstruction has the commands)."
 )
 
 COMMANDS = ("python -m paper --only figure-5-at-size",)

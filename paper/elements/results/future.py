@@ -112,7 +112,8 @@ def _calibration(like: Shot) -> list[Number]:
         Number(
             "calibration: misfit of the noise alone",
             found.misfit_of_noise or 0.0,
-            remark="decenter and tilt of one lens do nearly the same: along that line they are known least",
+            remark="decenter and tilt of one lens have nearly the same effect, so they are least certain "
+            "along this line",
         ),
     ]
 
@@ -127,12 +128,12 @@ def _complex_shots(lens: Lens, iterations: int) -> list[Number]:
         Number(
             f"{name}, confined to {SUPPORT_SHARE:g} of the field's diameter",
             _one_plane(lens, part_mm, iterations),
-            remark="a known support tells as much as further planes",
+            remark="a known support gives as much information as further planes",
         ),
         Number(
             f"{name}, exit surface coded by {CODE_UM:g} µm rms",
             _one_plane(_coded(lens), whole_mm, iterations),
-            remark="no gain; behind a stronger code rays fold, and fast engines refuse",
+            remark="no gain; behind a stronger code rays fold, and fast engines reject it",
         ),
     ]
 
@@ -190,12 +191,12 @@ def _times(one: Shot) -> float:
 
 
 DIFFERENCE = (
-    "Compensation with the light's own angles, calibration of tilt and decenter from the frames, single "
-    "shots of amplitude objects, lenses for several wavelengths and of plastic, images at all of them by one "
-    "command, and engines that take far less computation are there. A single shot of a complex object wants "
-    "a support that is known, smaller than the field; a code on the surface that is weak enough for rays "
-    "adds nothing. Not done: a strong code, a second wavelength in one reconstruction, ranges of frequency "
-    "of each slice."
+    "The toolkit has compensation with the light's own angles, calibration of tilt and decenter from the "
+    "frames, and single shots of amplitude objects. It has lenses for several wavelengths and of "
+    "plastic, images at all wavelengths by one command, and engines that need far less computation. A "
+    "single shot of a complex object requires a known support that is smaller than the field. A code on "
+    "the surface that is weak enough for rays adds nothing. A strong code, a second wavelength in one "
+    "reconstruction, and ranges of frequency of each slice are not done."
 )
 
 COMMANDS = (
@@ -207,8 +208,9 @@ COMMANDS = (
 DISCUSSION = Element(
     "discussion",
     "Discussion: what is left to later work",
-    "A more accurate phase compensation and less computation; calibration of tilt and decenter by "
-    "optimization; a single shot through a coded lens; several wavelengths; moulded plastic aspheres.",
+    "The paper names a more accurate phase compensation, less computation, calibration of tilt and "
+    "decenter by optimization, a single shot through a coded lens, several wavelengths, and moulded "
+    "plastic aspheres.",
     discussion,
     SETTINGS,
     {"quick": 60.0, "full": 300.0},

@@ -48,8 +48,9 @@ def figure_1(work: Work) -> Made:
         f"Above: the system to scale. Below: from two amplitudes to the object, lens times {scale:.3g}.",
     )
     difference = (
-        "The same architecture; the drawing is the traced lens itself. The chart below comes from "
-        "amplitudes without noise and the forward model's start, by Appendix A and the eikonal engine back."
+        "The architecture is the same, and the drawing is the traced lens itself. The chart below is "
+        "retrieved by Appendix A from amplitudes without noise and the forward model's start. The "
+        "eikonal engine propagates the field back."
     )
     return Made(numbers, ("python -m paper --only figure-1",), difference, (picture,))
 
@@ -105,8 +106,9 @@ def _system(axes: Axes, lens: Lens) -> None:
 FIGURE_1 = Element(
     "figure-1",
     "Figs. 1a and 1c: the system",
-    "A coherent beam lights the object, one lens of two smooth surfaces delivers its light, a sensor "
-    "records two intensity patterns, and a backward model of the wave's propagation gives the object.",
+    "A coherent beam illuminates the object. One lens of two smooth surfaces carries its light to a "
+    "sensor, which records two intensity patterns. A backward model of the wave propagation gives the "
+    "object.",
     figure_1,
     SETTINGS,
     SECONDS,

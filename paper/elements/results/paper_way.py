@@ -74,7 +74,8 @@ def the_papers_way(work: Work) -> Made:
         drawn[said] = sliced, found
     picture = work.picture(
         _objects(drawn),
-        "Amplitude of the chart. Above: by the frames. Below: one field, by the way back.",
+        "Amplitude of the chart. Above: for different frames. Below: one field, for different "
+        "back-propagations.",
     )
     return Made(tuple(numbers), COMMANDS, DIFFERENCE, (picture,))
 
@@ -132,15 +133,16 @@ def _ways_back(one: Shot, as_thick: int, most: int) -> dict[str, Engine]:
 
 
 DIFFERENCE = (
-    "From frames of the paper's exposure Appendix A does not reach Fig. 5d: light of fine lines lies below "
-    "the read noise, and two planes at these distances leave it other fields. What it takes: exposures of "
-    "1, 30 and 1000, so that faint light is known; four planes in place of two; and amplitudes of points, "
-    "since A2 puts a pixel's mean in the place of its middle, which fringes of two pixels do not bear. With "
-    "all three the object comes back whole. Pixels that integrate can be undone in part, by dividing by "
-    "what the field found makes of them, round by round. The field stop as a support between rounds gains "
-    "next to nothing. On the way back the thickness of slices decides, so that the lens's 200 are 4 of a "
-    "twin 48 times as small: so thick, vertical compensation loses all fine lines, oblique does not. "
-    "Vertical slices 48 times as thin do as well as the eikonal engine."
+    "From frames with the paper's exposure, Appendix A does not reach Fig. 5d. The light of fine lines "
+    "is below the read noise, and two planes at these distances allow other fields. It requires "
+    "exposures of 1, 30 and 1000, so that faint light is known; four planes instead of two; and "
+    "amplitudes of points. A2 replaces the value in the middle of a pixel by its mean, which is wrong "
+    "for fringes of two pixels. With all three, the whole object is retrieved. The integration over "
+    "pixels can be corrected in part, by repeatedly dividing by its effect on the retrieved field. The "
+    "field stop as a support between these repetitions gains next to nothing. For the back-propagation, "
+    "the thickness of slices matters, so the lens's 200 slices are 4 on a twin 48 times as small. With "
+    "slices of this thickness, vertical compensation loses all fine lines, and oblique does not. "
+    "Vertical slices 48 times as thin are as good as the eikonal engine."
 )
 
 COMMANDS = ("python -m paper --only the-papers-way",)
@@ -160,8 +162,8 @@ def _objects(drawn: dict[str, tuple[Shot, Field]]) -> Figure:
 THE_PAPERS_WAY = Element(
     "the-papers-way",
     "Appendices A and C at their best: what Fig. 5d takes",
-    "Fig. 5d resolves group 9, element 2 from two 12-bit intensities, 500 iterations from the forward "
-    "model's field, and 200 slices of each surface on the way back.",
+    "Fig. 5d resolves group 9, element 2 from two 12-bit intensities, with 500 iterations from the "
+    "forward model's field and 200 slices of each surface for the back-propagation.",
     the_papers_way,
     SETTINGS,
     {"quick": 120.0, "full": 900.0},

@@ -69,14 +69,15 @@ def figure_8(work: Work) -> Made:
     numbers += _from_frames(work)
     picture = work.picture(
         _objects(case, objects),
-        "Amplitude of the chart, by the start of the retrieval; brightest is the light's own.",
+        "Amplitude of the chart for different starts of the retrieval, on the scale of the illumination.",
     )
     difference = (
-        "The paper finds group 9, element 2 roughly resolved from an even phase, and not from a random one. "
-        "On two planes of amplitudes without any noise we find neither: only the forward model's field, "
-        "amplitude and phase, leads to the chart. All three end with a correlation A6 near 1, so that it "
-        "does not tell them apart. What amplitude the paper gives its even start is not stated; ours has "
-        "that of the first plane. Frames with noise and pixels that integrate make it no better."
+        "The paper resolves group 9, element 2 roughly from a uniform phase, and not from a random one. "
+        "On two planes of amplitudes without noise we resolve it from neither. Only the forward model's "
+        "field, amplitude and phase, leads to the chart. All three starts end with a correlation A6 near "
+        "1, so A6 does not distinguish them. The paper does not state the amplitude of its uniform "
+        "start; ours has that of the first plane. Frames with noise and integrating pixels do not "
+        "improve the result."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-8 figure-10",), difference, (picture,))
 
@@ -101,7 +102,7 @@ def _resolved(case: Twin, start: Start, found: Field) -> Number:
     element, paper = PAPER_RESOLVES[start]
     there = case.finest_um(found) <= usaf_line_width_um(9, element) * (1.0 + 1e-9)
     here = "yes" if there else "no"
-    lost = "phases of another object fit both planes as well"
+    lost = "phases of another object fit both planes equally well"
     reached = f"the object is near (correlation {case.correlation(found):.2f}), its finest lines are not"
     remark = "" if here == paper else reached if start == "forward model" else lost
     name = f"group 9, element {element} resolved, start: {start}"
@@ -135,13 +136,13 @@ def figure_10(work: Work) -> Made:
     )
     picture = work.picture(
         _curves(runs),
-        "A6 and the relative residual on the first plane, by the start.",
+        "A6 and the relative residual on the first plane, for different starts.",
     )
     difference = (
-        "A6 passes 0.99 from every start and then hardly moves, as in the paper. What it lacks to 1 and the "
-        "residual fall on for hundreds of iterations, and neither knows the object: the correlation with "
-        "the true one, illumination taken out, stands beside it in the table, and under Fig. 8 for the "
-        "other starts."
+        "A6 passes 0.99 from every start and then hardly changes, as in the paper. Its difference from 1 "
+        "and the residual continue to fall for hundreds of iterations, but neither measures the quality "
+        "of the object. The table also lists the correlation with the true object, illumination removed; "
+        "Fig. 8 lists it for the other starts."
     )
     return Made(numbers, ("python -m paper --only figure-8 figure-10",), difference, (picture,))
 
@@ -184,8 +185,8 @@ def _curves(runs: dict[Start, Retrieved]) -> Figure:
 FIGURE_8 = Element(
     "figure-8",
     "Fig. 8: the start of phase retrieval",
-    "From a uniform initial phase, after 500 iterations, group 9, element 2 is roughly resolved; from a "
-    "random one element 1 is not. A good start comes from the forward diffraction calculation.",
+    "After 500 iterations from a uniform initial phase, group 9, element 2 is roughly resolved. From a "
+    "random phase, element 1 is not. The forward diffraction calculation gives a good start.",
     figure_8,
     WITH_FRAMES,
     SECONDS,

@@ -45,10 +45,11 @@ def figure_2e(work: Work) -> Made:
         "Spectra of the retrieved fields, over five decades of energy; red: the circle of the pixels.",
     )
     difference = (
-        "The light of both lies within the circle: the field stop seen through the lens, with the object in "
-        "it, since a direction behind this lens is a place in front of it. A thousandth of the retrieved "
-        "energy or two stands outside, which the retrieval scattered: the light itself has but some "
-        "millionths there, seen on samples twice as fine as the pixels, by which the square ends."
+        "The light of both objects lies within the circle. The spectrum shows the field stop through the "
+        "lens, with the object in it, because a direction behind this lens corresponds to a position in "
+        "front of it. One or two thousandths of the retrieved energy lie outside, scattered by the "
+        "retrieval. The light itself, on samples twice as fine as the pixels, has only a few millionths "
+        "of its energy there. The square ends at the limit of the pixels."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-2e",), difference, (picture,))
 
@@ -85,8 +86,7 @@ def _spectra(fields: dict[str, Field], limit: float) -> Figure:
 FIGURE_2E = Element(
     "figure-2e",
     "Fig. 2e: spectra in image space",
-    "The spectra retrieved in image space, of chart and tissue, reach to 156 lp/mm, which the pixels "
-    "determine.",
+    "The spectra of chart and tissue retrieved in image space extend to 156 lp/mm, the limit of the pixels.",
     figure_2e,
     SETTINGS,
     {"quick": 40.0, "full": 250.0},

@@ -84,9 +84,9 @@ def figure_6(work: Work) -> Made:
         ),
         work.picture(
             _crops(seen),
-            "Above, one crop: from the frames (d1), by the 2× (d2) and the 20× objective (d3), and the 20× "
-            "in coherent light. Below: three more crops, and the phase of the first, which no objective "
-            "shows.",
+            "Above, one crop: from the frames (d1), with the 2× (d2) and the 20× objective (d3), and "
+            "with the 20× in coherent light. Below: three more crops, and the phase of the first, which "
+            "no objective shows.",
             "crops",
         ),
     )
@@ -95,11 +95,12 @@ def figure_6(work: Work) -> Made:
 
 
 DIFFERENCE = (
-    "No data of the tissue is published: ours is a phantom of nuclei, fibres and an uneven ground, complex, "
-    "over the whole field of the twin, from brackets on four planes, since two tell a complex object poorly. "
-    "Objectives are without aberrations; partially coherent, with a condenser of 0.7 times their aperture "
-    "(some thirty directions within its circle). What the lens gives is comparable with the 20× objective, "
-    "as the paper says, over a field 2.4 times as wide; and it gives the phase, too."
+    "No data of the tissue are published. Ours is a complex phantom of nuclei, fibres and a nonuniform "
+    "background over the whole field of the twin. It is reconstructed from brackets on four planes, "
+    "because two determine a complex object poorly. Objectives are without aberrations and partially "
+    "coherent, with a condenser of 0.7 times their aperture (about thirty directions within its circle). "
+    "The result of the lens is comparable with the 20× objective, as the paper says, over a field 2.4 "
+    "times as wide. It also contains the phase."
 )
 
 
@@ -218,8 +219,9 @@ def _crops(seen: _Seen) -> Figure:
 FIGURE_6 = Element(
     "figure-6",
     "Fig. 6: tissue over the whole field, and two objectives",
-    "Mouse ovary over the field of 3 mm, from two intensities: cells come out as by a 20× objective of NA "
-    "0.5, whose field is 1.25 mm wide; a 2× objective of NA 0.08 does not resolve them.",
+    "Mouse ovary over the field of 3 mm is reconstructed from two intensities. Cells appear as with a "
+    "20× objective of NA 0.5, whose field is 1.25 mm wide. A 2× objective of NA 0.08 does not resolve "
+    "them.",
     figure_6,
     SETTINGS,
     {"quick": 120.0, "full": 400.0},
