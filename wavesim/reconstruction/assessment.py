@@ -33,6 +33,7 @@ from wavesim.reconstruction.diagnostics.orientation import orientation_findings
 from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found_object import Array
+from wavesim.reconstruction.growing_aperture import STAGE_ITERATIONS
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.reconstruction.problem import ReconstructionProblem
@@ -251,28 +252,18 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
     return case.predicted_error > excess
 
 
-def may_be_brighter(
-    case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
-) -> bool:
-    """Return whether an amplitude object converged above the noise, so that its upper limit of 1 may be too
-    low.
-    """
-    if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
-        return False
-    if found.stopped_because != "rest" or len(found.residual_maps) < len(case.recorded):
-        return False
-    return excess_of(case, found.residual_maps) > 1.0
-
-
 def may_be_stagnated(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> bool:
-    """Return whether the search for an amplitude object converged above the noise, perhaps in a local
-    minimum.
-    """
-    if settings.kind != "amplitude" or isinstance(case.engine, Tiled) or found.stopped_because != "rest":
+    """Return whether the search for an amplitude object ended above the noise, perhaps in a local minimum."""
+    if settings.kind != "amplitude" or isinstance(case.engine, Tiled):
         return False
-    return len(found.residual_maps) == len(case.recorded) and excess_of(case, found.residual_maps) > 1.0
+    if found.stopped_because == "noise" or len(found.residual_maps) < len(case.recorded):
+        return False
+    # After few iterations of a search that has not converged, more iterations are the remedy.
+    if found.stopped_because == "iterations" and len(found.misfit) < STAGE_ITERATIONS:
+        return False
+    return excess_of(case, found.residual_maps) > 1.0
 
 
 def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:

@@ -29,7 +29,6 @@ from wavesim.reconstruction.assessment import (
     excess_of,
     is_engine_limited,
     judge_result,
-    may_be_brighter,
     may_be_stagnated,
     more_accurate_case,
     starts_needed,
@@ -64,6 +63,7 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 from wavesim.sensor.frames import Frame
+from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import imaging_engine
 from wavesim.targets.patch import transmission_of
@@ -374,14 +374,8 @@ def _find_object(
             found = _solve(
                 case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
             )
-            if not curve and may_be_brighter(case, settings, found):
-                brighter = _solve(case, settings, engine, reporter, first, bounded=False)
-                excess = [excess_of(case, one.residual_maps) for one in (found, brighter)]
-                if excess[1] < BETTER * excess[0]:
-                    found = brighter
-                del brighter
             if not curve and may_be_stagnated(case, settings, found):
-                found = _solve_with_growing_aperture(case, settings, engine, reporter, found)
+                found = _leave_local_minimum(case, settings, engine, reporter, first, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
                 maps = residual_maps_of(
@@ -438,13 +432,14 @@ def _solve(
     checkpoint: Checkpoint | None = None,
     resume: SolverState | None = None,
     bounded: bool = True,
+    given: Sequence[Measurement] = (),
     iterations: int | None = None,
 ) -> Reconstructed:
-    """Return the object that iterations with one engine find."""
+    """Return the object that iterations with one engine find, by default from all pixels of the case."""
     return reconstruct(
         engine,
         case.light,
-        case.given,
+        given or case.given,
         kind=settings.kind,
         tv_weight=settings.tv_weight,
         iterations=iterations or settings.most_iterations,
@@ -461,24 +456,46 @@ def _solve(
     )
 
 
+def _leave_local_minimum(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    reporter: ProgressReporter,
+    start: Field | Literal["amplitude"] | None,
+    found: Reconstructed,
+) -> Reconstructed:
+    """Return the best of an amplitude object, one without an upper limit, and one from a growing aperture.
+
+    The limit of 1 may be too low where the scale is fitted to an object that is bright everywhere.
+    """
+    excess = excess_of(case, found.residual_maps)
+    others = [lambda: _solve_with_growing_aperture(case, settings, engine, reporter)]
+    if settings.scale is None:
+        others.insert(0, lambda: _solve(case, settings, engine, reporter, start, bounded=False))
+    for solve in others:
+        if excess <= 1.0:
+            break
+        other = solve()
+        other_excess = excess_of(case, other.residual_maps)
+        if other_excess < BETTER * excess:
+            found, excess = other, other_excess
+    return found
+
+
 def _solve_with_growing_aperture(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine: Engine,
     reporter: ProgressReporter,
-    found: Reconstructed,
 ) -> Reconstructed:
-    """Return the amplitude object that a growing aperture finds if it fits better than the one found."""
+    """Return the amplitude object that a growing aperture finds."""
     start: Field | None = None
     iterations = min(STAGE_ITERATIONS, settings.most_iterations)
     for index, planes in enumerate(aperture_stages(case.given)):
         reporter.step(f"local minimum? growing aperture, stage {index + 1} of {STAGES}")
-        stage = case._replace(given=planes)
-        values = _solve(stage, settings, engine, reporter, start, iterations=iterations).transmission
-        start = values if settings.scale is not None else _brightest_is_1(values, case.light)
-    other = _solve(case, settings, engine, reporter, start)
-    is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)
-    return other if is_better else found
+        stage = _solve(case, settings, engine, reporter, start, given=planes, iterations=iterations)
+        start = stage.transmission if settings.scale else _brightest_is_1(stage.transmission, case.light)
+    return _solve(case, settings, engine, reporter, start)
 
 
 def _brightest_is_1(transmission: Field, light: Field) -> Field:
