@@ -102,6 +102,23 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
     return Measurement(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
 
 
+def intensity_deviation(plane: Measurement) -> Array:
+    """Return the standard deviation of the intensity of each pixel, from amplitude and its deviation.
+
+    It reverses :func:`recorded_intensity`.
+
+    Raises
+    ------
+    InputError
+        If the plane has no `sigma`.
+    """
+    if plane.sigma is None:
+        raise InputError("measurement: needs sigma, from which the deviation of its intensity follows")
+    sigma = plane.sigma.astype(float)
+    is_dark = plane.amplitude < 2.0 * DARK * sigma
+    return np.asarray(np.where(is_dark, 4.0 * DARK * sigma**2, 2.0 * plane.amplitude * sigma))
+
+
 def amplitude_unit(recorded: Sequence[Measurement]) -> float:
     """Return the power of two (often 1) as unit of amplitude, so that squares fit in single precision.
 

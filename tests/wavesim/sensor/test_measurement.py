@@ -2,9 +2,17 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
-from wavesim.sensor.measurement import Measurement, noise_misfit, recorded_intensity, weights_of
+from wavesim.sensor.measurement import (
+    Measurement,
+    intensity_deviation,
+    noise_misfit,
+    recorded_intensity,
+    weights_of,
+)
 
 
 def test_amplitudes_of_an_estimated_intensity() -> None:
@@ -23,6 +31,12 @@ def test_amplitudes_of_an_estimated_intensity() -> None:
     np.testing.assert_array_equal(saturated.known, [True, False])
     np.testing.assert_allclose(saturated.amplitude, [2.0, 3.0])
     assert saturated.sigma[0] == pytest.approx(0.25)
+
+
+@given(intensity=st.floats(-10.0, 1e6), deviation=st.floats(1e-3, 1e3))
+def test_the_deviation_of_an_intensity_follows_from_its_amplitude(intensity: float, deviation: float) -> None:
+    made = recorded_intensity(0.5, np.array([intensity]), np.array([deviation**2]))
+    np.testing.assert_allclose(intensity_deviation(made), deviation, rtol=1e-6)
 
 
 def test_weights_are_relative_to_the_brightest_pixel_and_none_exceeds_1() -> None:

@@ -5,9 +5,8 @@ the stated standard deviations. Each record is reconstructed with the same setti
 results from their object are the effect of noise and of the total variation. Their mean is included, because
 it estimates the bias of the result itself.
 
-The total variation has already rounded the reconstruction, so that it rounds it less a second time. The mean
-deviation is therefore taken from the reconstruction first, and the object that results, which is as sharp as
-the true one, is recorded and reconstructed again (an iterated bootstrap).
+Noise is added to intensities, and the standard deviations of the amplitudes follow from the noisy ones, as
+those of a record do. Pixels that noise brightens then have larger weights, which adds to the scatter.
 
 Repeats that start at one result stay near the same minimum of the misfit. The frames are therefore also
 reconstructed from other starts. Differences between results that fit equally well add to the uncertainty. No
@@ -16,7 +15,6 @@ uncertainty is stated if they differ much, or if the result does not explain the
 References
 ----------
 B. Efron and R. J. Tibshirani, "An Introduction to the Bootstrap" (Chapman and Hall, 1993), section 6.5.
-P. Hall and M. A. Martin, "On bootstrap resampling and iteration", Biometrika 75, 661 (1988).
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ from wavesim.reconstruction.forward_model import ForwardModel, RealArray
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
-from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.measurement import Measurement, intensity_deviation, recorded_intensity
 
 LARGEST_NOISE_RATIO = 1.5
 """Misfit over that of noise alone above which the frames are not explained."""
@@ -108,7 +106,7 @@ def uncertainty(
     held_out
         Measured plane that was not used for `found`.
     repeats
-        Number of repeats of either pass, at least two. With n of them the standard deviation itself is known
+        Number of repeats, at least two. With n of them the standard deviation itself is known
         to one part in sqrt(2 (n - 1)).
     seed
         Seed of the noise and of a random start.
@@ -133,15 +131,16 @@ def uncertainty(
     if any(plane.sigma is None for plane in (*recorded, *([] if held_out is None else [held_out]))):
         raise InputError("uncertainty: needs sigma on every plane")
 
-    def modelled(planes: Sequence[Measurement], values: NDArray[Any]) -> list[RealArray]:
-        return ForwardModel(engine, illumination, planes, found.scale, fill_factor).amplitudes(values)
-
     own = found.transmission.values
-    clean = modelled(recorded, own)
+
+    def modelled(planes: Sequence[Measurement]) -> list[RealArray]:
+        return ForwardModel(engine, illumination, planes, found.scale, fill_factor).amplitudes(own)
+
+    clean = modelled(recorded)
     misfit_over_noise = _noise_ratio(recorded, clean, "the frames")
     held_out_over_noise = None
     if held_out is not None:
-        held_out_over_noise = _noise_ratio([held_out], modelled([held_out], own), "the plane held out")
+        held_out_over_noise = _noise_ratio([held_out], modelled([held_out]), "the plane held out")
     settings: dict[str, Any] = {
         "kind": kind,
         "tv_weight": tv_weight,
@@ -157,32 +156,18 @@ def uncertainty(
         )
         others += _equivalent_objects(found, other, lit)
         if progress is not None:
-            progress(index + 1, len(starts) + 2 * repeats)
-    count, done = len(starts) + 2 * repeats, len(starts)
-
-    def repeated(values: NDArray[Any], clean: Sequence[RealArray]) -> list[NDArray[Any]]:
-        """Return reconstructions of the records of an object, each with other noise, in its phase."""
-        nonlocal done
-        results = []
-        start = found.transmission.with_values(values)
-        for sequence in np.random.SeedSequence(seed).spawn(repeats):
-            random = np.random.default_rng(sequence)
-            noisy_planes = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
-            repeat = reconstruct(
-                engine, illumination, noisy_planes, iterations=iterations, start=start, **settings
-            )
-            results.append(_in_phase(repeat.transmission.values, values, lit))
-            done += 1
-            if progress is not None:
-                progress(done, count)
-        return results
-
-    sharp = 2.0 * own - np.mean(repeated(own, clean), axis=0)
-    if kind == "amplitude":
-        sharp = np.clip(sharp.real, 0.0, max(1.0, float(own.real.max())))
-    sharp = sharp.astype(own.dtype)
-    results = repeated(sharp, modelled(recorded, sharp))
-    by_noise = np.asarray(np.mean(np.abs(np.asarray(results) - sharp) ** 2, axis=0), float)
+            progress(index + 1, len(starts) + repeats)
+    results = []
+    for index, sequence in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
+        random = np.random.default_rng(sequence)
+        noisy_planes = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
+        repeat = reconstruct(
+            engine, illumination, noisy_planes, iterations=iterations, start=found.transmission, **settings
+        )
+        results.append(_in_phase(repeat.transmission.values, own, lit))
+        if progress is not None:
+            progress(len(starts) + index + 1, len(starts) + repeats)
+    by_noise = np.asarray(np.mean(np.abs(np.asarray(results) - own) ** 2, axis=0), float)
     by_start = _variance([found.transmission.values, *others])
     not_included = (
         "errors that all starts have in common are not included: a wrong model of lens, light or camera, and "
@@ -265,7 +250,23 @@ def _equivalent_objects(
 
 
 def _noisy(plane: Measurement, amplitude: RealArray, random: np.random.Generator) -> Measurement:
+    """Return a record of modelled amplitudes with the noise of another record.
+
+    The variance of an intensity is taken as a function of the intensity, which the record's pixels sample.
+    """
     assert plane.sigma is not None
-    sigma = np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
-    noisy = np.abs(amplitude + sigma * random.standard_normal(amplitude.shape))
-    return replace(plane, amplitude=noisy.astype(plane.amplitude.dtype))
+    known = np.isfinite(plane.sigma)
+    recorded, variance = plane.amplitude[known].astype(float), intensity_deviation(plane)[known] ** 2
+    bins = np.minimum(200.0 * recorded / max(float(recorded.max()), np.finfo(float).tiny), 199.0).astype(int)
+    counts = np.bincount(bins)
+    levels, variances = (
+        np.bincount(bins, values)[counts > 0] / counts[counts > 0] for values in (recorded**2, variance)
+    )
+    intensity = amplitude.astype(float) ** 2
+    intensity += np.sqrt(np.interp(intensity, levels, variances)) * random.standard_normal(intensity.shape)
+    noisy = recorded_intensity(
+        plane.distance_mm, intensity, np.where(known, np.interp(intensity, levels, variances), np.inf)
+    )
+    assert noisy.sigma is not None
+    dtype = plane.amplitude.dtype
+    return replace(plane, amplitude=noisy.amplitude.astype(dtype), sigma=noisy.sigma.astype(dtype))

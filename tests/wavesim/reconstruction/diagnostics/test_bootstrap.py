@@ -68,7 +68,7 @@ def test_it_is_the_true_error(lit: tuple[Engine, Field]) -> None:
     stated = uncertainty(
         *lit, first, found(lit, first), repeats=6, progress=lambda *done: calls.append(done), **SETTINGS
     )
-    assert calls == [(k, 14) for k in range(1, 15)]
+    assert calls == [(k, 8) for k in range(1, 9)]
     values = stated.values
     assert values.shape == inside.shape
     assert not np.any(values[~inside])
