@@ -118,11 +118,11 @@ class Limit:
         if self.cut:
             return f"not confirmed: {self.cut} stopped the search"
         if self.reached is None:
-            return f"{self.starts} starts found no lens down to {FRACTIONS[-1]:g} times what is asked, not "
-            "proof"
+            least = FRACTIONS[-1]
+            return f"{self.starts} starts found no lens down to {least:g} times the required value (no proof)"
         if not self.ended:
             return "no larger value was tried"
-        return f"{self.starts} independent starts found no lens above it, not proof"
+        return f"{self.starts} independent starts found no lens above it (no proof)"
 
 
 class LimitsInterrupted(KeyboardInterrupt):
