@@ -27,7 +27,7 @@ from lensdesign.lens.solid import glass_element
 from lensdesign.raytrace.bundles import launch
 
 NA_TOLERANCE = 1e-3
-"""Relative amount by which the NA of the stop may be below that of the file; stops have only a few digits."""
+"""Relative amount by which the NA of the stop may be below that of the file, since stops are rounded."""
 ROUNDING = 1e-6
 """Relative amount by which spread or footprint may exceed a limit; an optimum is on the limit to rounding."""
 
@@ -244,8 +244,8 @@ def _nothing_clipped(traced: list[_Traced]) -> Constraint:
         1.0,
         "",
         fraction >= 1.0,
-        f"throughput: {100.0 * fraction:.4g} % of the stop passes from the field height {height:.4g} mm at "
-        f"{darkest.matching.wavelength_um:g} um; must be 100 %",
+        f"throughput: only {100.0 * fraction:.4g} % of the rays from the field height {height:.4g} mm that "
+        f"pass the stop pass the lens at {darkest.matching.wavelength_um:g} um; must be 100 %",
     )
 
 

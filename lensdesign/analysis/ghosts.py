@@ -149,7 +149,7 @@ def ghost_report(
     if fraction is None:
         fraction = uncoated_ghost_fraction(lens, wavelength)
     if not 0.0 <= fraction <= 1.0:
-        raise InputError(f"ghost share = {fraction!r}: must be from 0 to 1")
+        raise InputError(f"fraction of the ghost = {fraction!r}: must be from 0 to 1")
     direct = compile_system(lens, wavelength)
     ghost = ghost_system(direct, 0, direct.surfaces - 1)
     paraxial = ghost_first_order(lens, wavelength)

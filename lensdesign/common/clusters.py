@@ -206,8 +206,8 @@ def check_same_version(required: str) -> None:
     """Raise InputError, in a worker, if its toolkit has another version than the one that sent the task."""
     if toolkit_version() != required:
         raise InputError(
-            f"{worker_name()} has version {toolkit_version()} of the toolkit, this is {required}: install "
-            "the same version there"
+            f"{worker_name()} has version {toolkit_version()} of the toolkit, but the task was sent by "
+            f"version {required}: install the same version on the workers"
         )
 
 
@@ -247,7 +247,7 @@ def open_cluster(address: str) -> Iterator[Cluster]:
             client = Client(address, timeout=waiting, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
-                f"--cluster {address}: no Dask scheduler answers there within {CONNECT_SECONDS:g} s"
+                f"--cluster {address}: no Dask scheduler answers within {CONNECT_SECONDS:g} s"
             ) from error
         try:
             _check_workers(client, address)
@@ -290,6 +290,6 @@ def _check_workers(client: Client, address: str) -> None:
     for worker, found in sorted(versions.items()):
         if found != toolkit_version():
             raise InputError(
-                f"--cluster {address}: worker {worker} has version {found} of the toolkit, this is "
-                f"{toolkit_version()}: install the same version there"
+                f"--cluster {address}: worker {worker} has version {found} of the toolkit, but this computer "
+                f"has {toolkit_version()}: install the same version on the workers"
             )

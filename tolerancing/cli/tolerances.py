@@ -35,9 +35,10 @@ Processes = Annotated[
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store made by a run.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Execute Python code in the store, because you know who made it.")
+    bool,
+    typer.Option("--trust", help="Execute Python code in the store; only for stores from people you trust."),
 ]
-MeritName = Annotated[str | None, typer.Option("--merit", help="Only the merit of this name.")]
+MeritName = Annotated[str | None, typer.Option("--merit", help="Analyse only the merit of this name.")]
 
 
 def start(
@@ -229,7 +230,7 @@ def cost(
         )
         for line in sorted(found.lines, key=lambda line: -line.cost)
     ]
-    last = ("all, with the elements themselves", "", "", f"{found.total:.3f}")
+    last = ("total, with the cost of the elements", "", "", f"{found.total:.3f}")
     print_table(
         "relative cost of tolerances", ["perturbation", "priced as"], ["tolerance", "cost"], rows, last
     )

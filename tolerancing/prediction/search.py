@@ -152,8 +152,8 @@ class StudyAsBuilt:
         if self.amount is not None:
             if self.amount <= (elements := len(lens.glass_fronts)):
                 raise DesignError(
-                    f"tolerances: cost = {self.amount:g}: must be above {elements}, which the elements "
-                    "of the lens cost without any"
+                    f"tolerances: cost = {self.amount:g}: must be above {elements}, the cost of the "
+                    "elements without tolerances"
                 )
             self.factor(sized(lens, np.ones(len(lens.surfaces))))
         used = {wavelength for _, wavelength in self._places}
@@ -162,8 +162,8 @@ class StudyAsBuilt:
         if own:
             known = ", ".join(f"{w:g}" for w in lens.wavelengths_um)
             raise DesignError(
-                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: a search "
-                f"knows the wavelengths of its specification alone, {known} um"
+                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: allowed "
+                f"in a search: the wavelengths of its specification, {known} um"
             )
 
     def evaluate(self, problem: DesignProblem, point: Array, derivatives: bool) -> AsBuiltValues:

@@ -137,7 +137,7 @@ class StudySheets:
             named = [p.file_name for p in made.study.perturbations if p.file_name is not None]
             if named and path.resolve().parent != Path(self.source).resolve().parent:
                 raise InputError(
-                    f"the study as drawn needs {named[0]} beside it; write it beside {self.source}"
+                    f"the study as drawn reads {named[0]} from its own folder; write it beside {self.source}"
                 )
             title = f"{self.study.title or self.source}: as drawn"
             save_study(made.study.model_copy(update={"title": title, "design": design}), path)
@@ -340,9 +340,11 @@ def _notes(search: _Search) -> list[str]:
     notes = []
     if search.shared:
         texts = ", ".join(search.chosen[key].text for key in sorted(search.shared))
-        notes.append(f"derived from the study, whose tilt of one surface is shared by both: {texts}")
+        notes.append(
+            f"derived from the study, whose tilt of one surface is divided between both surfaces: {texts}"
+        )
     derived = [
-        f"{item.text}, costs {100.0 * max(search.costs[item.key], 0.0):.1f} points"
+        f"{item.text}, loses {100.0 * max(search.costs[item.key], 0.0):.1f} percentage points of yield"
         for old in search.opened
         if (item := search.chosen[old.key]).value != old.value or old.origin == "open"
         if item.key not in search.shared

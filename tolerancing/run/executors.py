@@ -26,7 +26,7 @@ Batches = Generator[FinishedTasks, None, None]
 Perform = Callable[[Iterable[Task]], Batches]
 RetryTasks = Callable[[list[Task]], Batches]
 
-RESUME_HINT = "what was finished is in the store, and the same command goes on from there"
+RESUME_HINT = "the finished results are in the store; repeat the command to continue"
 WORKER_DIED = (
     f"a worker process died, perhaps because memory ran out; {RESUME_HINT}: fewer --workers need less memory"
 )

@@ -71,8 +71,10 @@ class FeasibilityLimit:
             return "no smaller field or aperture was found that can be met" + (
                 f" ({reasons})" if reasons else ""
             )
-        nominal = " (as designed, without what is asked of lenses as built)" if self.nominal else ""
-        return f"can be met, and no more was found: {', or '.join(values)}{nominal}"
+        nominal = (
+            " (for the lens as designed, without the constraints on lenses as built)" if self.nominal else ""
+        )
+        return f"the largest values found that can be met: {', or '.join(values)}{nominal}"
 
     def _confidence(self, name: str) -> str:
         return next((f" ({one.confidence})" for one in self.limits if one.name == name), "")

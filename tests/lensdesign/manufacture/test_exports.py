@@ -57,7 +57,7 @@ def test_step_files_hold_their_outline(tmp_path: Path) -> None:
 def test_measured_bodies_end_at_their_clear_apertures_and_say_so(tmp_path: Path) -> None:
     made, _ = exported(tmp_path / "lens.stl", DESIGNS / "measured_singlet.toml", measured=True)
     (statement,) = made.outline
-    assert "diameter 20 mm, that of the clear aperture" in statement
+    assert "diameter 20 mm (clear aperture" in statement
     assert (tmp_path / "lens.stl").read_bytes()[:80].startswith(b"transferlens element 1")
 
 
@@ -72,7 +72,7 @@ def test_commands_state_the_outline(tmp_path: Path) -> None:
     code, out, err = command("export", design, tmp_path / "lens.stl", "--chord-error-um", "5")
     assert code == 0
     assert err == (
-        "outline: element 1 (surfaces 1 and 2): ground diameter 22.5 mm, chosen as for a drawing "
+        "outline: element 1 (surfaces 1 and 2): ground diameter 22.5 mm, the choice for a drawing "
         "(clear 20 mm), edge 2.78 mm thick\n"
     )
     assert out.startswith("wrote")

@@ -114,7 +114,7 @@ def test_full_disk_in_the_middle_of_a_run_stops_it_with_a_word_and_the_store_int
     _, error = run.communicate()
     assert run.returncode == 2
     assert error.startswith(f"error: cannot write the store {path}: ")
-    assert "goes on from there" in error
+    assert "repeat the command" in error
     assert "Traceback" not in error
     with open_store(path) as store:
         assert 0 < store.trial_count() < TRIALS

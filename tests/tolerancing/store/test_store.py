@@ -328,7 +328,7 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELEC
             "DROP TABLE trial; CREATE TABLE trial (trial INTEGER PRIMARY KEY, a AS (zeroblob(9)) STORED)",
             "'trial' is no table",
         ),
-        ("CREATE TRIGGER t AFTER INSERT ON trial BEGIN DELETE FROM trial; END", "'t' is a trigger"),
+        ("CREATE TRIGGER t AFTER INSERT ON trial BEGIN DELETE FROM trial; END", "trigger 't'"),
         ("DROP TABLE file", "'file' is missing"),
     ],
 )

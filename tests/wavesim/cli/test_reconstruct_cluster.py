@@ -67,7 +67,10 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
     options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
     half = 6  # three iterations on half of the samples
-    for most[0], said in ((1, "no iteration was saved"), (half + 4, "continues from the last saved iteration")):
+    for most[0], said in (
+        (1, "no iteration was saved"),
+        (half + 4, "continues from the last saved iteration"),
+    ):
         uses[0] = 0
         code, out, err = run(*options)
         assert (code, out) == (2, "")

@@ -73,8 +73,8 @@ class SearchedLosses:
             self.chains(lens)
         except (InputError, ValueError) as error:
             raise DesignError(
-                f"{self.source}: a search for a small reconstruction loss takes the light through the "
-                f"study's own lens with the object, sensor and wavelengths of the specification: {error}"
+                f"{self.source}: a search for a small reconstruction loss needs the study's own lens with "
+                f"the object, sensor and wavelengths of the specification, which is not possible: {error}"
             ) from None
 
     def chains(self, lens: Lens) -> tuple[LossChains, ...]:
