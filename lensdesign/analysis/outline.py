@@ -135,7 +135,7 @@ class DrawnEdge:
                 f"{self.element}: diameter {self.diameter_mm:g} mm (clear aperture); the element does not "
                 f"close at the ground diameter of a drawing, {self.drawn_diameter_mm:g} mm"
             )
-        origin = "from the design's [[edge]]" if self.origin == "design" else "the choice for a drawing"
+        origin = "from the design's [[edge]]" if self.origin == "design" else "chosen as for a drawing"
         warning = (
             ""
             if self.fits

@@ -14,7 +14,7 @@ from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.optimization.limits.kinds import APERTURE, FIELD
 from lensdesign.optimization.limits.search import Limit, LimitsInterrupted, find_limits
 from lensdesign.optimization.local_search import Budget, search_from
-from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.specification import Specification
 
@@ -155,7 +155,7 @@ def _best_as_built(specification: Specification, base: Lens, point: Array) -> Fe
             continue
         problem = DesignProblem(_nominal(specification, goal), base)
         found = search_from(problem, point, Budget(most_evaluations), 0, lambda *_: None)
-        if found.outcome.violation > KEPT:
+        if found.outcome.violation > ACCEPTED_VIOLATION:
             return None
         built = problem.predicted(found.outcome.point)
         failing, rms = max(one.failing for one in built), max(float(np.max(one.rms_waves)) for one in built)

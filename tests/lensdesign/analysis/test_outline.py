@@ -46,7 +46,7 @@ def test_an_element_says_how_its_edge_was_found(paper_lens: Lens) -> None:
     (chosen,) = drawn_outline(paper_lens).edges
     assert (chosen.origin, chosen.diameter_mm, chosen.clear_mm) == ("chosen", 22.5, 20.0)
     assert chosen.statement == (
-        "element 1 (surfaces 1 and 2): ground diameter 22.5 mm, the choice for a drawing (clear 20 mm), "
+        "element 1 (surfaces 1 and 2): ground diameter 22.5 mm, chosen as for a drawing (clear 20 mm), "
         "edge 2.78 mm thick"
     )
     (own,) = drawn_outline(paper_lens.replaced(edges=({"semi_diameter_mm": 12.0},))).edges

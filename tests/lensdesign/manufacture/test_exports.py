@@ -72,7 +72,7 @@ def test_commands_state_the_outline(tmp_path: Path) -> None:
     code, out, err = command("export", design, tmp_path / "lens.stl", "--chord-error-um", "5")
     assert code == 0
     assert err == (
-        "outline: element 1 (surfaces 1 and 2): ground diameter 22.5 mm, the choice for a drawing "
+        "outline: element 1 (surfaces 1 and 2): ground diameter 22.5 mm, chosen as for a drawing "
         "(clear 20 mm), edge 2.78 mm thick\n"
     )
     assert out.startswith("wrote")

@@ -220,7 +220,7 @@ def test_a_wavelength_that_the_specification_does_not_have_is_refused(figured_st
     with figured_study.open("a", encoding="utf-8") as more:
         more.write(SECOND_WAVELENGTH)
     study = read_as_built(Tolerances(study=str(figured_study)))
-    with pytest.raises(DesignError, match=r"0\.6328 um.*alone, 0\.532 um"):
+    with pytest.raises(DesignError, match=r"0\.6328 um.*allowed.*0\.532 um"):
         study.check(load_design(DESIGNS / "paper_singlet.toml"))
 
 
@@ -304,7 +304,7 @@ tilt_deg = { reference = 0.05, share = 0.2 }
     ("lines", "said"),
     [
         ('cost = 9.0\ncosts = "gaps.toml"\n', "process.shop has no radius_percent, for surface_1_radius_mm"),
-        ("cost = 0.5\n", "cost = 0.5: must be above 1, which the elements of the lens cost"),
+        ("cost = 0.5\n", "cost = 0.5: must be above 1"),
         ("cost = 9.0\nfactor = 2.0\n", "cost = 9 and factor = 2: give one of them"),
         ('cost = 9.0\ncosts = "none.toml"\n', "none.toml"),
     ],
