@@ -343,7 +343,11 @@ def _print_budget(study: Study, found: StudyBudget) -> None:
         ("these tolerances", "", f"{found.cost:.4g}"),
     ]
     if budget.uniform_scale is not None:
-        common = ("all tolerances scaled alike", f"{budget.uniform_scale:.3f}", f"{found.uniform_cost:.4g}")
+        common = (
+            "all tolerances scaled by one factor",
+            f"{budget.uniform_scale:.3f}",
+            f"{found.uniform_cost:.4g}",
+        )
         costs.insert(1, common)
     print_table("", ["cost"], ["scale", ""], costs)
     print(f"predicted yield with the tolerances of the study: {100.0 * budget.predicted_yield_before:.1f} %")

@@ -242,7 +242,7 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
     found = command("budget", store, "--yield", "0.6", "-o", out, "--verify", "40")
     assert found.returncode == 0, found.stderr
     assert "40 fresh trials (seed 202406" in found.stdout
-    assert "all tolerances scaled alike" in found.stdout
+    assert "all tolerances scaled by one factor" in found.stdout
     assert found.stderr.startswith("at most 320 trials of the lens, about ")
     assert command("run", out, "--store", tmp_path / "c.db", "--trials", "4").returncode == 0
 
