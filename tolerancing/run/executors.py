@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, TypeVar
 
-from lensdesign.common.clusters import LOOK_SECONDS, ClusterError, open_cluster, result_of, toolkit_version
+from lensdesign.common.clusters import CHECK_SECONDS, ClusterError, open_cluster, result_of, toolkit_version
 from lensdesign.errors import TransferLensError
 from tolerancing.run.tasks import Task, perform
 
@@ -129,7 +129,7 @@ def in_flight(
             pending[submitted(submit, task)] = task
         if not pending:
             return
-        finished, _ = wait(pending, timeout=LOOK_SECONDS if check else None, return_when=FIRST_COMPLETED)
+        finished, _ = wait(pending, timeout=CHECK_SECONDS if check else None, return_when=FIRST_COMPLETED)
         if not finished and check is not None:
             try:
                 check()

@@ -54,10 +54,10 @@ SWALLOW = """
 
 
 def started(
-    folder: Path, work: str, nervous_seconds: float = 600.0, grace_seconds: float = 600.0
+    folder: Path, work: str, repeat_seconds: float = 600.0, grace_seconds: float = 600.0
 ) -> subprocess.Popen[str]:
     """A command at its work; later signals and slow ends are judged by the times that a test needs."""
-    times = f"interrupts.NERVOUS_SECONDS, interrupts.GRACE_SECONDS = {nervous_seconds}, {grace_seconds}"
+    times = f"interrupts.REPEAT_SECONDS, interrupts.GRACE_SECONDS = {repeat_seconds}, {grace_seconds}"
     child = subprocess.Popen(
         [sys.executable, "-c", COMMAND.replace("{work}", work.strip()).replace("{times}", times), "write"],
         cwd=folder,
@@ -103,7 +103,7 @@ def test_a_key_pressed_twice_does_not_disturb_unwinding(tmp_path: Path) -> None:
 
 
 def test_a_later_signal_ends_what_does_not_unwind(tmp_path: Path) -> None:
-    child = started(tmp_path, UNWIND_SLOWLY, nervous_seconds=0.0)
+    child = started(tmp_path, UNWIND_SLOWLY, repeat_seconds=0.0)
     assert said(child) == "within\n"
     child.send_signal(signal.SIGHUP)
     assert said(child) == "unwinding\n"
