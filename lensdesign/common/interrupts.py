@@ -69,7 +69,7 @@ class _Stop:
     def end_at_once(self) -> None:
         """End the process immediately; workers end with the process that started them."""
         _remove_unfinished()
-        os.write(2, b"interrupted; ended before all had come to its end\n")
+        os.write(2, b"interrupted; ended without an orderly stop\n")
         END_PROCESS(self.status)
 
     @property

@@ -275,7 +275,7 @@ def _result(
             ending.built = _as_built(specification, lens)
     built = ending.built
     check = check_against(lens, specification.without_as_built() if unchecked else specification, built)
-    # A search for how much of it can be met takes too long where each lens takes reconstructions.
+    # A search for the feasibility limit takes too long if each lens needs reconstructions.
     if not check.feasible and reach is None and not specification.asks_losses:
         if searched and now() < ending.end:
             reach = can()

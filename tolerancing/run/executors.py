@@ -28,7 +28,7 @@ RetryTasks = Callable[[list[Task]], Batches]
 
 RESUME_HINT = "the finished results are in the store; repeat the command to continue"
 WORKER_DIED = (
-    f"a worker process died, perhaps because memory ran out; {RESUME_HINT}: fewer --workers need less memory"
+    f"a worker process died, perhaps because memory ran out; {RESUME_HINT}, with fewer --workers if so"
 )
 
 TASKS_IN_FLIGHT = 3

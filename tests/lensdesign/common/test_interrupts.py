@@ -109,7 +109,7 @@ def test_a_later_signal_ends_what_does_not_unwind(tmp_path: Path) -> None:
     assert said(child) == "unwinding\n"
     child.send_signal(signal.SIGTERM)
     assert child.wait(timeout=600) == 129
-    assert child.communicate()[1] == "interrupted; ended before all had come to its end\n"
+    assert child.communicate()[1] == "interrupted; ended without an orderly stop\n"
     assert not list(tmp_path.iterdir())
 
 
@@ -118,7 +118,7 @@ def test_what_does_not_unwind_in_time_is_ended(tmp_path: Path) -> None:
     assert said(child) == "within\n"
     child.send_signal(signal.SIGTERM)
     assert child.wait(timeout=600) == 143
-    assert child.communicate()[1] == "interrupted; ended before all had come to its end\n"
+    assert child.communicate()[1] == "interrupted; ended without an orderly stop\n"
     assert not list(tmp_path.iterdir())
 
 

@@ -258,7 +258,7 @@ def test_a_death_that_no_trial_repeats_is_none_of_a_trial(write_study, ray_study
         "        once.touch()\n        os.kill(os.getpid(), 9)\n    return 1.0\n"
     )
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
-    with pytest.raises(RunError, match="same command"):
+    with pytest.raises(RunError, match="repeat the command"):
         run_study(study, tmp_path / "a.db", workers=2, trials=2)
     with open_store(tmp_path / "a.db") as store:
         assert store.trials().messages == ("", "")
