@@ -19,7 +19,7 @@ from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.kinds import FIELD
 from lensdesign.optimization.limits.search import Limit, find_limits
 from lensdesign.optimization.local_search import Budget, search_from, starts_of
-from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.specification import Specification
@@ -158,7 +158,7 @@ def any_at(asked: Specification, limit: Limit | None) -> bool:
     for number, point in enumerate(points):
         budget = Budget(3000)
         found = search_from(problem, point, budget, number, lambda *_: None, only_feasible=True)
-        if found.outcome.violation <= KEPT:
+        if found.outcome.violation <= ACCEPTED_VIOLATION:
             return True
     return False
 

@@ -1,7 +1,7 @@
 """The stated uncertainty of a reconstruction against its true error, on twelve perfect benches.
 
-1/32 twin of the paper's lens, a camera with shot noise and a read noise of two electrons. Errors are root mean
-squares within the field stop, over several records of each bench.
+1/32 twin of the paper's lens; a camera with shot noise and a read noise of two electrons. Errors are root
+mean squares within the field stop, over several records of each bench.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ONE, TWO, THREE, FOUR = (0.3,), (0.0, 0.6), (0.0, 0.45, 0.9), (0.0, 0.3, 0.6, 0.
 
 
 class Bench(NamedTuple):
-    """An object, what it is taken for, the planes behind the first one, and electrons in the brightest pixel."""
+    """An object, its assumed kind, the planes behind the first one, and electrons in the brightest pixel."""
 
     thing: str
     kind: Kind

@@ -157,7 +157,7 @@ def key_figures(name: str, lens: Lens, report: CheckReport) -> list[str]:
         f"| first to last vertex; material | {lens.exit_vertex_z_mm:.3f} mm; {', '.join(media)} |",
         f"| resolution λ / (2 NA) | {' / '.join(f'{r:.3f}' for r in resolution)} µm |",
         f"| working distance | {scene.working_distance_mm:.2f} mm |",
-        f"| share of its beam's étendue | {100.0 * report.etendue_share:.1f} % |",
+        f"| filled fraction of the beam's étendue | {100.0 * report.etendue_share:.1f} % |",
     ]
 
 

@@ -242,8 +242,8 @@ def _nothing_clipped(traced: list[_Traced]) -> Constraint:
         1.0,
         "",
         fraction >= 1.0,
-        f"throughput: {100.0 * fraction:.4g} % of the stop passes from the field height {height:.4g} mm at "
-        f"{darkest.matching.wavelength_um:g} um; must be 100 %",
+        f"throughput: only {100.0 * fraction:.4g} % of the rays from the field height {height:.4g} mm that "
+        f"pass the stop pass the lens at {darkest.matching.wavelength_um:g} um; must be 100 %",
     )
 
 

@@ -149,7 +149,7 @@ def ghost_report(
     if fraction is None:
         fraction = uncoated_ghost_fraction(lens, wavelength)
     if not 0.0 <= fraction <= 1.0:
-        raise InputError(f"ghost share = {fraction!r}: must be from 0 to 1")
+        raise InputError(f"fraction of the ghost = {fraction!r}: must be from 0 to 1")
     direct = compile_system(lens, wavelength)
     ghost = ghost_system(direct, 0, direct.surfaces - 1)
     paraxial = ghost_first_order(lens, wavelength)
@@ -167,6 +167,7 @@ def _on_plane(
     field_mm: float,
     distance_mm: float,
 ) -> GhostOnPlane:
+    """Return the ghost of an object point on a plane."""
     y, sine, irradiance = _fan(lens, direct, ghost, field_mm, distance_mm)
     direct_y, direct_sine, direct_irradiance = _fan(lens, direct, direct, field_mm, distance_mm)
     overlap = (y >= direct_y[0]) & (y <= direct_y[-1])
@@ -187,8 +188,10 @@ def _fan(
 ) -> tuple[Array, Array, Array]:
     """Return y, sine of the angle to the axis, and irradiance of the rays that arrive, in order of y."""
     count, width = 2001, 1e-4  # rays of the fan, and width of a tube of rays in stop coordinates
-    up = np.linspace(-1.0, 1.0, count)
-    pupil = np.concatenate([np.column_stack([np.full(count, x), (1.0 - width) * up]) for x in (0.0, width)])
+    stop_y = np.linspace(-1.0, 1.0, count)
+    pupil = np.concatenate(
+        [np.column_stack([np.full(count, x), (1.0 - width) * stop_y]) for x in (0.0, width)]
+    )
     origins, directions = launch_compiled(
         direct, [(0.0, field_mm)], pupil, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
     )
@@ -201,7 +204,7 @@ def _fan(
         )
     position = rays.position.reshape(2, count, 3)[:, ok]
     y = position[0, :, 1]
-    tube = np.abs((position[1, :, 0] - position[0, :, 0]) / width * np.gradient(y, up[ok]))
+    area = np.abs((position[1, :, 0] - position[0, :, 0]) / width * np.gradient(y, stop_y[ok]))
     order = np.argsort(y)
     sine = rays.direction.reshape(2, count, 3)[0, ok, 1]
-    return y[order], sine[order], 1.0 / np.maximum(tube[order], 1e-300)
+    return y[order], sine[order], 1.0 / np.maximum(area[order], 1e-300)

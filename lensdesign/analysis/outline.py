@@ -31,8 +31,8 @@ MOUNT_FRACTION, LEAST_MOUNT_MM = 0.05, 0.1
 """Margin for the mount on each side: as a fraction of the clear semi-diameter, and at least in mm."""
 
 LARGE_MM, LARGE_STEP_MM, SMALL_STEP_MM = 10.0, 0.5, 0.1
-"""Ground diameters of `LARGE_MM` and more are multiples of `LARGE_STEP_MM`, smaller ones of "
-"`SMALL_STEP_MM`."""
+"""Ground diameters of `LARGE_MM` and more are multiples of `LARGE_STEP_MM`, smaller ones of
+`SMALL_STEP_MM`."""
 
 
 class EdgeAllowance(NamedTuple):
@@ -132,8 +132,8 @@ class DrawnEdge:
         """Outline of the element in one sentence, for files and terminals."""
         if self.origin == "clear aperture":
             return (
-                f"{self.element}: diameter {self.diameter_mm:g} mm, that of the clear aperture; at the "
-                f"ground diameter of a drawing, {self.drawn_diameter_mm:g} mm, the element does not close"
+                f"{self.element}: diameter {self.diameter_mm:g} mm (clear aperture); the element does not "
+                f"close at the ground diameter of a drawing, {self.drawn_diameter_mm:g} mm"
             )
         origin = "from the design's [[edge]]" if self.origin == "design" else "chosen as for a drawing"
         warning = (

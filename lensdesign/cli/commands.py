@@ -120,7 +120,9 @@ app.command("testplates")(cli_plates.fit)
 @app.command()
 def scale(
     design: Design,
-    factor: Annotated[float, typer.Argument(metavar="FACTOR", help="Factor of all lengths.")],
+    factor: Annotated[
+        float, typer.Argument(metavar="FACTOR", help="Factor by which all lengths are multiplied.")
+    ],
     output: Annotated[
         Path,
         typer.Option("--output", "-o", callback=output_file, metavar="TWIN", help="Design file to write."),
@@ -155,7 +157,7 @@ def glass(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Glass, plastic or crystal; or an index.")],
     wavelength_um: Annotated[float, typer.Option(help="Wavelength of the index.")] = 0.532,
     catalog: Annotated[
-        list[Path], typer.Option(help="Glass catalogue (AGF) to look in first; may be repeated.")
+        list[Path], typer.Option(help="Glass catalogue (AGF) that is searched first; may be repeated.")
     ] = [],  # noqa: B006
     search: Annotated[bool, typer.Option("--search", help="List the names that contain NAME.")] = False,
     as_json: Json = False,
@@ -232,7 +234,7 @@ def _print_check(report: CheckReport) -> None:
         (f"RMS spot diameter {report.spot_plane_mm:g} mm behind, at {heights} mm", f"{spots} mm"),
         ("exit beam diameter", f"{report.exit_beam_diameter_mm:.3f} mm"),
         ("narrowest beam that the etendue bound allows", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
-        ("share of its beam's etendue that the lens fills", f"{100.0 * report.etendue_share:.1f} %"),
+        ("fraction of the beam's etendue that the lens fills", f"{100.0 * report.etendue_share:.1f} %"),
     ]
     if (edge := report.drawn_edge) is not None:
         label = f"edge at the drawn ground diameter, {edge.drawn_diameter_mm:g} mm"

@@ -17,10 +17,12 @@ def ghost(
     design: Design,
     share: Annotated[
         float | None,
-        typer.Option(help="Fraction of light after both reflections; default: uncoated surfaces."),
+        typer.Option(
+            help="Fraction of the light after both reflections, 0 to 1; default: that of uncoated surfaces."
+        ),
     ] = None,
     wavelength_um: Annotated[
-        float | None, typer.Option(help="Default: the design's first wavelength.")
+        float | None, typer.Option(help="Wavelength in um; default: the design's first wavelength.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -40,8 +42,8 @@ def ghost(
     if as_json:
         print_json(report.as_dict())
         return
-    typer.echo(f"share of the light {report.fraction:.3g}")
-    typer.echo(f"effective, back focal length of the ghost {report.efl_mm:.4g}, {report.bfl_mm:.4g} mm\n")
+    typer.echo(f"fraction of the light {report.fraction:.3g}")
+    typer.echo(f"effective and back focal length of the ghost {report.efl_mm:.4g}, {report.bfl_mm:.4g} mm\n")
     table = Table(box=None, pad_edge=False)
     for name in ("plane", "field", "falls on", "fringes on"):
         table.add_column(f"{name}\n(mm)", justify="right", no_wrap=True)

@@ -166,7 +166,9 @@ def drawing(
                 raise InputError(f"cannot write {written}: it is {role}; give another file name")
         in_use["the design as drawn"] = written
     if study_as_drawn is not None and tolerances is None:
-        raise InputError("--study-as-drawn needs --tolerances: the study that the sheet is scored by")
+        raise InputError(
+            "--study-as-drawn needs --tolerances, the study that predicts the yield of the sheet"
+        )
     options = DrawingOptions() if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
     lens = load_design(design)
     assumed = None if tolerances is None else load_tolerances(tolerances, lens)
@@ -184,7 +186,9 @@ def drawing(
         if score is None:
             unscored = f"none of the merits of {tolerances} can be predicted without trials"
     if study_as_drawn is not None and score is None:
-        raise InputError(f"cannot write {study_as_drawn}: {unscored}, so that the sheet is not scored")
+        raise InputError(
+            f"cannot write {study_as_drawn}, which needs the predicted yield of the sheet: {unscored}"
+        )
     _write_as_drawn(made, stated, score, (output, as_drawn, study_as_drawn), design)
     notes = list(stated.notes)
     if score is not None:
@@ -193,11 +197,13 @@ def drawing(
         if assumed.design and (tolerances.parent / assumed.design).resolve() != design.resolve():
             notes.append(f"{tolerances} is a study of {assumed.design}, not of {design}")
         if score is None and (missing := assumed.missing(lens)):
-            notes.append(f"not in {tolerances}, so not by it: {', '.join(missing)}")
+            notes.append(
+                f"not stated by {tolerances}, and therefore not derived from it: {', '.join(missing)}"
+            )
         if assumed.left_out:
             notes.append(f"not on the sheet: {', '.join(assumed.left_out)}")
     if unscored:
-        notes.append(f"the sheet is not scored: {unscored}")
+        notes.append(f"the yield of the sheet is not predicted: {unscored}")
     if as_json:
         figures = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
         if assumed is not None:

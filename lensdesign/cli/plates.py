@@ -58,7 +58,7 @@ def _print_fit(found: PlateFit) -> None:
         typer.echo(f"surface {one.surface}: {one.radius_mm:.6g} mm, plate {one.plate_mm:.6g} mm")
     before = found.before
     last = (
-        "no variable was left" if found.after is None else f"{found.after.goal_value:.6g} {before.goal_unit}"
+        "no variable remained" if found.after is None else f"{found.after.goal_value:.6g} {before.goal_unit}"
     )
     typer.echo(f"{before.goal}: {before.goal_value:.6g} {before.goal_unit} before, {last} with the plates")
     for violation in found.check.violations:

@@ -36,20 +36,26 @@ def optimize(
     as_json: Json = False,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
     algorithm: Annotated[
-        str | None, typer.Option(help="Algorithm, in place of the specification's.", show_default=False)
+        str | None, typer.Option(help="Algorithm; default: as specified.", show_default=False)
     ] = None,
     starts: Annotated[
         int | None,
-        typer.Option(help="Most starts of each glass, in place of the specification's.", show_default=False),
+        typer.Option(
+            help="Largest number of starts for each choice of glasses; default: as specified.",
+            show_default=False,
+        ),
     ] = None,
     max_evaluations: Annotated[
         int | None,
-        typer.Option(help="Limit of each glass, in place of the specification's.", show_default=False),
+        typer.Option(
+            help="Largest number of evaluations for each choice of glasses; default: as specified.",
+            show_default=False,
+        ),
     ] = None,
     max_seconds: Annotated[
         float | None,
         typer.Option(
-            help="Time limit for everything, in place of the specification's; depends on the machine.",
+            help="Time limit of the whole search (the result depends on the machine); default: as specified.",
             show_default=False,
         ),
     ] = None,
@@ -125,12 +131,12 @@ def explore(
     glasses: Annotated[
         str | None,
         typer.Option(
-            help="Glasses of the first element in place of the specification's: names, or catalogue:SCHOTT.",
+            help="Glasses of the first element, names or catalogue:SCHOTT; default: as specified.",
             show_default=False,
         ),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Start over: replace what the folder holds.")
+        bool, typer.Option("--fresh", help="Start over: replace the contents of the folder.")
     ] = False,
     max_seconds: Annotated[
         float | None,
@@ -168,7 +174,7 @@ def explore(
     except (KeyboardInterrupt, OutOfTime) as stop:
         found = list(folder.begin().values())
         folder.write_front(found, axes)
-        hint = f"{len(found)} searches are kept in {output}, and the same command continues from there"
+        hint = f"{len(found)} searches are stored in {output}; repeat the command to continue"
         if isinstance(stop, KeyboardInterrupt):
             raise KeyboardInterrupt(f"interrupted; {hint}") from None
         typer.echo(f"max_seconds = {max_seconds:g} ended the exploration; {hint}", err=True)
@@ -221,23 +227,23 @@ def limits(
     else:
         _print_limits(found)
     if interrupted:
-        raise KeyboardInterrupt(f"interrupted; {len(found)} limits were started, the last is not confirmed")
+        raise KeyboardInterrupt(f"interrupted during limit {len(found)}; this last limit is not confirmed")
     met = all(one.reached is not None and one.reached >= one.asked and not one.cut for one in found)
     raise typer.Exit(0 if met else 1)
 
 
 def _print_limits(found: Sequence[Limit]) -> None:
-    shown = table("", "what", "asked", "can be met", "share", "binding there")
+    shown = table("", "what", "required", "can be met", "ratio", "binding constraints")
     for one in found:
         reached = "none found" if one.reached is None else f"{one.reached:.4g} {one.unit}".strip()
-        share = "" if one.reached is None else f"{one.reached / one.asked:.3f}"
+        ratio = "" if one.reached is None else f"{one.reached / one.asked:.3f}"
         more = "" if one.ended else ", and more"
         binding = visible(", ".join(one.binding))
-        shown.add_row(one.name, f"{one.asked:.4g} {one.unit}".strip(), reached + more, share, binding)
+        shown.add_row(one.name, f"{one.asked:.4g} {one.unit}".strip(), reached + more, ratio, binding)
     print_tables(shown)
     for one in found:
         typer.echo(f"{one.name}: {one.confidence}")
-    typer.echo("each limit alone, with all other values as specified")
+    typer.echo("each limit holds alone, with all other values as specified")
 
 
 def _print_front(front: Sequence[ExploredPoint], columns: Sequence[str], searches: int) -> None:
@@ -273,7 +279,7 @@ def _print_optimization(result: OptimizationResult) -> None:
         variables.add_row(name, escape(visible(shown)))
     variables.add_section()
     of_limit = result.goal_unit == "%" and result.goal != "yield"
-    goal = f"{result.goal}, share of its limit" if of_limit else result.goal
+    goal = f"{result.goal}, fraction of its limit" if of_limit else result.goal
     if result.goal in AS_BUILT_GOALS:
         goal = f"{result.goal}, predicted"
     variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
@@ -299,7 +305,7 @@ def _print_optimization(result: OptimizationResult) -> None:
         typer.echo("checked: every constraint of the specification is met")
     typer.echo(
         f"{result.algorithm}: {result.evaluations} evaluations in {result.seconds:.2f} s, stopped because of "
-        f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts came to this"
+        f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts reached this lens"
     )
     if not result.agreed:
         typer.echo("hint: no other start reached this lens; allow more starts, or narrow the bounds")
@@ -325,7 +331,7 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
     """Return tables that compare yields and wavefronts of start and result, by trials and as predicted."""
     first = report.rows[0]
     heads = [head for row in report.rows for head in (row.name, "predicted")]
-    title = f"Yield of {first.trials} trials each (seed {report.seed}), and as predicted"
+    title = f"Yield of {first.trials} trials each (seed {report.seed}), and predicted yield"
     found = table(title, "limit", *map(visible, heads))
     if len(first.merits) > 1:
         cells = [_yield_cells(row.good, row.low, row.high, row.predicted_good) for row in report.rows]
@@ -338,7 +344,7 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
     if not report.points_mm:
         return tables
     points = [f"rms at {place}" for place in report.places]
-    waves = table("Wavefronts of the same trials, in waves, and as predicted", "lens", *points)
+    waves = table("Wavefronts of the same trials (predicted value in parentheses), in waves", "lens", *points)
     for row in report.rows:
         values = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
         texts = (f"{rms:.4f} +- {2.0 * error:.4f} ({predicted:.4f})" for rms, error, predicted in values)
@@ -353,7 +359,9 @@ def _losses(report: AsBuiltReport) -> list[Any]:
         return []
     heads = [f"{one.merit}, {'calibrated' if one.calibrated else 'nominal'} model" for one in merits]
     found = table(
-        "Mean reconstruction loss of the same trials, and as predicted", "lens", *map(visible, heads)
+        "Mean reconstruction loss of the same trials (predicted value in parentheses)",
+        "lens",
+        *map(visible, heads),
     )
     for row in report.rows:
         cells = (f"{one.mean:.4g} +- {2.0 * one.error:.2g} ({one.predicted:.4g})" for one in row.losses)
@@ -376,5 +384,7 @@ def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
     lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
     searched = {one.merit for one in report.rows[-1].losses} if goal == LOSS_GOAL else set()
     if remaining := [name for name in report.trials_only if name not in searched]:
-        lines.append(f"scored by trials only, not by search and predictions: {', '.join(remaining)}")
+        lines.append(
+            f"not included in the search and the predictions, scored by trials only: {', '.join(remaining)}"
+        )
     return lines

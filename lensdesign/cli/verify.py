@@ -64,7 +64,7 @@ def _print_report(report: MeshReport) -> None:
                 f"{side.points} points"
             )
     if report.edge_greatest_um is not None:
-        typer.echo(f"edge: at most {report.edge_greatest_um:.4g} um off, which is not judged")
+        typer.echo(f"edge: at most {report.edge_greatest_um:.4g} um off (not part of the verification)")
     for fault in report.faults:
         typer.echo(f"not met: {fault}")
     if not report.faults:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Result = TypeVar("Result")
-Kept_co = TypeVar("Kept_co", covariant=True)
+Stored_co = TypeVar("Stored_co", covariant=True)
 
 CONNECT_SECONDS = 30.0
 """Time limit for the scheduler and for its first worker; on a busy machine a worker starts in ten seconds."""
@@ -28,11 +28,11 @@ CONNECT_SECONDS = 30.0
 COUNT_SECONDS = 2.0
 """Interval between counts of the workers."""
 
-TELL_SECONDS, WAIT_SECONDS = 3.0, 15.0
-"""Times without any worker after which that is reported, and after which the work fails. A worker that died
-may be restarted within this time."""
+REPORT_SECONDS, WAIT_SECONDS = 3.0, 15.0
+"""Time without any worker after which a warning is printed, and after which the work fails. A dead worker
+may be restarted in the meantime."""
 
-LOOK_SECONDS = 0.5
+CHECK_SECONDS = 0.5
 """Interval between checks for workers while waiting for a result."""
 
 RETRIES = 2
@@ -45,16 +45,16 @@ def toolkit_version() -> str:
 
 
 class ClusterError(TransferLensError):
-    """Workers of a cluster died, or its scheduler ended; results stored before are kept."""
+    """Workers of a cluster died, or its scheduler ended; results stored before remain."""
 
 
-class ClusterResult(Protocol[Kept_co]):
+class ClusterResult(Protocol[Stored_co]):
     """A result that is stored in a cluster."""
 
     @property
     def status(self) -> str: ...
 
-    def result(self, timeout: float | None = None) -> Kept_co: ...
+    def result(self, timeout: float | None = None) -> Stored_co: ...
 
 
 class Cluster:
@@ -99,7 +99,7 @@ class Cluster:
         from distributed import wait
 
         with suppress(TimeoutError):
-            wait(waiting, timeout=LOOK_SECONDS)
+            wait(waiting, timeout=CHECK_SECONDS)
 
     def result(self, future: Future[Result] | ClusterResult[Result]) -> Result:
         """Return the result of a task.
@@ -112,7 +112,7 @@ class Cluster:
         from concurrent.futures import Future, wait
 
         if isinstance(future, Future):
-            while not wait((future,), timeout=LOOK_SECONDS).done:
+            while not wait((future,), timeout=CHECK_SECONDS).done:
                 self.check_workers()
             return result_of(future)
         # Time limit to fetch a finished result before its workers are checked again; doubled each time.
@@ -141,7 +141,7 @@ class Cluster:
             raise ClusterError(
                 f"the cluster's last worker is gone, and none has joined within {WAIT_SECONDS:g} s"
             )
-        if now - self._alone_since > TELL_SECONDS and not self._is_reported:
+        if now - self._alone_since > REPORT_SECONDS and not self._is_reported:
             self._is_reported = True
             print(
                 f"the cluster's last worker is gone; waiting {WAIT_SECONDS:g} s for another one",
@@ -156,7 +156,7 @@ class Cluster:
 
     def threads(self) -> int:
         """Return the number of tasks that the cluster can run at a time; it is updated every few seconds."""
-        if time.monotonic() - self._counted_at > (COUNT_SECONDS if self._threads else LOOK_SECONDS):
+        if time.monotonic() - self._counted_at > (COUNT_SECONDS if self._threads else CHECK_SECONDS):
             with suppress(OSError):  # the scheduler has ended; waiting for results reports it
                 self._threads = sum(self._client.nthreads().values())
             self._counted_at = time.monotonic()
@@ -204,8 +204,8 @@ def check_same_version(required: str) -> None:
     """Raise InputError, in a worker, if its toolkit has another version than the one that sent the task."""
     if toolkit_version() != required:
         raise InputError(
-            f"{worker_name()} has version {toolkit_version()} of the toolkit, this is {required}: install "
-            "the same version there"
+            f"{worker_name()} has version {toolkit_version()} of the toolkit, but the task was sent by "
+            f"version {required}: install the same version on the workers"
         )
 
 
@@ -245,7 +245,7 @@ def open_cluster(address: str) -> Iterator[Cluster]:
             client = Client(address, timeout=waiting, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
-                f"--cluster {address}: no Dask scheduler answers there within {CONNECT_SECONDS:g} s"
+                f"--cluster {address}: no Dask scheduler answers within {CONNECT_SECONDS:g} s"
             ) from error
         try:
             _check_workers(client, address)
@@ -288,6 +288,6 @@ def _check_workers(client: Client, address: str) -> None:
     for worker, found in sorted(versions.items()):
         if found != toolkit_version():
             raise InputError(
-                f"--cluster {address}: worker {worker} has version {found} of the toolkit, this is "
-                f"{toolkit_version()}: install the same version there"
+                f"--cluster {address}: worker {worker} has version {found} of the toolkit, but this computer "
+                f"has {toolkit_version()}: install the same version on the workers"
             )

@@ -103,7 +103,7 @@ def run_app(app: typer.Typer) -> None:
     except OverflowError as error:
         fail(f"a number of the input is too large or too small to compute with: {error.args[-1]}")
     except MemoryError as error:
-        fail(f"not enough memory: {error or 'the machine has none left'}; ask for less at a time")
+        fail(f"not enough memory: {error or 'no memory is free'}; reduce the amount of data")
     except OSError as error:
         if error.errno == errno.EPIPE:
             _drop_output()

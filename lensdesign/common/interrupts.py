@@ -15,8 +15,10 @@ from typing import Any
 
 from lensdesign.errors import UNFINISHED
 
-NERVOUS_SECONDS = 1.0
-"""Time after the first signal in which further signals are ignored, since a key may be pressed twice."""
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+REPEAT_SECONDS = 1.0
+"""Time after the first signal in which repeated signals are ignored, since a key may be pressed twice."""
 
 GRACE_SECONDS = 10.0
 """Time limit for an orderly stop; after it, the process ends immediately."""
@@ -29,7 +31,7 @@ class _Stop:
         self.others = others
         self.number: int | None = None
         self.at = 0.0
-        self.lost = False
+        self.is_swallowed = False
 
     def handle_signal(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
@@ -39,10 +41,10 @@ class _Stop:
             last.daemon = True
             last.start()
             raise KeyboardInterrupt
-        if self.lost:
-            self.lost = False
+        if self.is_swallowed:
+            self.is_swallowed = False
             raise KeyboardInterrupt
-        if time.monotonic() - self.at > NERVOUS_SECONDS:
+        if time.monotonic() - self.at > REPEAT_SECONDS:
             self.end_at_once()
 
     def swallowed(self, unraisable: Any) -> None:
@@ -53,14 +55,14 @@ class _Stop:
         if self.number is None or not issubclass(unraisable.exc_type, KeyboardInterrupt):
             self.others(unraisable)
             return
-        self.lost = True
+        self.is_swallowed = True
         # An interrupt that a callback has swallowed is raised again after 0.05 s.
         threading.Timer(0.05, signal.pthread_kill, (threading.main_thread().ident, self.number)).start()
 
     def end_at_once(self) -> None:
         """End the process immediately; workers end with the process that started them."""
-        _sweep()
-        os.write(2, b"interrupted; ended before all had come to its end\n")
+        _remove_unfinished()
+        os.write(2, b"interrupted; ended without an orderly stop\n")
         os._exit(self.status)
 
     @property
@@ -69,7 +71,7 @@ class _Stop:
         return 128 + (self.number or signal.SIGINT)
 
 
-def _sweep() -> None:
+def _remove_unfinished() -> None:
     """Remove unfinished files and folders."""
     for path in list(UNFINISHED):
         if path.is_dir():
@@ -109,21 +111,21 @@ def stoppable() -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
-        stop = _interrupt_behind(error)
+        stop = _interrupt_in(error)
         if stop is None:
             raise
         print(stop.args[0] if stop.args else "interrupted", file=sys.stderr)
         raise SystemExit(_stop.status) from None
     finally:
-        _sweep()
+        _remove_unfinished()
         for number, handler in previous.items():
             signal.signal(number, handler)
         if _stop.number is not None:
-            _forget_code_given_up()
+            _clear_interrupted_code()
         sys.unraisablehook, _stop = _stop.others, None
 
 
-def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
+def _interrupt_in(error: BaseException) -> KeyboardInterrupt | None:
     """Return the interrupt that caused an error, or None.
 
     Before version 3.12, Python converts an exception in `__set_name__` to a RuntimeError.
@@ -134,7 +136,7 @@ def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
     return found
 
 
-def _forget_code_given_up() -> None:
+def _clear_interrupted_code() -> None:
     """Make Python exit with the given status after an interrupt inside `exec`.
 
     Python remembers that an interrupt has left code in a string (such as that of a dataclass) until it

@@ -90,7 +90,7 @@ PIXEL_PITCH_UM = PlausibleLength(0.1, 1000.0, (0.5, 50.0), always=True)
 """Plausible pixel pitches in um; a value outside is in another unit."""
 
 WAVELENGTH_UM = PlausibleLength(0.05, 50.0, (0.19, 20.0), always=True)
-"""Plausible wavelengths in um; a value outside is in another unit, or no lens works there."""
+"""Plausible wavelengths in um; a value outside this range is in another unit, or out of reach of lenses."""
 
 
 def implausible_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:

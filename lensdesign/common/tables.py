@@ -61,8 +61,8 @@ def read_number(text: str, where: str, name: str = "") -> float:
     prefix = f"{where}: {name} = {cell[:40]!r}" if name else f"{where}: {cell[:40]!r}"
     if _LEADING_ZERO.match(cell) and _NUMBER.fullmatch(cell):
         raise InputError(
-            f"{prefix}: begins with an unneeded zero, like digits after a decimal comma; write numbers "
-            "with a decimal point and without leading zeros"
+            f"{prefix}: begins with a zero, like the digits after a decimal comma; write numbers with "
+            "a decimal point and without leading zeros"
         )
     if _THOUSANDS.fullmatch(cell) and not (_DECIMAL_COMMA.fullmatch(cell) or _NUMBER.fullmatch(cell)):
         raise InputError(
@@ -109,7 +109,7 @@ class Table:
         if self.names.count(name) != 1:
             if name in self.names:
                 raise InputError(
-                    f"{self.path}: {self.names.count(name)} columns are called {name!r}; one must be"
+                    f"{self.path}: {self.names.count(name)} columns are called {name!r}; allowed: one"
                 )
             listed = ", ".join(own[:40] for own in self.names[:20])
             raise InputError(

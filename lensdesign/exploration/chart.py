@@ -58,7 +58,7 @@ def axis_label(objective: Objective) -> str:
     words = {"na": "numerical aperture", "as_built_rms": "as-built rms"}
     name = words.get(objective.name, objective.name.replace("_", " "))
     unit = f" ({objective.unit})" if objective.unit else ""
-    return f"{name}{unit}, {'more' if objective.larger_is_better else 'less'} is better"
+    return f"{name}{unit}, {'larger' if objective.larger_is_better else 'smaller'} is better"
 
 
 def write_charts(folder: Path, explored: Sequence[ExploredPoint], axes: Sequence[Axis]) -> list[Path]:

@@ -19,7 +19,7 @@ from lensdesign.errors import DesignError
 from lensdesign.exploration.objectives import Axis, Objective, values_of
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of
-from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.specification import Specification
@@ -202,7 +202,7 @@ class Exploration:
             result = search_from(problem, start, budget, 0, lambda *_: None)
             if best is None or result.rank < best.rank:
                 best = result
-            feasible += result.outcome.violation <= KEPT
+            feasible += result.outcome.violation <= ACCEPTED_VIOLATION
             if sufficient and feasible >= sufficient:
                 break
         explored = self._point_of(key, glasses, best)
@@ -210,7 +210,7 @@ class Exploration:
         return explored
 
     def _point_of(self, key: str, glasses: str, best: Found | None) -> ExploredPoint:
-        if best is None or best.outcome.violation > KEPT:
+        if best is None or best.outcome.violation > ACCEPTED_VIOLATION:
             return ExploredPoint(key, glasses, {}, (), None)
         point = best.outcome.point
         try:

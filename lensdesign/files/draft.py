@@ -46,7 +46,7 @@ class LossyImportError(InputError):
         self.dropped = tuple(dropped)
         listed = joined_faults([f"  {entry}" for entry in dropped])
         super().__init__(
-            f"{source}: a design cannot represent the whole file; a lossy import leaves out\n{listed}"
+            f"{source}: a design cannot represent the whole file; an import with --lossy omits\n{listed}"
         )
 
 

@@ -297,7 +297,7 @@ def _between(others: list[float], least: float, times: float = FAR) -> Plausible
     """Return the range of a length from `least` to a multiple of the longest length of other kinds."""
     longest = max(others)
     most = times * longest
-    reason = f"must be {least:.2g} to {most:.4g} mm beside the other lengths of the lens"
+    reason = f"must be {least:.2g} to {most:.4g} mm, in proportion to the other lengths of the lens"
     return PlausibleLength(least, most, (_geometric_median(others) / 100.0, 5.0 * longest), reason)
 
 
@@ -413,7 +413,9 @@ def _of_edges(lens: Lens) -> Iterator[str]:
             if value is not None:
                 yield from _question(f"{location}, {key}", value, _between(diameters, narrow))
         least = 1e-4 * middle
-        reason = f"must be 0, or {least:.2g} to {middle:.3g} mm beside the other lengths of the lens"
+        reason = (
+            f"must be 0, or {least:.2g} to {middle:.3g} mm, in proportion to the other lengths of the lens"
+        )
         bevel = PlausibleLength(least, middle, (3.0 * least, middle), reason)
         for key in ("front_bevel_mm", "back_bevel_mm"):
             yield from _question(f"{location}, {key}", getattr(edge, key), bevel)

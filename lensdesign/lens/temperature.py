@@ -1,4 +1,4 @@
-"""A lens at another temperature: glass and mount expand and the indices change, all together.
+"""A lens at another temperature: glass and mount expand, and the refractive indices change.
 
 Glass expands equally in all directions. Radii, thicknesses and apertures of a surface change by the expansion
 of the glass that it bounds (the mean of both glasses at a cemented surface). Air spaces are set by a mount
@@ -91,12 +91,12 @@ class Expansions:
         glass = self.glasses[surface] if surface >= 0 else None
         if glass is not None:
             return glass * length
-        grown = self.mount * length
+        change = self.mount * length
         if surface >= 0:
-            grown = grown - (self.mount - self.surfaces[surface]) * sags[surface]
+            change = change - (self.mount - self.surfaces[surface]) * sags[surface]
         if surface + 1 < len(self.surfaces):
-            grown = grown + (self.mount - self.surfaces[surface + 1]) * sags[surface + 1]
-        return grown
+            change = change + (self.mount - self.surfaces[surface + 1]) * sags[surface + 1]
+        return change
 
 
 def expansions(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Expansions:
@@ -193,40 +193,42 @@ def lens_at_temperature(
     >>> hot.surfaces[0].material, round(hot.surfaces[0].radius_mm, 5)
     ('N-BK7@50C', 10.00213)
     """
-    change, grown = temperature_c - REFERENCE_C, growth(lens, mount_expansion_per_k)
+    difference, per_kelvin = temperature_c - REFERENCE_C, growth(lens, mount_expansion_per_k)
     surfaces = []
     for i, surface in enumerate(lens.surfaces):
         thickness = surface.thickness_mm
         if thickness is not None:
-            thickness += float(grown.thickness_mm_per_k[i]) * change
+            thickness += float(per_kelvin.thickness_mm_per_k[i]) * difference
         surfaces.append(
             surface.replaced(
-                **heated_keys(surface, float(grown.surfaces_per_k[i]) * change),
+                **heated_keys(surface, float(per_kelvin.surfaces_per_k[i]) * difference),
                 thickness_mm=thickness,
                 material=heated_material(lens, i, temperature_c),
             )
         )
-    planes = np.array(lens.sensor.plane_distances_mm) + grown.planes_mm_per_k * change
-    distance = lens.object.working_distance_mm + grown.object_mm_per_k * change
+    planes = np.array(lens.sensor.plane_distances_mm) + per_kelvin.planes_mm_per_k * difference
+    distance = lens.object.working_distance_mm + per_kelvin.object_mm_per_k * difference
     fronts = zip(lens.edges, lens.glass_fronts, strict=False)
     return lens.replaced(
         surfaces=tuple(surfaces),
         object=lens.object.replaced(working_distance_mm=distance),
         sensor=lens.sensor.replaced(plane_distances_mm=tuple(planes.tolist())),
-        edges=tuple(scaled_edge(e, 1.0 + float(grown.surfaces_per_k[i]) * change) for e, i in fronts),
+        edges=tuple(
+            scaled_edge(e, 1.0 + float(per_kelvin.surfaces_per_k[i]) * difference) for e, i in fronts
+        ),
     )
 
 
-def heated_keys(surface: Surface, growth: float) -> dict[str, Any]:
-    """Return the keys of shape, aperture and figure of a surface after a relative growth."""
-    factor, semi_diameter = 1.0 + growth, surface.semi_diameter_mm
+def heated_keys(surface: Surface, expansion: float) -> dict[str, Any]:
+    """Return the keys of shape, aperture and figure of a surface after a relative expansion."""
+    factor, semi_diameter = 1.0 + expansion, surface.semi_diameter_mm
     keys = surface.shape_class.scaled_keys(surface.shape_keys, factor)
     figure = surface.figure
     # Zernike terms scale to the new rim; a measured grid in a file keeps its positions.
     if figure is not None and figure.semi_diameter_mm is not None:
         figure = figure.replaced(semi_diameter_mm=factor * figure.semi_diameter_mm)
-    grown = None if semi_diameter is None else factor * semi_diameter
-    return {**keys, "semi_diameter_mm": grown, "figure": figure}
+    expanded = None if semi_diameter is None else factor * semi_diameter
+    return {**keys, "semi_diameter_mm": expanded, "figure": figure}
 
 
 def heated_material(lens: Lens, surface: int, temperature_c: float) -> str | float | None:

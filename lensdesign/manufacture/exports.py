@@ -162,11 +162,11 @@ def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
 def _measured_outline(lens: Lens) -> tuple[str, ...]:
     """Return one sentence on the outline of each body with measured figures."""
     return tuple(
-        f"{element.name}: diameter {2.0 * element.edge_mm:g} mm, that of "
+        f"{element.name}: diameter {2.0 * element.edge_mm:g} mm "
         + (
-            "the design's [[edge]]"
+            "(from the design's [[edge]])"
             if element.edge.semi_diameter_mm
-            else "the clear aperture, without the ground edge of a drawing: measured figures end there"
+            else "(clear aperture, where measured figures end), without the ground edge of a drawing"
         )
         for element in glass_elements(lens)
     )

@@ -241,8 +241,7 @@ class AsBuilt(Protocol):
         """Return the study with all tolerances multiplied."""
 
     def priced(self, costs: Path | None, cost: float | None) -> AsBuilt:
-        """Return the study with a table of costs, and with tolerances multiplied to a cost if one is "
-        "given."""
+        """Return the study with a table of costs; its tolerances are multiplied to reach a given cost."""
 
     def cost(self, lens: Lens) -> float:
         """Return the cost of a lens and its tolerances; raise an InputError if a price is missing."""

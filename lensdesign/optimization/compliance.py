@@ -259,7 +259,7 @@ def _as_tried(limits: Constraints, found: TrialsOf, places: Sequence[str]) -> li
     if limits.min_yield is not None:
         met = found.high >= limits.min_yield
         text = f"yield: {found.good:.3f} ({found.low:.3f} to {found.high:.3f}) of {found.trials} trials"
-        miss = f"{text} is less than the {limits.min_yield:g} that the specification asks for"
+        miss = f"{text} is less than the {limits.min_yield:g} that the specification requires"
         rows.append(constraint("yield", found.good, ">=", limits.min_yield, "", met, miss))
     if limits.max_as_built_rms_waves is not None:
         most = limits.max_as_built_rms_waves
@@ -300,5 +300,5 @@ def _at_most(name: str, value: float, limit: float, unit: str) -> Constraint:
 def _at_least(name: str, value: float, limit: float, unit: str) -> Constraint:
     met = bool(value >= limit * (1.0 - ROUNDING) - 1e-9)
     sizes = (f"{number:.5g} {unit}".rstrip() for number in (value, limit, limit - value))
-    miss = "{}: {} is less than the {} that the specification asks for, by {}".format(name, *sizes)
+    miss = "{}: {} is less than the {} that the specification requires, by {}".format(name, *sizes)
     return constraint(name, value, ">=", limit, unit, met, miss)

@@ -21,7 +21,7 @@ from lensdesign.optimization.nlopt_driver import (
     minimize,
     stationarity,
 )
-from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.optimization.worst_rays import worse_rays
 
@@ -92,7 +92,7 @@ class Found:
     @property
     def rank(self) -> tuple[float, float]:
         """Key of the order of results, smallest is best: violation, then goal."""
-        violation = self.outcome.violation if self.outcome.violation > KEPT else 0.0
+        violation = self.outcome.violation if self.outcome.violation > ACCEPTED_VIOLATION else 0.0
         return violation, self.outcome.objective
 
 
@@ -140,15 +140,15 @@ def search_from(
         rays = rays.with_rays(worse)
     dense = dense.with_rays(rays)
     final = problem.evaluate(point, dense)
-    if only_feasible or final.violation > KEPT:
+    if only_feasible or final.violation > ACCEPTED_VIOLATION:
         final = _constraints_alone(problem.evaluate(point, dense, final=only_feasible))
-        ended = Outcome(point, 0.0, final.objective, budget.spent - spent_before, outcome.stopped_because)
+        result = Outcome(point, 0.0, final.objective, budget.spent - spent_before, outcome.stopped_because)
     else:
-        ended = Outcome(
+        result = Outcome(
             point, final.objective, final.violation, budget.spent - spent_before, outcome.stopped_because
         )
     converged = worse is None and _stationary(lambda _: final, point)
-    return Found(problem, dense, ended, converged, "" if converged else limit)
+    return Found(problem, dense, result, converged, "" if converged else limit)
 
 
 def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int, limit: str) -> Found:
@@ -172,20 +172,20 @@ def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int
     chosen = [*newest[: most // 2], *newest[most // 2 :: every]]
     found: list[Found] = []
     for point in chosen:
-        found.append(_judged(problem, point, dense, evaluations, limit))
+        found.append(_evaluated(problem, point, dense, evaluations, limit))
         if not found[-1].rank[0]:
             break
     return min(found, key=lambda one: one.rank)
 
 
-def _judged(problem: DesignProblem, point: Array, dense: Rays, evaluations: int, limit: str) -> Found:
+def _evaluated(problem: DesignProblem, point: Array, dense: Rays, evaluations: int, limit: str) -> Found:
     """Evaluate a point over dense rays, without derivatives."""
     goals, constraints = problem.rows(point, dense, derivatives=False)
     violation = max((float(np.max(row.values, initial=0.0)) for row in constraints), default=0.0)
     objective = max(float(np.max(row.values)) for row in goals)
-    ends = (0.0, violation) if violation > KEPT else (objective, max(0.0, violation))
-    goal, missed = (value if math.isfinite(value) else UNTRACEABLE for value in ends)
-    return Found(problem, dense, Outcome(point, goal, missed, evaluations, limit), False, limit)
+    rank = (0.0, violation) if violation > ACCEPTED_VIOLATION else (objective, max(0.0, violation))
+    objective, violation = (value if math.isfinite(value) else UNTRACEABLE for value in rank)
+    return Found(problem, dense, Outcome(point, objective, violation, evaluations, limit), False, limit)
 
 
 def dense_rays(problem: DesignProblem) -> Rays:
@@ -208,9 +208,11 @@ def _chain(algorithm: str) -> tuple[str, ...]:
     return ("slsqp", "cobyla", "slsqp") if algorithm == "slsqp" else (algorithm,)
 
 
-def _constraints_alone(e: Evaluation) -> Evaluation:
+def _constraints_alone(found: Evaluation) -> Evaluation:
     """Return an evaluation with the constraints as goals and without constraints."""
-    return Evaluation(e.constraints, e.constraints_by, e.constraints[:0], e.constraints_by[:0])
+    return Evaluation(
+        found.constraints, found.constraints_by, found.constraints[:0], found.constraints_by[:0]
+    )
 
 
 def _solve(
@@ -232,15 +234,15 @@ def _solve(
     def restore(point: Array) -> Evaluation:
         return _constraints_alone(problem.evaluate(point, rays, final=only_feasible))
 
-    def run(what: Callable[[Array], Evaluation], point: Array, algorithm: str, most: int) -> Outcome:
+    def run(function: Callable[[Array], Evaluation], point: Array, algorithm: str, most: int) -> Outcome:
         found = minimize(
-            what,
+            function,
             point,
             algorithm,
             max_seconds=max(0.05, budget.seconds),
             max_evaluations=max(1, min(most, budget.evaluations)),
             seed=seed,
-            on_improvement=on_improvement if what is evaluate else None,
+            on_improvement=on_improvement if function is evaluate else None,
             on_point=on_point,
         )
         budget.spend(found.evaluations)
@@ -248,15 +250,15 @@ def _solve(
 
     point = start
     if only_feasible or evaluate(start).violation > FEASIBLE:
-        outcome = _in_turn(restore, start, _chain("slsqp"), run, enough=FEASIBLE)
+        outcome = _run_chain(restore, start, _chain("slsqp"), run, enough=FEASIBLE)
         if only_feasible or (outcome.objective > FEASIBLE and _stationary(restore, outcome.point)):
             return outcome
         point = outcome.point
-    return _in_turn(evaluate, point, chain, run)
+    return _run_chain(evaluate, point, chain, run)
 
 
-def _in_turn(
-    what: Callable[[Array], Evaluation],
+def _run_chain(
+    function: Callable[[Array], Evaluation],
     point: Array,
     chain: tuple[str, ...],
     run: Callable[[Callable[[Array], Evaluation], Array, str, int], Outcome],
@@ -270,32 +272,32 @@ def _in_turn(
     for algorithm in chain:
         everywhere = ALGORITHMS[algorithm].everywhere
         lone = everywhere or len(chain) == 1
-        outcome = run(what, point, algorithm, lone_evaluations if lone else local_evaluations)
+        outcome = run(function, point, algorithm, lone_evaluations if lone else local_evaluations)
         point = outcome.point
-        if outcome.objective <= enough or (not everywhere and _stationary(what, point)):
+        if outcome.objective <= enough or (not everywhere and _stationary(function, point)):
             break
     return outcome
 
 
-def _stationary(what: Callable[[Array], Evaluation], point: Array) -> bool:
+def _stationary(function: Callable[[Array], Evaluation], point: Array) -> bool:
     """Return whether a point meets the first-order conditions, since nlopt may stop too early."""
-    e = what(point)
+    found = function(point)
+    is_traceable = max(found.objective, found.violation) < 0.5 * UNTRACEABLE
     # First-order error below which a start counts as converged.
     tolerance = 2e-3
-    return max(e.objective, e.violation) < 0.5 * UNTRACEABLE and stationarity(e, point) <= tolerance
+    return is_traceable and stationarity(found, point) <= tolerance
 
 
 def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
-    """Yield start points in the unit box; random ones only if goals and constraints can be evaluated "
-    "there."""
+    """Yield start points in the unit box; random points must allow an evaluation of all operands."""
     settings = problem.specification.optimize
     rng = np.random.default_rng(seed)
     rays = problem.sample_rays(3, 9, 4)
-    given = settings.starts
+    remaining = settings.starts
     if settings.start != "random":
-        yield problem.to_unit(problem.base if settings.start == "design" else _plate(problem))
-        given -= 1
-    for _ in range(given):
+        yield problem.to_unit(problem.base if settings.start == "design" else _flat_start(problem))
+        remaining -= 1
+    for _ in range(remaining):
         for _ in range(500):
             point = rng.random(len(problem.ranges))
             goals, constraints = problem.rows(point, rays, derivatives=False)
@@ -306,7 +308,7 @@ def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
             return
 
 
-def _plate(problem: DesignProblem) -> Lens:
+def _flat_start(problem: DesignProblem) -> Lens:
     """Return the start lens with its variable curvatures, conics and aspheres set to zero."""
     lens = problem.base
     for variable in problem.variables:

@@ -182,7 +182,7 @@ class OptimizationResult:
             ("binding", ", ".join(self.binding)),
             *(("not met", sentence) for sentence in self.violations),
             ("search", f"{self.algorithm}: {self.evaluations} evaluations in {self.seconds:.2f} s"),
-            ("starts", f"{self.starts_at_best} of {self.starts} came to this"),
+            ("starts", f"{self.starts_at_best} of {self.starts} reached this lens"),
         ]
         return html_table("Optimization", rows) + self.lens._repr_html_()
 
@@ -261,19 +261,19 @@ def _result(
     unchecked: list[str] = []
     if ending.built is None and specification.as_built is not None:
         if ending.no_trials:
-            sentence = f"{ending.reason} left no time for the trials of lenses as built"
+            sentence = f"{ending.reason} ended the search before the trials of lenses as built"
             unfinished.append(sentence)
             unchecked = _unchecked(specification, sentence)
         else:
             ending.built = _as_built(specification, lens)
     built = ending.built
     check = check_against(lens, specification.without_as_built() if unchecked else specification, built)
-    # A search for how much of it can be met takes too long where each lens takes reconstructions.
+    # A search for the feasibility limit takes too long if each lens needs reconstructions.
     if not check.feasible and reach is None and not specification.asks_losses:
         if searched and now() < ending.end:
             reach = can()
         elif searched:
-            unfinished.append(f"{ending.reason} left no time to search for what can be met")
+            unfinished.append(f"{ending.reason} ended the search before the feasibility limit was found")
     value, unit = _shown_goal(specification, lens, goals, built)
     starts = len(chosen.found)
     # A constraint is active if the absolute value of its scaled value is smaller than this.
@@ -311,7 +311,7 @@ def _unchecked(specification: Specification, why: str) -> list[str]:
         "as-built rms": limits.max_as_built_rms_waves,
         LOSS_GOAL: limits.max_as_built_reconstruction_loss,
     }
-    return [f"{name}: not checked, as {why}" for name, limit in required.items() if limit is not None]
+    return [f"{name}: not checked, because {why}" for name, limit in required.items() if limit is not None]
 
 
 def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
@@ -348,18 +348,18 @@ def _unfinished(
         cut = [t for t in tried if t.limit == limit and t.found]
         if cut:
             names = "; ".join(f"{t.glasses} (start {len(t.found)} of at most {settings.starts})" for t in cut)
-            sentences.append(f"{limit} = {value:g} cut the search of {names}")
+            sentences.append(f"{limit} = {value:g} ended the search of {names}")
         none = [t.glasses for t in tried if t.limit == limit and not t.found]
         if none:
-            sentences.append(f"{limit} = {value:g} left no start for {'; '.join(none)}: not tried")
+            sentences.append(f"{limit} = {value:g} ended the search before {'; '.join(none)} could be tried")
     cut = [t for t in tried if t.limit == INTERRUPT]
     if cut:
         names = "; ".join(f"{t.glasses} (start {len(t.found)} of at most {settings.starts})" for t in cut)
         sentences.append(f"an interrupt ended the search of {names}")
     if not sentences and not best.converged and chosen.at_best < settings.agreeing:
         sentences.append(
-            f"the best start ended before it had converged ({best.outcome.stopped_because}); another "
-            "algorithm, or narrower bounds, may help"
+            f"the best start did not converge ({best.outcome.stopped_because}); try another algorithm or "
+            "narrower bounds"
         )
     return sentences
 

@@ -96,7 +96,7 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
         tried += [GlassChoiceResult(glasses, (), INTERRUPT) for glasses, _ in bases[len(tried) :]]
     if not any(t.found for t in tried):
         if ending.interrupted:
-            raise KeyboardInterrupt("interrupted before there was a lens to keep")
+            raise KeyboardInterrupt("interrupted before a first lens was found")
         raise DesignError(_nothing_tried(tried))
     result = result_of(specification, tried, ending)
     if ending.interrupted:
@@ -107,8 +107,8 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
 def _nothing_tried(tried: list[GlassChoiceResult]) -> str:
     limits = {t.limit for t in tried} - {""}
     if limits:
-        return f"no start was made: {' and '.join(sorted(limits))} left no time or evaluations for one; "
-        "raise it"
+        names = " and ".join(sorted(limits))
+        return f"no start was made: {names} ended the search before the first one; use a larger limit"
     return "no start can be traced: no random lens transmits all rays; narrow the bounds"
 
 

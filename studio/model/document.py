@@ -87,8 +87,8 @@ def _why_not(known: str, found: str) -> str:
     if not known:
         return "exists already; give another name"
     if not found:
-        return "is gone from the disk; save under another name"
-    return "changed on disk since it was opened; save under another name, or open it anew"
+        return "was removed from the disk; save under another name"
+    return "changed on disk since it was opened; save under another name, or open it again"
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -123,17 +123,17 @@ class Autosave:
         return found if isinstance(found, dict) else {}
 
     def keep(self, **values: Any) -> None:
-        """Add values to the store; only the user can read it.
+        """Add values to the store, which only the user can read.
 
         If the folder cannot be written, one warning is printed and the page continues without a store.
         """
-        with self._turn:  # the page and the thread of the figures both keep
+        with self._turn:  # both the page and the thread of the figures store values
             try:
                 self._write(self.read() | values)
             except OSError as error:
                 if not self._is_refused:
                     reason = error.strerror or str(error)
-                    print(f"warning: unsaved edits are not kept: {self.file}: {reason}", file=sys.stderr)
+                    print(f"warning: unsaved edits cannot be stored: {self.file}: {reason}", file=sys.stderr)
                 self._is_refused = True
 
     def _write(self, values: dict[str, Any]) -> None:

@@ -65,12 +65,12 @@ class WhatIf:
         return WhatIf({k: v for k, v in self.values.items() if _has(lens, k.rpartition(".")[0])})
 
     def placement(self, lens: Lens, wavelength_um: float | None = None) -> Placement:
-        """Lens and bench as they are then.
+        """Return the state of lens and bench with these deviations.
 
         Raises
         ------
         InputError
-            If a value is not usable, or heat does to a glass what is not known.
+            If a value is not allowed, or the thermal data of a glass are not known.
         """
         if not self.values:
             return NOMINAL

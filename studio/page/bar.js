@@ -1,4 +1,4 @@
-// The bar on top: title, undo, redo, save, theme; keys; and whether the server is still there.
+// Top bar: title, undo, redo, save, theme and their keys. It also checks that the server is still running.
 export function render({ model, el }) {
   const root = document.createElement("div");
   root.className = "bar";
@@ -55,12 +55,11 @@ export function render({ model, el }) {
     event.preventDefault();
     let typed = document.activeElement;
     while (typed?.shadowRoot?.activeElement) typed = typed.shadowRoot.activeElement;
-    if (action === "save") typed?.blur();  // what was typed is taken first
+    if (action === "save") typed?.blur();  // applies the typed text before it is saved
     model.send_msg({ action, file: name.value });
   });
 
-  // Asked every second: when another server answers in the place of one that went, the page comes anew, with
-  // the edits that were kept.
+  // The page asks the server every second. If a new server answers, the page is reloaded with the stored edits.
   let gone = false, first = null;
   const banner = document.getElementById("gone");
   const look = async () => {

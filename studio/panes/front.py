@@ -68,7 +68,7 @@ class _Explore:
         )
         shown = pn.pane.Bokeh(self.plot, sizing_mode="stretch_width")
         self.view = pn.Column(form, self.message, shown, sizing_mode="stretch_width")
-        self.view._explore = self  # lives as long as what shows it
+        self.view._explore = self  # keeps this object alive with its view
         follow(bench, self.view, self.update)
 
     def _dress(self, colors: dict[str, str], _: Theme) -> None:

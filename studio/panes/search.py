@@ -78,7 +78,7 @@ class _Optimize:
             styles={"min-width": "0"},
         )
         view = pn.Row(form, found, sizing_mode="stretch_width", margin=0)
-        view._optimize = self  # lives as long as what shows it
+        view._optimize = self  # keeps this object alive with its view
         return view
 
     def _requested_search(self) -> Search:

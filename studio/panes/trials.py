@@ -24,10 +24,10 @@ from tolerancing.statistics.yields import yield_of
 
 def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
     """Return a pane that runs a study; a click on a trial sets its deviations in the what-if sliders."""
-    bench, own = bench_of(lens), [] if dressers is None else dressers
-    pane = _Tolerances(bench, own).view
+    bench, themed = bench_of(lens), [] if dressers is None else dressers
+    pane = _Tolerances(bench, themed).view
     if dressers is None:
-        dressed(own, "light")
+        dressed(themed, "light")
     return pane
 
 
@@ -64,7 +64,7 @@ class _Tolerances:
             pn.pane.Bokeh(plot, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
-        self.view._tolerances = self  # lives as long as what shows it
+        self.view._tolerances = self  # keeps this object alive with its view
         follow(bench, self.view, self.update)
 
     def _dress(self, colors: dict[str, str], _: Theme) -> None:
@@ -126,7 +126,7 @@ class _Tolerances:
         self.bench.set_what_if(trial_what_if(Path(self.folder.name), trial))
         self.message.object = (
             f'<div class="text-block"><p>trial {trial}: its deviations are set in the what-if sliders, its '
-            "wavefronts are under Live; irregularities have no slider and are omitted</p></div>"
+            "wavefronts appear under Live; irregularities have no slider and are omitted</p></div>"
         )
 
     def update(self) -> None:

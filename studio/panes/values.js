@@ -1,4 +1,4 @@
-// Rows of a name, a slider and a box for each value. Text is set as text, never as markup.
+// One row for each value: name, slider and text box. All text is set as text, never as markup.
 export function render({ model, el }) {
   const rows = new Map();
   let shape = "", gesture = 0, waiting = null, touched = -1e9, later = 0;
@@ -15,7 +15,7 @@ export function render({ model, el }) {
     return node;
   };
   const session = Math.random().toString(36).slice(2);
-  // While one drags, the newest value of a frame is sent and those before it are not; what was typed, at once.
+  // While a slider is dragged, only the newest value of each frame is sent. Typed values are sent at once.
   const flush = () => { const one = waiting; waiting = null; if (one) model.send_msg(one); };
   const send = (row, text, whole) => {
     touched = performance.now();
@@ -118,9 +118,9 @@ export function render({ model, el }) {
       const cell = rows.get(row.key);
       cell.row = row;
       if (cell.slider) { cell.slider.min = row.low; cell.slider.max = row.high; cell.slider.step = row.step; }
-      // What is being changed here is ahead of what the server says.
-      const here = active === cell.slider || active === cell.box;
-      const busy = here && (cell.typed || performance.now() - touched < 400);
+      // A value that is being changed on the page is newer than the server's value.
+      const focused = active === cell.slider || active === cell.box;
+      const busy = focused && (cell.typed || performance.now() - touched < 400);
       if (!busy && !(row.key in model.refused)) show(cell, row.text);
     }
     for (const [key, cell] of rows) {

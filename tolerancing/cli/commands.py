@@ -41,7 +41,8 @@ def run(
         int | None, typer.Option(help="Number of processes; default: the number of processors.")
     ] = None,
     trials: Annotated[
-        int | None, typer.Option(help="Number of trials in the end; default: that of the study.")
+        int | None,
+        typer.Option(help="Total number of trials, stored ones included; default: that of the study."),
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over: replace the store.")] = False,
     cluster: Annotated[
@@ -85,7 +86,7 @@ def run(
                 on_estimate=lambda expected: print(expected.sentence, file=sys.stderr),
             )
     except KeyboardInterrupt:
-        kept = f"the finished results are in {store}, and the same command goes on from there"
+        kept = f"the finished results are stored in {store}; repeat the command to continue"
         message = f"interrupted; {kept if os.path.exists(store) else 'nothing is stored yet'}"
         raise KeyboardInterrupt(message) from None
     with open_store(store) as opened:
@@ -108,7 +109,7 @@ def run(
         "trials by high-fidelity merits": outcome.high_fidelity_run,
     }
     if not any(done.values()):
-        print(f"nothing was missing: {store}")
+        print(f"the store is already complete: {store}")
         return
     work = ", ".join(f"{count} {name}" for name, count in done.items() if count)
     workers_text = cluster or f"{outcome.workers} {'worker' if outcome.workers == 1 else 'workers'}"
@@ -122,11 +123,14 @@ def show(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", callback=output_file, help="With --trial: its picture (png, svg or pdf)."
+            "--output",
+            "-o",
+            callback=output_file,
+            help="With --trial: picture of the trial to write (png, svg or pdf).",
         ),
     ] = None,
     high_fidelity: Annotated[
-        bool, typer.Option("--dear", help="With --trial: by the high-fidelity merits too.")
+        bool, typer.Option("--dear", help="With --trial: also score it by the high-fidelity merits.")
     ] = False,
     trust: Trust = False,
     as_json: Json = False,
@@ -140,7 +144,7 @@ def show(
     from tolerancing.store.store import open_store
 
     if trial is None and (output is not None or high_fidelity):
-        raise InputError("--output and --dear go with --trial")
+        raise InputError("--output and --dear need --trial")
     with open_store(store, trust=trust) as opened:
         if trial is not None:
             _show_trial(opened, trial, output, high_fidelity, as_json)

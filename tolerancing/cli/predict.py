@@ -27,8 +27,8 @@ def predict(
 
     The yield is joint: the fraction of lenses that keep all limits at once. Limits of the merits rms_waves,
     strehl, largest_spread_deg and footprint_radius_mm are predicted; others are named. Wavefronts go to
-    second order in the perturbations, shift and focus taken out. Rays go to first order, and 64 draws are
-    traced to know whether that suffices.
+    second order in the perturbations, without shift and focus. Rays are predicted to first order; 64 traced
+    draws show whether that suffices.
 
     Exit status: 0, 1 if these orders do not suffice and trials should be run, 2 for bad input.
     """
@@ -68,7 +68,7 @@ def _print_yield(found: StudyPrediction) -> None:
     print_table("Predicted yield", ["merit", "limit", "field points"], ["good, %"], rows, last)
     print(f"{found.draws} drawn lenses; no trial was traced")
     if found.not_predicted:
-        print(f"not predicted, so not in this yield: {', '.join(found.not_predicted)}: run the study")
+        print(f"not in this yield, scored by trials only: {', '.join(found.not_predicted)}; run the study")
 
 
 def _as_dict(found: WavefrontPrediction) -> dict[str, Any]:
@@ -126,9 +126,9 @@ def _print(title: str, found: WavefrontPrediction) -> None:
         for k in order[:MOST_ROWS]
     ]
     points = ["({:g}, {:g})".format(*p.judged.field_mm) for p in found.points]
-    print_table("Share of the mean square, %", ["perturbation"], points, shares)
+    print_table("Fraction of the mean square, %", ["perturbation"], points, shares)
     if not found.second_order_suffices:
-        print("tolerances are too large for second order, which may be 5 % off and more: run the study")
+        print("tolerances are too large for the second order, whose error may be 5 % or more: run the study")
 
 
 def _print_rays(title: str, rays: tuple[RayPrediction, ...], columns: tuple[str, ...]) -> None:
@@ -141,10 +141,10 @@ def _print_rays(title: str, rays: tuple[RayPrediction, ...], columns: tuple[str,
         )
         for r in rays
     ]
-    heads = ["nominal", "mean", "deviation", "good, %", "off, % of deviation"]
+    heads = ["nominal", "mean", "deviation", "good, %", "error, % of deviation"]
     print_table(f"{title}: rays, to first order", ["merit"], heads, rows)
     order = sorted(range(len(columns)), key=lambda k: -max(r.shares[k] for r in rays))
     alone = [(columns[k], *(f"{r.alone[k]:.4f}" for r in rays)) for k in order[:MOST_ROWS]]
-    print_table("Deviation by itself", ["perturbation"], [row[0] for row in rows], alone)
+    print_table("Deviation by each perturbation alone", ["perturbation"], [row[0] for row in rows], alone)
     if not all(r.first_order_suffices for r in rays):
-        print("tolerances are too large for rays to first order, as traced draws tell: run the study")
+        print("tolerances are too large for rays to first order, as the traced draws show: run the study")

@@ -35,9 +35,10 @@ Processes = Annotated[
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store made by a run.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Execute Python code in the store, because you know who made it.")
+    bool,
+    typer.Option("--trust", help="Execute Python code in the store; only for stores from people you trust."),
 ]
-MeritName = Annotated[str | None, typer.Option("--merit", help="Only the merit of this name.")]
+MeritName = Annotated[str | None, typer.Option("--merit", help="Analyse only the merit of this name.")]
 
 
 def start(
@@ -229,7 +230,7 @@ def cost(
         )
         for line in sorted(found.lines, key=lambda line: -line.cost)
     ]
-    last = ("all, with the elements themselves", "", "", f"{found.total:.3f}")
+    last = ("total, with the cost of the elements", "", "", f"{found.total:.3f}")
     print_table(
         "relative cost of tolerances", ["perturbation", "priced as"], ["tolerance", "cost"], rows, last
     )
@@ -342,7 +343,11 @@ def _print_budget(study: Study, found: StudyBudget) -> None:
         ("these tolerances", "", f"{found.cost:.4g}"),
     ]
     if budget.uniform_scale is not None:
-        common = ("all tolerances scaled alike", f"{budget.uniform_scale:.3f}", f"{found.uniform_cost:.4g}")
+        common = (
+            "all tolerances scaled by one factor",
+            f"{budget.uniform_scale:.3f}",
+            f"{found.uniform_cost:.4g}",
+        )
         costs.insert(1, common)
     print_table("", ["cost"], ["scale", ""], costs)
     print(f"predicted yield with the tolerances of the study: {100.0 * budget.predicted_yield_before:.1f} %")

@@ -19,17 +19,17 @@ RELATIVE = Path(__file__).with_name("relative.toml")
 QUANTITIES = {
     "radius_percent": "largest departure of a radius, in per cent",
     "irregularity_pv_waves": "irregularity of a surface, peak to valley, in waves of 632.8 nm",
-    "irregularity_rms_waves": "the same, root mean square",
+    "irregularity_rms_waves": "irregularity of a surface, root mean square, in waves of 632.8 nm",
     "form_um": "departure of a conic constant or an aspheric term, as sag at the clear semi-diameter",
-    "thickness_mm": "of glass",
-    "tilt_deg": "of a surface against its part (wedge), or of a part in its mount",
-    "roll_deg": "of a part on its seat",
+    "thickness_mm": "centre thickness of a glass element",
+    "tilt_deg": "tilt of a surface against its part (wedge), or of a part in its mount",
+    "roll_deg": "roll of a part on its seat",
     "runout_mm": "total indicator runout of a surface",
-    "edge_difference_mm": "wedge of an element, as its edge's difference",
-    "decenter_mm": "of a surface against its part, or of a part in its mount",
-    "distance_mm": "spaces of air, to object and sensor too",
-    "index": "of the glass",
-    "abbe_percent": "of the glass",
+    "edge_difference_mm": "wedge of an element, as difference of its edge thickness",
+    "decenter_mm": "decenter of a surface against its part, or of a part in its mount",
+    "distance_mm": "air spaces, including those to object and sensor",
+    "index": "refractive index of the glass",
+    "abbe_percent": "Abbe number of the glass, in per cent",
 }
 """Quantities that a process can have prices for."""
 

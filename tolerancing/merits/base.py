@@ -232,7 +232,7 @@ def all_passed(merits: Sequence[Merit], scores: Array) -> NDArray[np.bool_]:
 def points_text(points: Sequence[tuple[float, float]]) -> str:
     """Return object points in words; the worst of several counts."""
     text = ", ".join(f"({x:g}, {y:g})" for x, y in points)
-    return f"at {text} mm in the object" + (", the worst counting" if len(points) > 1 else "")
+    return f"at {text} mm in the object" + ("; the worst score counts" if len(points) > 1 else "")
 
 
 def orientation_text(orientation: str) -> str:

@@ -47,7 +47,7 @@ def _error_text(error: BaseException, file: str) -> str:
     except BaseException:
         text = "no message (its __str__ failed)"
     if isinstance(error, SystemExit):
-        text = f"{text or 0}: asks for the end of the run"
+        text = f"{text or 0}: a merit must not end the run"
     kind = "" if isinstance(error, TransferLensError) else f"{type(error).__name__}: "
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     location = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""

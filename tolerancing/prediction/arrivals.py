@@ -1,9 +1,9 @@
 """Positions and directions of rays on the sensor, with derivatives by perturbations.
 
-A ray leaves a fixed point of the object and passes a fixed point of the stop. Its path is stationary in the
-points on all surfaces, the stop's included, for the point of the sensor at which it does arrive; so these
-points follow changes by the implicit function theorem, with the stop's kept in place of the sensor's. No
-perturbed ray is traced.
+A ray leaves a fixed point of the object and passes a fixed point of the stop. By Fermat's principle its path
+to the sensor point at which it arrives is stationary in the points on all surfaces. The implicit function
+theorem therefore gives the derivatives of these points and of the sensor point, with the point on the stop
+held constant. No perturbed ray is traced.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def arrival_differentials(
     sizes : ndarray, shape (parameters,)
         Approximate sizes of the perturbations, in the units of the parameters.
     fields_mm
-        Object points (x, y); rays stand field point by field point, without those that do not pass.
+        Object points (x, y). The rays are in this order; rays that do not pass the lens are omitted.
     stop
         Points on the stop that the rays pass through, also in the perturbed lens.
     wavelength_um
@@ -114,7 +114,7 @@ def arrival_differentials(
 
 
 def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
-    """Derivatives of positions and direction cosines on the sensor by q motions, both of shape (n, 2, q).
+    """Return derivatives of sensor positions and direction cosines by q motions, both of shape (n, 2, q).
 
     Complex paths and figures give complex derivatives, for complex steps of design variables.
 
@@ -123,19 +123,19 @@ def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     motions
         Motions of the rays.
     stop
-        The surface, from 0, that keeps its points.
+        Index of the stop surface, on which the points of the rays are fixed.
     """
     paths = motions.paths
     sensor = slice(-3, -1)  # x and y of the last station
     kept = slice(2 * stop, 2 * stop + 2)
-    pulled = paths.along_surfaces(paths.hessian[:, :, sensor])
-    # The sensor's point is free in place of the stop's.
+    mixed = paths.along_surfaces(paths.hessian[:, :, sensor])
+    # The point on the sensor is an unknown instead of the point on the stop.
     free = paths.sliding.copy()
-    free[:, :, kept] = pulled
+    free[:, :, kept] = mixed
     moved: Array = -np.asarray(np.linalg.solve(free, motions.slide))
     position = moved[:, kept].copy()
     moved[:, kept] = 0.0
-    optical = np.swapaxes(pulled, 1, 2) @ moved
+    optical = np.swapaxes(mixed, 1, 2) @ moved
     optical += paths.hessian[:, sensor] @ motions.points
     optical += paths.hessian[:, sensor, sensor] @ position
     turns = slice(6 * len(paths.shapes) + 6, 6 * len(paths.shapes) + 9)

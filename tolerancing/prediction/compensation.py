@@ -1,8 +1,8 @@
 """Effect of compensators on predicted wavefronts.
 
-A compensator adapts the reconstruction's model, whose path is taken from that of the lens as built. So a
-model's derivatives by its compensators stand beside the lens's by its perturbations, with the other sign and
-without products of both.
+A compensator adapts the reconstruction's model, whose path is subtracted from that of the lens as built. The
+derivatives of the model by its compensators are therefore appended to those of the lens by its perturbations,
+with the opposite sign and without products of both.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from tolerancing.prediction.system import pair_places
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Compensators of lenses whose wavefronts are predicted; k of them, d changes.
+    """The k compensators of lenses whose wavefronts are predicted, for d changes of the lens.
 
     Attributes
     ----------
     limits : ndarray, shape (k,)
-        Largest value of either sign.
+        Largest absolute value of each compensator.
     fields, models : tuple of FieldDifferentials
-        At the object points that tell compensators their values: by the changes of the lens, and by the
-        compensators of the model.
+        Derivatives by the changes of the lens and by the compensators of the model, at the object points that
+        determine the compensators.
     """
 
     limits: Array
@@ -73,7 +73,7 @@ class Compensation:
 
 
 def less_model(field: FieldDifferentials, model: FieldDifferentials) -> FieldDifferentials:
-    """Derivatives by d changes of the lens and then by k compensators of the model that is taken from it."""
+    """Return derivatives by d changes of the lens, followed by those by k compensators of the model."""
     d, k = field.first.shape[1], model.first.shape[1]
     first = np.concatenate([field.first, -model.first], axis=1)
     if not field.second.shape[1]:
@@ -90,7 +90,7 @@ def bounded_least_squares(matrix: Array, right_side: Array) -> tuple[Array, NDAr
     """Minimize x^T N x / 2 - w^T x within -1 and 1 for many w at once.
 
     Block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63, 625, 1994): bound variables whose
-    gradient points inwards are freed and free ones beyond a bound are bound, until there are none.
+    gradient points inwards are freed, and free variables beyond a bound are bound, until neither occurs.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Derivatives of reconstruction pupils by perturbations, from the rays of the nominal lens.
 
 The pupil's path difference dV(p) (:mod:`wavesim.pupil.pupil`) is a change of path between fixed object and
-sensor points, which is what :mod:`tolerancing.prediction.paths` differentiates. Means over the pupil are by
-Gauss-Legendre rings over the stop (Forbes, J. Opt. Soc. Am. A 5, 1943, 1988), weighted by the direction
-cosines at the object that each part of the stop corresponds to.
+sensor points; :mod:`tolerancing.prediction.paths` differentiates such paths. Means over the pupil use
+Gauss-Legendre rings over the stop (Forbes, J. Opt. Soc. Am. A 5, 1943, 1988). Each ray has the weight of its
+part of the stop, measured in direction cosines at the object.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ RINGS, ARMS = 6, 14
 
 @dataclass(frozen=True, eq=False)
 class FieldDifferentials:
-    """Derivatives at one object point; n rays, d changes.
+    """Derivatives of the path difference at one object point, for n rays and d changes.
 
     Attributes
     ----------
@@ -44,8 +44,8 @@ class FieldDifferentials:
     first : ndarray, shape (n, d)
         Derivatives of the path difference in waves, by the changes.
     second : ndarray, shape (n, d (d + 1) / 2)
-        By pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`; no columns where it was not
-        asked for.
+        Second derivatives by pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`; no
+        columns if they were not requested.
     """
 
     weights: Array
@@ -55,16 +55,16 @@ class FieldDifferentials:
 
     @cached_property
     def registered(self) -> Array:
-        """First derivatives with shift and focus taken out, shape (n, d)."""
+        """First derivatives without piston, shift and focus, shape (n, d)."""
         return self.without_focus(self.first)
 
     @cached_property
     def registered_second(self) -> Array:
-        """Second derivatives with shift and focus taken out, shape (n, pairs)."""
+        """Second derivatives without piston, shift and focus, shape (n, pairs)."""
         return self.without_focus(self.second)
 
     def waves(self, amounts: Array) -> Array:
-        """Path differences of trials with shift and focus taken out, shape (trials, n).
+        """Return path differences of trials without piston, shift and focus, shape (trials, n).
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class FieldDifferentials:
         return np.asarray(found)
 
     def without_focus(self, waves: Array) -> Array:
-        """Path differences, shape (n, ...), less the piston, shift and refocus that fit them best."""
+        """Return path differences, shape (n, ...), less the piston, shift and refocus that fit them best."""
         basis = self.basis
         heavy = basis * self.weights
         return np.asarray(waves - basis.T @ np.linalg.solve(heavy @ basis.T, heavy @ waves))
@@ -133,7 +133,7 @@ def differentials(
     wavelength_um
         Vacuum wavelength; the lens's first by default.
     plane_distance_mm
-        From the exit vertex to the plane to which paths are taken.
+        Distance from the exit vertex to the plane at which paths end.
     pivot_z_mm
         Position on the axis about which the whole lens tilts, from its front vertex.
     second
@@ -214,7 +214,7 @@ def nominal_paths(
         system, fields_mm, stop.points, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
     )
     rays = trace_compiled(system, origins, directions, plane_z, record_hits=True)
-    assert rays.hits is not None  # they were asked for
+    assert rays.hits is not None  # record_hits is true
     if not np.any(rays.ok):
         raise DesignError("no ray from the object points passes the lens")
     if whole and not np.all(rays.ok):
@@ -234,13 +234,13 @@ def nominal_paths(
 
 
 def basis_of(cosines: Array) -> Array:
-    """1 and the direction cosines, less their means, shape (4, n)."""
+    """Return 1 and the direction cosines without their means, shape (4, n)."""
     rows = cosines.T - np.mean(cosines, axis=0)[:, None]
     return np.concatenate([np.ones_like(rows[:1]), rows])
 
 
 def weights_over_stop(cosines: Array, stop: PupilSamples) -> Array:
-    """Shares of the pupil, which is evenly filled in direction cosines, that rays stand for; shape (n,)."""
+    """Return the weight of each ray: its fraction of the pupil in direction cosines, shape (n,)."""
     across, down = _slopes_over_stop()
     by_x, by_y = across @ cosines[:, :2], down @ cosines[:, :2]
     area = stop.weights * (by_x[:, 0] * by_y[:, 1] - by_x[:, 1] * by_y[:, 0])
@@ -249,12 +249,12 @@ def weights_over_stop(cosines: Array, stop: PupilSamples) -> Array:
 
 @lru_cache(maxsize=1)
 def _slopes_over_stop() -> tuple[Array, Array]:
-    """Matrices that take values at the rings' points to derivatives along x and y of the stop."""
+    """Return matrices from values at the points of the rings to derivatives along x and y of the stop."""
     points = pupil_rings(RINGS, ARMS).points
-    ways = [np.zeros(2), *(step * axis for axis in np.eye(2) for step in (1e-4, -1e-4))]
-    here, right, left, up, low = (_polynomials(points + way) for way in ways)
-    fit = np.linalg.pinv(here)
-    return (right - left) / 2e-4 @ fit, (up - low) / 2e-4 @ fit
+    offsets = [np.zeros(2), *(step * axis for axis in np.eye(2) for step in (1e-4, -1e-4))]
+    center, right, left, upper, lower = (_polynomials(points + offset) for offset in offsets)
+    fit = np.linalg.pinv(center)
+    return (right - left) / 2e-4 @ fit, (upper - lower) / 2e-4 @ fit
 
 
 def _polynomials(points: Array) -> Array:

@@ -1,32 +1,32 @@
 """The study of a drawing: each indication of the drawing as perturbations of the lens.
 
-Manufacturing may use everything that a drawing allows. Indications become perturbations as follows, if the
-study has them or not:
+A part may have every deviation that its drawing allows. Indications therefore become perturbations as
+follows, whether or not the study has them:
 
 ==================================  ==================================================================
 indication                          perturbation
 ==================================  ==================================================================
-radius, mm                          ``surface N radius_mm``, as much to both sides
-3/A, fringe spacings                ``surface N radius_mm``: A wavelength / 2 of sagitta at the clear (or
-                                    test) semi-diameter h are A wavelength R^2 / h^2; a plane has no radius,
-                                    and refocusing takes out most of what its power does
-3/(B)                               ``surface N irregularity_pv_waves``: B half wavelengths of sag, from 0
-RMSi < D                            ``surface N irregularity_rms_waves``: D half wavelengths, in place of B
+radius, mm                          ``surface N radius_mm``, by the same amount to both sides
+3/A, fringe spacings                ``surface N radius_mm``: a sagitta of A wavelength / 2 at the clear (or
+                                    test) semi-diameter h equals a radius change of A wavelength R^2 / h^2.
+                                    None for a plane; refocusing removes most of the effect of its power
+3/(B)                               ``surface N irregularity_pv_waves``: 0 to B half wavelengths of sag
+RMSi < D                            ``surface N irregularity_rms_waves``: D half wavelengths instead of B
 4/ angle                            ``surface N tilt_x_deg`` and ``tilt_y_deg``, each up to the angle, against
-                                    the ground edge, which the mount holds: a tilt of a whole element in its
-                                    mount is another perturbation
+                                    the ground edge. A tilt of the whole element in its mount is a different
+                                    perturbation
 4/ (displacement)                   ``surface N decenter_x_mm`` and ``decenter_y_mm`` of an asphere
 conic constant                      ``surface N conic``
 thickness                           ``surface N thickness_mm`` of the front surface
 index, Abbe number                  ``surface N index`` and ``abbe_percent`` of the front surface
-2/A;                                ``surface N irregularity_pv_waves``: path differences of the thickness
-                                    times twice the deviation of class A, as sag of one surface
+2/A;                                ``surface N irregularity_pv_waves``: the sag of one surface with the path
+                                    difference of the thickness times twice the index deviation of class A
 diameter, chamfer, 0/, 1/, 5/, 6/   none: they do not change the wavefront
 ==================================  ==================================================================
 
-Sizes are the tolerance of a distribution. A perturbation of the study keeps its own distribution; an
-indication that the study does not perturb scatters as the study lets the same parameter scatter elsewhere,
-or else uniformly over all that is allowed.
+The value of an indication is the tolerance of the distribution. A perturbation of the study keeps its own
+distribution. An indication that the study does not perturb has the distribution of the same parameter
+elsewhere in the study, or else a uniform one over the allowed range.
 """
 
 from __future__ import annotations
@@ -49,15 +49,14 @@ from tolerancing.prediction.sheet_item import FIELDS, OF_ELEMENT, Deviation, Key
 from tolerancing.study.study import Study
 
 HOMOGENEITY = (50e-6, 20e-6, 5e-6, 2e-6, 1e-6, 0.5e-6)
-"""Largest deviation of the index within a part, either way, by class (ISO 10110-4)."""
+"""Largest deviation (+-) of the index within a part by class (ISO 10110-4)."""
 
 
 def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -> tuple[SheetItem, ...]:
     """Return all indications that predictions score, element by element.
 
-    What a sheet leaves open counts as the general tolerances allow it, which hold where a drawing after
-    ISO 10110 states nothing; glass data and the decenter of aspheres, of which these say nothing, as the
-    commercial grade has them.
+    Values that a sheet does not state are the general tolerances, which ISO 10110 prescribes in this case.
+    Glass data and the decenter of aspheres have no general tolerance; they have the commercial grade.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
                     ratio = general.fringe_wavelength_um / sheet.fringe_wavelength_um
                     number = float(f"{ratio * number:.4g}")
                 item = SheetItem(kind, element.index, surface, name, number, origin, ())
-                # Two cemented elements share a surface: the sheet that allows more counts.
+                # The sheet that allows more determines the value of a cemented surface.
                 other = found.get(item.key)
                 if other is None or (other.field == name and other.value < number):
                     found[item.key] = with_value(item, lens, sheet, number)
@@ -114,7 +113,7 @@ def _has(lens: Lens, kind: Kind, surface: int) -> bool:
 
 
 def _number(kind: Kind, value: float | str | None) -> float | None:
-    """A value of a sheet as a number; None where nothing is or can be said."""
+    """Return a value of a sheet, or its default, as a number; None if there is neither."""
     if kind == "inhomogeneity":
         # Class of usual optical glass, used if a drawing states none.
         usual_inhomogeneity = "1;1"
@@ -165,7 +164,7 @@ def _refracting(lens: Lens, front: int) -> int:
 
 
 def _inhomogeneity_waves(lens: Lens, front: int, deviation: float) -> float | None:
-    """Sag in waves of 632.8 nm, peak to valley, that does what the glass does to a path through it."""
+    """Return the sag in waves of 632.8 nm (peak to valley) that changes a path as the inhomogeneity does."""
     n, surface = lens.indices(lens.wavelengths_um[0]), _refracting(lens, front)
     if lens.surfaces[surface].semi_diameter_mm is None:
         return None
@@ -174,7 +173,7 @@ def _inhomogeneity_waves(lens: Lens, front: int, deviation: float) -> float | No
 
 
 def item_key(p: Perturbation, lens: Lens) -> Key | None:
-    """Kind and surface of the indication that states a perturbation; None for what no sheet states."""
+    """Return kind and surface of the indication of a perturbation; None if no indication corresponds."""
     if p.element is not None:
         edge = p.parameter.startswith("edge_difference")
         return ("centring", lens.glass_fronts[p.element] + 1) if edge else None
@@ -199,10 +198,10 @@ def item_key(p: Perturbation, lens: Lens) -> Key | None:
 
 
 def sheet_value(p: Perturbation, lens: Lens) -> float | None:
-    """Tolerance of a perturbation in the unit of its indication; None of a measured distribution.
+    """Return the tolerance of a perturbation in the unit of its indication; None if it was measured.
 
-    Of radii and irregularities in the perturbation's own unit, since no other perturbation is compared
-    with them.
+    Tolerances of radii and irregularities keep the unit of the perturbation, because they are not compared
+    with others.
     """
     if p.file_name is not None:
         return None
@@ -221,14 +220,14 @@ def sheet_value(p: Perturbation, lens: Lens) -> float | None:
 
 @dataclass(frozen=True)
 class AsDrawnStudy:
-    """A study in which everything varies that a drawing allows.
+    """A study with all deviations that a drawing allows.
 
     Attributes
     ----------
     study
-        The study's own perturbations first, then what the sheet adds.
+        The study: its own perturbations, then those that the sheet adds.
     items
-        For each perturbation the item that added it; None for what the study has.
+        Item that added each perturbation; None for the study's own.
     """
 
     study: Study
@@ -243,7 +242,7 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
     lens
         The lens as drawn.
     study
-        Its tolerance study. What no sheet states (mount, object, sensor, light) stays.
+        Its tolerance study. Perturbations without an indication (mount, object, sensor, light) stay.
     items
         Indications from :func:`sheet_items`.
     """
@@ -254,7 +253,7 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
         item = by_key.get(key) if key else None
         value = sheet_value(p, lens)
         if item is not None and item.origin != "study" and value is None:
-            dropped.add(p.column)  # measured: the sheet holds parts to its own value
+            dropped.add(p.column)  # a measured distribution: parts are made to the sheet's value instead
             continue
         closer = item is not None and item.kind in ("centring", "decenter") and value is not None
         factor = item.value / value if item is not None and value and closer else 1.0
@@ -276,7 +275,7 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
 
 
 def _axes_left(item: SheetItem, own: Sequence[Perturbation]) -> tuple[Deviation, ...]:
-    """Directions of an indication that the study does not perturb although the sheet allows them."""
+    """Return the deviations of an indication along axes that the study does not perturb."""
     # A runout along y is a tilt about x.
     about = {"tir_y_mm": "x", "tir_x_mm": "y", "edge_difference_y_mm": "x", "edge_difference_x_mm": "y"}
     axes = {about.get(p.parameter, p.parameter.partition("_")[2][:1]) for p in own}
@@ -285,10 +284,10 @@ def _axes_left(item: SheetItem, own: Sequence[Perturbation]) -> tuple[Deviation,
 
 
 def _new(lens: Lens, item: SheetItem, deviation: Deviation, study: Study, existing: set[str]) -> Perturbation:
-    """A perturbation as large as a deviation, distributed as the study's own of the same kind."""
+    """Return a perturbation with the size of a deviation, distributed like others of its kind."""
     kind = "irregularity" if item.kind == "inhomogeneity" else item.kind
-    alike = (p for p in study.perturbations if (key := item_key(p, lens)) and key[0] == kind)
-    template = next((p for p in alike if p.file_name is None), None)
+    similar = (p for p in study.perturbations if (key := item_key(p, lens)) and key[0] == kind)
+    template = next((p for p in similar if p.file_name is None), None)
     irregular = deviation.parameter in IRREGULARITIES
     if template is None:
         half = 0.5 * deviation.tolerance if irregular else deviation.tolerance

@@ -1,6 +1,6 @@
 """Fast yields of a study with each tolerance multiplied by its own factor.
 
-Derivatives are computed once; a yield then takes milliseconds.
+Derivatives are computed once, so each yield takes only milliseconds.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class FirstOrderYield:
     Parameters
     ----------
     lens, study
-        As :func:`tolerancing.prediction.wavefront_prediction.predict` takes them.
+        Lens and study, as for :func:`tolerancing.prediction.wavefront_prediction.predict`.
     every
-        Use every nth draw of a prediction.
+        Use every n-th draw of a prediction.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class FirstOrderYield:
 
 
 class JointYield:
-    """Joint yield of all predicted limits to first order, by some of a prediction's draws."""
+    """Joint yield of all predicted limits to first order, from a part of the draws of a prediction."""
 
     def __init__(self, lens: Lens, study: Study) -> None:
         waves = any(is_predicted_wavefront(merit) for merit in study.merits)

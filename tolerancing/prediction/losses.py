@@ -2,9 +2,9 @@
 
 The merit `reconstruction_loss` (:mod:`tolerancing.merits.loss`) traces rays through each perturbed lens. Here
 the change of path on a meridian is linear in the perturbations, by Fermat's principle along nominal rays
-(:mod:`tolerancing.prediction.paths`); all else is as in the merit (:mod:`wavesim.pupil.chain_draws`).
-Compensators of the study are those of a calibrated reconstruction. They follow the perturbations by least
-squares in what intensities show, within their limits.
+(:mod:`tolerancing.prediction.paths`). Everything else is as in the merit (:mod:`wavesim.pupil.chain_draws`).
+The compensators of the study are the parameters of a calibrated reconstruction. A least-squares fit to the
+visible part of the path changes determines them within their limits.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
 from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
 
 DRAWS = 256
-"""Lenses by which the mean loss of a finished lens is predicted."""
+"""Number of drawn lenses that predict the mean loss of a finished lens."""
 
 
 @dataclass(frozen=True, eq=False)
 class LossPaths:
-    """Changes of path that perturbations of a lens bring; d changes, k compensators.
+    """Changes of path by d changes of a lens and by k compensators.
 
     Attributes
     ----------
@@ -61,13 +61,13 @@ class LossChains:
     Attributes
     ----------
     points : tuple of tuple of ChainDraws
-        For each object point one for each meridian.
+        Chain of each meridian for each object point.
     """
 
     points: tuple[tuple[ChainDraws, ...], ...]
 
     def coefficients(self, paths: LossPaths, amounts: Array) -> Array:
-        """Return the change of path that the model of the reconstruction leaves of each lens.
+        """Return the change of path of each lens that remains after calibration.
 
         Parameters
         ----------
@@ -82,8 +82,8 @@ class LossChains:
         found = np.einsum("pmtd,nd->pmnt", paths.lens, amounts, optimize=True)
         if paths.model.shape[-1]:
             for k, chains in enumerate(self.points):
-                shares = _calibrated(chains, paths.lens[k], paths.model[k], amounts)
-                found[k] -= np.einsum("mtk,nk->mnt", paths.model[k], shares)
+                fractions = _calibrated(chains, paths.lens[k], paths.model[k], amounts)
+                found[k] -= np.einsum("mtk,nk->mnt", paths.model[k], fractions)
         return found
 
     def losses(self, coefficients: Array, derivatives: bool = False) -> tuple[Array, Array]:
@@ -100,7 +100,7 @@ class LossChains:
         -------
         losses : ndarray, shape (points, lenses)
         by : ndarray, shape (points, meridians, lenses, terms)
-            Derivatives by the coefficients; zeros where they are not wanted.
+            Derivatives by the coefficients; zero if `derivatives` is False.
         """
         losses, by = np.empty((len(self.points), coefficients.shape[2])), np.zeros(coefficients.shape)
         for k, chains in enumerate(self.points):
@@ -113,7 +113,7 @@ class LossChains:
 
 
 def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float | None = None) -> LossChains:
-    """Work out the chains of a merit.
+    """Return the chains of a merit.
 
     Parameters
     ----------
@@ -122,8 +122,8 @@ def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float 
     merit
         The merit.
     pixels_per_sample
-        Makes a coarser chain: pixels of each plane that are looked at, for each sample of the object. None
-        leaves the chain as the merit has it.
+        Pixels of each plane for each sample of the object, for a coarser chain. None: the chain of the
+        merit.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float 
 
 
 def loss_paths(lens: Lens, study: Study, merit: ReconstructionLoss) -> LossPaths:
-    """Work out the changes of path of a merit, to first order in the perturbations.
+    """Return the changes of path of a merit, to first order in the perturbations.
 
     Raises
     ------
@@ -162,9 +162,10 @@ def loss_paths(lens: Lens, study: Study, merit: ReconstructionLoss) -> LossPaths
 
 
 def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts: Array) -> Array:
-    """Predict the scores of a merit: for each lens the largest loss of the merit's object points.
+    """Predict the score of a merit for each lens: the largest loss of the merit's object points.
 
-    Second order of paths in the perturbations is neglected, in addition to the approximations of the merit.
+    The second order of paths in the perturbations is neglected, in addition to the approximations of the
+    merit.
 
     Parameters
     ----------
@@ -199,7 +200,7 @@ def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = 
     Parameters
     ----------
     lens, study, merit
-        As of :func:`expected_losses`.
+        As for :func:`expected_losses`.
     draws
         Number of lenses.
     """
@@ -212,7 +213,7 @@ def drawn_losses(study: Study, draws: int) -> Array:
 
 
 def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:
-    """The chain with fewer fans, and with fewer pixels that hold as much light."""
+    """Return the chain with fewer fans and fewer pixels, which receive the same total light."""
     # Nominal rays are traced from nine object points.
     meridian = replace(chain.meridian, fans=9, pixels_per_sample=pixels_per_sample)
     return replace(
@@ -222,16 +223,16 @@ def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChai
 
 def _calibrated(chains: Sequence[ChainDraws], lens: Array, model: Array, amounts: Array) -> Array:
     """Return the fitted compensators of each lens as fractions of their limits, shape (lenses, k)."""
-    sees = [chain.visible for chain in chains]
-    matrix = sum(m.T @ see @ m for see, m in zip(sees, model, strict=True))
-    across = sum(m.T @ see @ own for see, own, m in zip(sees, lens, model, strict=True))
-    wanted = amounts @ across.T
-    return bounded_least_squares(regularised(np.asarray(matrix)), wanted)[0]
+    visible = [chain.visible for chain in chains]
+    matrix = sum(m.T @ v @ m for v, m in zip(visible, model, strict=True))
+    across = sum(m.T @ v @ own for v, own, m in zip(visible, lens, model, strict=True))
+    right_side = amounts @ across.T
+    return bounded_least_squares(regularised(np.asarray(matrix)), right_side)[0]
 
 
 @dataclass(frozen=True, eq=False)
 class _Changed:
-    """Changes of a lens, and how much farther than the mean each plane of the design moves with them."""
+    """Changes of a lens, and the motion of each plane relative to the mean motion of all planes."""
 
     changes: Changes
     farther: Array
@@ -260,7 +261,7 @@ def _changed(
 
 
 class _Nodes:
-    """Nominal rays of a meridian to each plane, along which changes of path are known."""
+    """Nominal rays of a meridian to each plane, along which changes of path are evaluated."""
 
     def __init__(
         self,
@@ -280,9 +281,9 @@ class _Nodes:
         directions = lens.object.numerical_aperture * p[:, None] * along
         directions[:, 2] = np.sqrt(1.0 - np.sum(directions**2, axis=1))
         plane_z = lens.exit_vertex_z_mm + distances
-        # No stop clips them, so that all lenses of a search are known by the same rays.
+        # Without clipping, all lenses of a search have the same rays.
         rays = trace_compiled(system, origins, directions, float(plane_z[0]), record_hits=True, clip=False)
-        assert rays.hits is not None  # they were asked for
+        assert rays.hits is not None  # record_hits is true
         ok = rays.ok
         if np.count_nonzero(ok) <= TERMS:
             raise InputError(
@@ -296,14 +297,14 @@ class _Nodes:
         self.fit = np.linalg.pinv(polynomial_terms(x[ok], p[ok]), rcond=1e-9)
 
     def coefficients(self, changed: _Changed) -> Array:
-        """Polynomials of the changes of path, in waves for a unit of each; shape (planes * TERMS, d)."""
+        """Return polynomials of the path in waves for a unit of each change, shape (planes * TERMS, d)."""
         changes, found = changed.changes, []
         # Index of a station's axial shift among the numbers of its pose.
         depth = 11
         sensor = changes.layout.pose(changes.layout.surfaces + 1).start + depth
         for number, paths in enumerate(self.planes):
             path = first_by(paths, changes, figures_on(paths, changes))
-            # Planes beyond those of the design move with the mean of these.
+            # Additional planes have the mean motion of the planes of the design.
             if number < len(changed.farther):
                 path = path + np.outer(paths.by_numbers[:, sensor], changed.farther[number])
             found.append(1e3 / self.wavelength_um * self.fit @ (path - path.mean(axis=0)))

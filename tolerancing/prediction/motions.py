@@ -1,8 +1,8 @@
-"""Elementary motions that changes of a lens consist of, and second derivatives of paths by them.
+"""Elementary motions that make up the changes of a lens, and second derivatives of paths by them.
 
-A change turns and shifts the object, surfaces and sensor, and alters terms of shapes, indices, figures and
-the wavelength: few motions, in which the changes are sparse. Second derivatives of paths are dense in the
-motions alone, and go over to the changes by the chain rule.
+A change rotates and shifts the object, surfaces and sensor, and alters terms of shapes, indices, figures and
+the wavelength. It is a sparse combination of these motions, of which there are few. Dense second derivatives
+of paths are computed by the motions only; the chain rule converts them to derivatives by the changes.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from tolerancing.prediction.system import Changes
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Answers of rays to q motions: n rays, s surfaces.
+    """Response of n rays to q motions of a lens with s surfaces.
 
-    Motions are turns about x, y and z in radians and shifts of each station, terms of the shapes, indices,
-    the share of wavelengths, and a unit of each figure, in this order.
+    The motions are, in this order: rotations about x, y and z in radians and shifts of each station; terms of
+    the shapes; indices; the ratio of wavelengths; and a unit of each figure.
 
     Attributes
     ----------
     paths : Paths
     figures : sequence of Figures
-        Sag errors that changes may bring.
+        Sag errors that changes cause.
     """
 
     paths: Paths
@@ -42,7 +42,7 @@ class Motions:
         return 6 * (self.paths.layout.surfaces + 2)
 
     def _position(self, numbers: slice) -> slice:
-        """Motions that are numbers behind the poses."""
+        """Return the motions for numbers that follow the poses in the layout."""
         shift = self._first_term - POSE * (self.paths.layout.surfaces + 2)
         return slice(numbers.start + shift, numbers.stop + shift)
 
@@ -72,7 +72,7 @@ class Motions:
 
     @cached_property
     def points(self) -> Array:
-        """Change of the stations' points, rays staying where they are on each; shape (n, 3 (s + 2), q)."""
+        """Displacement of the stations' points at fixed ray heights, shape (n, 3 (s + 2), q)."""
         own = self.paths.own_points
         n, stations = own.shape[:2]
         kinds = (own, *(sag for _, _, sag in self._sags))
@@ -112,18 +112,18 @@ class Motions:
 
     @cached_property
     def second(self) -> Array:
-        """Second derivatives of the path, object and sensor points kept, shape (n, q, q)."""
+        """Second derivatives of the path for fixed object and sensor points, shape (n, q, q)."""
         paths, points, slide = self.paths, self.points, self.slide
         found = np.swapaxes(points, 1, 2) @ (paths.hessian @ points)
         found -= np.swapaxes(slide, 1, 2) @ np.linalg.solve(paths.sliding, slide)
         crossed = np.zeros_like(found)
         crossed[:, self._indices] += self.lengths
-        share = self._indices.stop
-        crossed[:, share] = (paths.gradient.reshape(len(points), 1, -1) @ points)[:, 0]
-        crossed[:, share, self._indices] = paths.lengths
+        ratio = self._indices.stop
+        crossed[:, ratio] = (paths.gradient.reshape(len(points), 1, -1) @ points)[:, 0]
+        crossed[:, ratio, self._indices] = paths.lengths
         for k, columns, sag in self._sags:
             gradient = paths.gradient[:, k + 1]
-            # A sag stands along the axis of a surface that turns.
+            # The sag is along the axis of the surface, which rotates.
             turned = np.cross(np.array([0.0, 0.0, 1.0]), gradient)
             crossed[:, 6 * k + 6 : 6 * k + 9, columns] += turned[:, :, None] * sag[:, :1]
         found += crossed + np.swapaxes(crossed, 1, 2)
@@ -135,7 +135,7 @@ class Motions:
 
 
 def motions_of(changes: Changes) -> Array:
-    """Motions that d changes are, shape (q, d)."""
+    """Return the motions of which each of d changes consists, shape (q, d)."""
     layout, first = changes.layout, changes.first
     # Numbers of a pose that are its first-order rotations about x, y and z, and its shifts.
     of_pose = (7, 2, 3, 9, 10, 11)
@@ -147,9 +147,10 @@ def motions_of(changes: Changes) -> Array:
 
 
 def pair_weights(changes: Changes) -> sparse.csr_array:
-    """The chain rule: what takes second derivatives by motions and first ones by numbers to those by changes.
+    """Return the matrix of the chain rule for second derivatives by changes.
 
-    Of shape (d (d + 1) / 2, q^2 + numbers), by pairs of changes (i, j), i <= j, in the order of
+    It multiplies the second derivatives by motions, followed by the first derivatives by numbers. Its shape
+    is (d (d + 1) / 2, q^2 + numbers); rows are pairs of changes (i, j), i <= j, in the order of
     `numpy.triu_indices`.
     """
     moved = sparse.csr_array(motions_of(changes).T)
@@ -159,15 +160,16 @@ def pair_weights(changes: Changes) -> sparse.csr_array:
 
 
 def second_by_pairs(paths: Paths, weights: sparse.csr_array, figures: Sequence[Figures] = ()) -> Array:
-    """Second derivatives of paths in mm by d changes, object and sensor points kept.
+    """Return second derivatives of paths in mm by d changes for fixed object and sensor points.
 
     Parameters
     ----------
     paths
+        Nominal paths.
     weights
-        Of the changes, by :func:`pair_weights`.
+        Result of :func:`pair_weights` for the changes.
     figures
-        Sag errors that come with the changes.
+        Sag errors that the changes cause.
 
     Returns
     -------
@@ -179,14 +181,14 @@ def second_by_pairs(paths: Paths, weights: sparse.csr_array, figures: Sequence[F
 
 
 def _rotations(points: Array) -> Array:
-    """Change of points with turns about x, y and z, shape (n, 3, 3)."""
+    """Return derivatives of points by rotations about x, y and z, shape (n, 3, 3)."""
     return np.swapaxes(np.cross(np.eye(3), points[:, None]), 1, 2)
 
 
 def _sag_bends(shape: Shape, heights_mm: Array) -> Array:
-    """Second derivatives of a sag by its shape's terms, shape (n, terms, terms), at real points.
+    """Return second derivatives of a sag by the terms of its shape, shape (n, terms, terms).
 
-    By complex step, exact to rounding.
+    A complex step computes them to rounding; the points must be real.
     """
     names = shape.TERMS[: shape.terms.shape[-1]]
     x, y = heights_mm[:, 0], heights_mm[:, 1]

@@ -1,11 +1,12 @@
-"""Optical paths through a lens, and their derivatives by all numbers that the lens is made of.
+"""Optical paths through a lens, and their derivatives by all numbers that describe the lens.
 
-By Fermat's principle the path from an object point to a sensor point does not change, to first order, as the
-ray slides over the surfaces. So its first derivative by any change of the lens is what the change does to the
-path along the ray as it was, and the second follows from how far the ray slides: with w the points on the
-surfaces, V_ij - V_iw (V_ww)^-1 V_wj (the implicit function theorem). No perturbed ray is traced.
+By Fermat's principle the path V from an object point to a sensor point does not change, to first order, if
+the points w of the ray on the surfaces are displaced. Its first derivative by a change of the lens is
+therefore the change of path along the nominal ray. The second derivative by changes i and j includes the
+displacement of the points: V_ij - V_iw (V_ww)^-1 V_wj (implicit function theorem). No perturbed ray is
+traced.
 
-All arrays may be complex, so that derivatives by design variables follow by complex step.
+All arrays may be complex, so that a complex step gives derivatives by design variables.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape
 
 POSE = 12
-"""Numbers of a station's pose: its rotation matrix by rows, and its shift in mm."""
+"""Count of the numbers of a pose: the rotation matrix by rows, then the shift in mm."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions of the numbers of a system; stations are the object, the surfaces and the sensor.
+    """Positions of the numbers that describe a system, in one vector.
+
+    The numbers are the poses of the stations (object, surfaces and sensor), the terms of the shapes, the
+    refractive indices, and the ratio of the wavelengths.
 
     Attributes
     ----------
@@ -40,42 +44,43 @@ class Layout:
         return len(self.terms)
 
     def pose(self, station: int) -> slice:
-        """Rotation and shift of a station, 0 being the object."""
+        """Return the positions of rotation and shift of a station; station 0 is the object."""
         return slice(POSE * station, POSE * (station + 1))
 
     def of_shape(self, surface: int) -> slice:
-        """Terms of a surface's shape, counted from 0."""
+        """Return the positions of the terms of a surface's shape; the first surface is 0."""
         first = POSE * (self.surfaces + 2) + sum(self.terms[:surface])
         return slice(first, first + self.terms[surface])
 
     @property
     def indices(self) -> slice:
-        """Refractive index before the first and behind each surface."""
+        """Positions of the refractive indices before the first and behind each surface."""
         first = POSE * (self.surfaces + 2) + sum(self.terms)
         return slice(first, first + self.surfaces + 1)
 
     @property
     def waves(self) -> int:
-        """Nominal wavelength over the true one, by which a path counts."""
+        """Position of the nominal wavelength divided by the actual one, which multiplies paths in waves."""
         return self.indices.stop
 
     @property
     def size(self) -> int:
-        """Number of numbers."""
+        """Length of the vector."""
         return self.waves + 1
 
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Rays through a centred lens: n rays, s surfaces.
+    """Paths of n rays through a centred lens with s surfaces.
 
     Attributes
     ----------
-    shapes : tuple of Shape, one for each surface
+    shapes : tuple of Shape
+        Shape of each surface.
     vertices_mm : ndarray, shape (s,)
         z of the surfaces' vertices.
     index : ndarray, shape (s + 1,)
-        Before the first and behind each surface.
+        Refractive index before the first and behind each surface.
     objects_mm : ndarray, shape (n, 3)
         Starting points of the rays.
     heights_mm : ndarray, shape (n, s, 2)
@@ -98,7 +103,7 @@ class Paths:
 
     @cached_property
     def layout(self) -> Layout:
-        """Positions of the numbers."""
+        """Positions of the numbers that describe the lens."""
         return Layout(tuple(shape.terms.shape[-1] for shape in self.shapes))
 
     @cached_property
@@ -111,7 +116,7 @@ class Paths:
 
     @cached_property
     def own_points(self) -> Array:
-        """Points in each station's own frame, shape (n, s + 2, 3); the object's is its pose's shift."""
+        """Points in each station's own frame, shape (n, s + 2, 3); the object point is an origin."""
         own = np.zeros((len(self.objects_mm), len(self.shapes) + 2, 3), self._kind)
         for k, (sag, _, _) in enumerate(self._sags, start=1):
             own[:, k, :2], own[:, k, 2] = self.heights_mm[:, k - 1], sag
@@ -130,9 +135,9 @@ class Paths:
         points = self.own_points.copy()
         points[:, 0], points[:, -1] = self.objects_mm, self.sensors_mm
         points[:, 1:-1, 2] += self.vertices_mm
-        ways = np.diff(points, axis=1)
-        lengths = np.sqrt(np.sum(ways * ways, axis=-1))
-        return lengths, ways / lengths[..., None]
+        segments = np.diff(points, axis=1)
+        lengths = np.sqrt(np.sum(segments * segments, axis=-1))
+        return lengths, segments / lengths[..., None]
 
     @property
     def lengths(self) -> Array:
@@ -146,7 +151,7 @@ class Paths:
 
     @property
     def path_mm(self) -> Array:
-        """Optical path, shape (n,)."""
+        """Optical path length, shape (n,)."""
         return np.asarray(self.lengths @ self.index)
 
     @property
@@ -156,7 +161,7 @@ class Paths:
 
     @cached_property
     def gradient(self) -> Array:
-        """Derivatives of the path by the points, shape (n, s + 2, 3); along the normal on each surface."""
+        """Derivatives of the path by the points, shape (n, s + 2, 3); normal to the surfaces."""
         optical = self.index[:, None] * self.directions
         edge = np.zeros_like(optical[:, :1])
         return np.concatenate([edge, optical], axis=1) - np.concatenate([optical, edge], axis=1)
@@ -179,18 +184,18 @@ class Paths:
         return found
 
     def by_figure(self, surface: int, sag: Array) -> Array:
-        """Derivative of the path by a figure with this sag error at the rays, shape (n, ...)."""
+        """Return the derivative of the path by a figure with this sag error at the rays, shape (n, ...)."""
         gradient = self.gradient[:, surface + 1, 2]
         return np.asarray(gradient.reshape(-1, *(1,) * (sag.ndim - 1)) * sag)
 
     def by_term(self, surface: int, term: str) -> tuple[Array, Array, Array]:
-        """Derivatives of a surface's sag, and of its slopes along x and y, by a term of its shape."""
+        """Return derivatives of a surface's sag and of its slopes along x and y by a term of its shape."""
         x, y = self.heights_mm[:, surface, 0], self.heights_mm[:, surface, 1]
         return self.shapes[surface].derivatives_by(term, x, y)
 
     @cached_property
     def tangents(self) -> Array:
-        """Change of each surface's point with x and y on it, shape (n, s, 3, 2)."""
+        """Derivatives of the point on each surface by its x and y, shape (n, s, 3, 2)."""
         found = np.zeros((len(self.objects_mm), len(self.shapes), 3, 2), self._kind)
         for k, (_, across, down) in enumerate(self._sags):
             found[:, k, 0, 0] = found[:, k, 1, 1] = 1.0
@@ -200,9 +205,9 @@ class Paths:
     @cached_property
     def hessian(self) -> Array:
         """Second derivatives of the path by the points, shape (n, 3 (s + 2), 3 (s + 2))."""
-        lengths, ways = self.lengths, self.directions
+        lengths, directions = self.lengths, self.directions
         stations = len(self.shapes) + 2
-        across = np.eye(3) - ways[..., :, None] * ways[..., None, :]
+        across = np.eye(3) - directions[..., :, None] * directions[..., None, :]
         across = across * (self.index / lengths)[..., None, None]
         found = np.zeros((len(lengths), stations, 3, stations, 3), across.dtype)
         for j in range(stations - 1):
@@ -237,16 +242,16 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """Sag errors of one surface that come with some of the changes.
+    """Sag errors of one surface that some of the changes cause.
 
     Attributes
     ----------
     surface : int
-        From 0.
+        Index of the surface.
     columns : slice
-        Of the changes.
+        The changes that cause the sag errors.
     sag, slope_x, slope_y : ndarray, shape (n, columns)
-        In mm, and without dimension, for a unit of each change.
+        Sag error in mm and its slopes for a unit of each change.
     """
 
     surface: int

@@ -1,8 +1,7 @@
 """Predictions of ray merits without trials, from the derivatives of the nominal lens's rays.
 
 Each ray follows the perturbations to first order. The outermost ray is determined for each draw, so that
-changes of the extreme ray are included. A few draws are traced to verify that the
-first order is sufficient.
+changes of the extreme ray are included. A few draws are traced to verify that the first order is sufficient.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.study import Study
 
 BLOCK = 128
-"""Draws whose rays are held at one time; and those that tell what each perturbation does by itself."""
+"""Number of draws that are computed at one time, and that determine the effect of each perturbation alone."""
 
 ROUNDING = 1e-9
-"""Deviations below this share of the nominal value are none."""
+"""Deviations below this fraction of the nominal value are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +45,9 @@ class RayPrediction:
     passed : ndarray of bool, shape (draws,)
         True for drawn lenses within the limit.
     alone : ndarray, shape (perturbations,)
-        Deviation that each perturbation brings by itself.
+        Standard deviation for each perturbation alone.
     left : float
-        Root mean square by which predictions of the traced draws are off, as a share of their deviation.
+        Root mean square error of the predictions for the traced draws, as a fraction of their deviation.
     """
 
     merit: RayMerit
@@ -79,7 +78,7 @@ class RayPrediction:
 
 
 class FirstOrderRays(Context):
-    """Context of ray merits whose rays follow the perturbations to first order, without clipping."""
+    """Context in which rays follow the perturbations to first order, without clipping."""
 
     def __init__(self, lens: Lens, study: Study) -> None:
         super().__init__(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
@@ -114,14 +113,14 @@ class FirstOrderRays(Context):
         )
 
     def narrow(self, batch: PerturbationBatch, distances_mm: tuple[float, ...]) -> None:
-        """Leave out the rays that are never near the extreme of one of these lenses or of the nominal one.
+        """Keep only the rays that are close to the extreme ray of one of these lenses or of the nominal lens.
 
         Parameters
         ----------
         batch
             The lenses.
         distances_mm
-            Planes on which footprints are judged, from the first sensor plane.
+            Distances of the planes of footprints from the first sensor plane.
         """
         for key, known in self._cache.items():
             if isinstance(known, ArrivalDifferentials):
@@ -131,7 +130,7 @@ class FirstOrderRays(Context):
 def _extreme_rays(
     known: ArrivalDifferentials, batch: PerturbationBatch, distances_mm: tuple[float, ...]
 ) -> NDArray[np.int64]:
-    """Rays with the largest angles and footprints, and those that come close to them."""
+    """Return the indices of rays whose angle or footprint is the largest or close to it."""
     amounts = known.changes.amounts(batch)
     found = known.arrival(np.concatenate([amounts, np.zeros_like(amounts[:1])]))
     across = found.direction[..., :2] / found.direction[..., 2:]
@@ -154,7 +153,7 @@ def is_predicted_ray_merit(merit: Merit) -> TypeGuard[LargestSpread | FootprintR
 
 
 def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
-    """Merits of rays that can be predicted."""
+    """Return the ray merits of a study that can be predicted."""
     return tuple(merit for merit in study.merits if is_predicted_ray_merit(merit))
 
 
@@ -163,8 +162,8 @@ def predict_rays(
 ) -> tuple[RayPrediction, ...]:
     """Predict a study's largest spreads and footprints.
 
-    Neglected are the second order of single rays, and rays that a perturbed lens clips or lets through
-    where the nominal one does not.
+    The second order of single rays is neglected, and so are rays that only the nominal or only the perturbed
+    lens clips.
 
     Parameters
     ----------
@@ -175,7 +174,7 @@ def predict_rays(
     batch
         The drawn lenses; default: those of :func:`tolerancing.prediction.wavefront_prediction.drawn_batch`.
     checked
-        Whether the first draws are traced, too, to measure what first order neglects.
+        Whether the first draws are traced as well, to measure the error of the first order.
 
     Returns
     -------
@@ -198,16 +197,16 @@ def predict_rays(
     first = _scores(merits, context, blocks[0])
     context.narrow(blocks[0], tuple(distance - planes[0] for distance in judged))
     scores = np.concatenate([first, *(_scores(merits, context, block) for block in blocks[1:])])
-    still = replace(blocks[0], values=np.zeros_like(blocks[0].values))
-    nominal = _scores(merits, context, still)[0]
+    unperturbed = replace(blocks[0], values=np.zeros_like(blocks[0].values))
+    nominal = _scores(merits, context, unperturbed)[0]
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
     left = np.zeros(len(merits))
     if checked:
         # The first 64 draws are traced.
         traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, 64)))
-        off = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
-        # What no perturbation moves deviates by rounding alone.
-        left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
+        errors = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
+        # A score that no perturbation changes has only rounding errors.
+        left = errors / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
     return tuple(
         RayPrediction(
             merit,
@@ -227,6 +226,6 @@ def _scores(merits: tuple[RayMerit, ...], context: Context, batch: PerturbationB
 
 
 def _one_by_one(batch: PerturbationBatch) -> list[PerturbationBatch]:
-    """The batch with all perturbations but one at 0, for each of them."""
+    """Return one batch for each perturbation, in which all others are 0."""
     kept = np.eye(batch.values.shape[1])
     return [replace(batch, values=batch.values * own) for own in kept]

@@ -1,4 +1,4 @@
-"""A tolerance study as a search for lenses uses it: predictions with exact derivatives, and fresh trials."""
+"""A tolerance study in a search for lenses: predictions with exact derivatives, and independent trials."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from tolerancing.study.study import Study
 
 @dataclass(frozen=True, eq=False)
 class StudyAsBuilt:
-    """A study whose lenses a search makes good.
+    """A study that scores the lenses of a search as built.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class StudyAsBuilt:
     source : str
         Name of the study file.
     costs : Path or None
-        Table of costs; None is that of the toolkit.
+        Table of costs; None is the table of the toolkit.
     amount : float or None
-        What the tolerances of each lens cost, all multiplied alike; None leaves them as they are.
+        Cost to which the tolerances of each lens are scaled by one factor; None keeps the tolerances.
     """
 
     study: Study
@@ -65,11 +65,11 @@ class StudyAsBuilt:
     amount: float | None = None
 
     def sheets(self) -> StudySheets:
-        """Scorer that derives and scores the tolerances of a lens's drawings by the study."""
+        """Return an object that derives and scores the tolerances of drawings by the study."""
         return StudySheets(self.study, self.source)
 
     def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
-        """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""
+        """Return the study with a table of costs and, if given, a cost to which tolerances are scaled."""
         return replace(self, costs=costs, amount=cost)
 
     @cached_property
@@ -97,7 +97,7 @@ class StudyAsBuilt:
         return (cost_of(self.study, lens, self._table).total - elements) / (self.amount - elements)
 
     def scaled(self, factor: float) -> StudyAsBuilt:
-        """The study with all tolerances multiplied."""
+        """Return the study with all tolerances multiplied."""
         if factor == 1.0:
             return self
         return replace(self, study=_multiplied(self.study, factor))
@@ -114,7 +114,7 @@ class StudyAsBuilt:
 
     @cached_property
     def trials_only(self) -> tuple[str, ...]:
-        """Names of the merits that cannot be predicted; trials alone score them."""
+        """Names of the merits that cannot be predicted and are scored by trials only."""
         known = {m.label for m in predicted_merits(self.study)}
         known |= {m.label for m in self.study.merits if is_predicted_wavefront(m)}
         return tuple(m.label for m in self.study.merits if m.label not in known)
@@ -130,13 +130,13 @@ class StudyAsBuilt:
 
     @cached_property
     def _scatter(self) -> Scatter:
-        # A search ends with trials: whether all merits can score is known before it begins.
+        # A search ends with trials, so it is checked before the search that all merits can score.
         prepare_merits(self.study)
         return Scatter(self.study, self.factor)
 
     @cached_property
     def _places(self) -> tuple[tuple[tuple[float, float], float | None], ...]:
-        """Object points whose wavefronts are followed: those that are judged, then others that compensate."""
+        """Object points whose wavefronts are predicted: points with limits, then others for compensators."""
         judged = [(p.field_mm, p.wavelength_um) for p in self.judged]
         own = compensated_points(self.study) if self.study.compensators else ()
         return (*judged, *(place for place in own if place not in judged))
@@ -152,8 +152,8 @@ class StudyAsBuilt:
         if self.amount is not None:
             if self.amount <= (elements := len(lens.glass_fronts)):
                 raise DesignError(
-                    f"tolerances: cost = {self.amount:g}: must be above {elements}, which the elements "
-                    "of the lens cost without any"
+                    f"tolerances: cost = {self.amount:g}: must be above {elements}, the cost of the "
+                    "elements without tolerances"
                 )
             self.factor(sized(lens, np.ones(len(lens.surfaces))))
         used = {wavelength for _, wavelength in self._places}
@@ -162,19 +162,19 @@ class StudyAsBuilt:
         if own:
             known = ", ".join(f"{w:g}" for w in lens.wavelengths_um)
             raise DesignError(
-                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: a search "
-                f"knows the wavelengths of its specification alone, {known} um"
+                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: allowed "
+                f"in a search: the wavelengths of its specification, {known} um"
             )
 
     def evaluate(self, problem: DesignProblem, point: Array, derivatives: bool) -> AsBuiltValues:
         """Predict the lens at a point of the unit box, to first order in the perturbations.
 
-        Derivatives are by the variables' own values.
+        Derivatives are by the variables in their own units.
 
         Raises
         ------
         InputError
-            If a merit that only trials use cannot score, as the code of a user that does not load.
+            If a merit that only trials score is faulty, such as user code that cannot be loaded.
         """
         variables, scatter = problem.variables if derivatives else (), self._scatter
         try:
@@ -207,14 +207,14 @@ class StudyAsBuilt:
         Raises
         ------
         DesignError
-            If the study's own lens cannot stand for the lenses of the search.
+            If the study's own lens cannot represent the lenses of the search.
         """
         self._losses.check(lens)
 
     def losses(self, problem: DesignProblem, point: Array, derivatives: bool) -> LossValues:
         """Predict mean reconstruction losses of the lens at a point of the unit box.
 
-        Derivatives are by the variables' own values.
+        Derivatives are by the variables in their own units.
         """
         count = len(problem.variables) if derivatives else 0
         try:
@@ -258,7 +258,7 @@ class StudyAsBuilt:
         return AsBuiltValues(rms, rms_by, *failing_fraction(limits, len(variables)))
 
     def _waves(self, designs: Sequence[DesignPoint]) -> CompensatedWaves:
-        """Wavefronts at all places, each of the design at its wavelength."""
+        """Return wavefronts at all object points, each for the design at its wavelength."""
         size, variables = designs[0].changes.count, len(designs[0].variables)
         values = np.empty((len(designs), size, size))
         by = np.empty((variables, *values.shape))
@@ -272,16 +272,16 @@ class StudyAsBuilt:
         return CompensatedWaves(values, by, total, total_by, scatter.amounts, scatter.limits)
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
-        """Predict a finished lens by the function that `tolerancing predict` prints."""
+        """Predict a finished lens as the command `tolerancing predict` does."""
         if not self.judged and not predicted_merits(self.study):
             return AsBuiltPrediction((), math.nan, {})
         lens = self._fitting(lens)
         return predicted_of(lens, self._toleranced(self.study, lens))
 
     def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
-        """Try lenses by so many fresh trials each, drawn by a seed that is not the study's.
+        """Score lenses by `count` independent trials each, with a seed that differs from the study's.
 
-        A run of the study with that seed, and as many trials, scores the same trials by the same code.
+        A run of the study with this seed and number of trials scores the same trials.
 
         Raises
         ------
@@ -305,7 +305,7 @@ class StudyAsBuilt:
         )
 
     def _fitting(self, lens: Lens) -> Lens:
-        """The lens, with planes bent by next to nothing where the study perturbs the radius of one."""
+        """Return the lens; planes are slightly curved if the study perturbs the radius of one."""
         try:
             check_against(self.study, lens, self.source)
         except DesignError:
@@ -313,7 +313,7 @@ class StudyAsBuilt:
         return lens
 
     def _toleranced(self, study: Study, lens: Lens) -> Study:
-        """The study with the tolerances of a lens."""
+        """Return the study with the tolerances of a lens."""
         return _multiplied(study, self.factor(bent(lens)))
 
 
@@ -324,7 +324,7 @@ def read_study(path: Path) -> StudyAsBuilt:
 
 
 def _multiplied(study: Study, factor: float) -> Study:
-    """The study with all tolerances multiplied."""
+    """Return the study with all tolerances multiplied."""
     if factor == 1.0:
         return study
     return study.model_copy(update={"perturbations": tuple(p.scaled(factor) for p in study.perturbations)})

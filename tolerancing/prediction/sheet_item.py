@@ -1,4 +1,4 @@
-"""An indication of a sheet that predictions score: what it tolerances, and by how much."""
+"""An indication of a drawing that predictions score: its tolerance and the perturbations that it allows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Key = tuple[Kind, int]
 """Kind of an indication, and index of its surface."""
 
 Origin = Literal["study", "general", "sheet", "open"]
-"""Where a value comes from: the study, the general tolerances, the user's sheet file, or nowhere yet."""
+"""Origin of a value: the study, the general tolerances, the user's sheet file, or not stated (open)."""
 
 FIELDS: dict[Kind, tuple[str, ...]] = {
     "radius": ("radius_mm", "radius_fringes"),
@@ -34,7 +34,7 @@ FIELDS: dict[Kind, tuple[str, ...]] = {
     "Abbe number": ("abbe_percent",),
     "inhomogeneity": ("inhomogeneity",),
 }
-"""Fields of a sheet's tolerances by kind; the first that is given counts."""
+"""Fields of a sheet's tolerances by kind, in order of preference."""
 
 OF_ELEMENT: tuple[Kind, ...] = ("thickness", "index", "Abbe number", "inhomogeneity")
 
@@ -60,22 +60,22 @@ class Deviation(NamedTuple):
 
 @dataclass(frozen=True)
 class SheetItem:
-    """An indication of a sheet that predictions score.
+    """An indication of a drawing that predictions score.
 
     Attributes
     ----------
     kind
         Kind of the tolerance.
     element, surface
-        Indices from 0; of an indication for the whole element its front surface.
+        Indices of element and surface; the front surface for an indication of the whole element.
     field
         Field of the sheet's tolerances.
     value
-        In the field's unit; of the homogeneity its class.
+        Value in the unit of the field; class of the homogeneity.
     origin
-        Where the value comes from.
+        Origin of the value.
     deviations
-        Deviations that it allows.
+        Deviations that the indication allows.
     """
 
     kind: Kind
@@ -88,14 +88,14 @@ class SheetItem:
 
     @property
     def label(self) -> str:
-        """The item in words."""
+        """Kind and element or surface as text."""
         if self.kind in OF_ELEMENT:
             return f"{self.kind} of element {self.element + 1}"
         return f"{self.kind} of surface {self.surface + 1}"
 
     @property
     def text(self) -> str:
-        """The item with its value."""
+        """Kind, element or surface, and value as text."""
         if self.kind == "inhomogeneity":
             return f"{self.label} (class {self.value:g})"
         return f"{self.label} (±{self.value:g}{UNITS.get(self.field, '')})"

@@ -1,7 +1,7 @@
-"""Drawings scored by a study: missing values are derived from the study, and the whole drawing is scored.
+"""Scores of drawings: values that are missing are derived from a study, and the drawing is scored by it.
 
-A value that the study does not state stands as the general tolerance if it costs next to no yield; otherwise
-it is the largest round value that costs little. None is closer than the high-precision grade.
+A value that the study does not state is the general tolerance if this loses almost no yield, and otherwise
+the largest round value that loses little. No value is tighter than the high-precision grade.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ from tolerancing.study.files import check_against, save_study
 from tolerancing.study.study import Study
 
 LOSS_EACH, LOSS_ALL = 0.002, 0.01
-"""Yield that a derived value may cost alone, and that all values may cost which the study does not state."""
+"""Accepted loss of yield by one derived value alone, and by all values that the study does not state."""
 
 WAVE_STEPS, JOINT_STEPS = 100, 15
-"""Most values that are tightened because all of them together cost too much."""
+"""Largest numbers of steps that tighten values because all of them together lose too much yield: for yields
+from wavefronts, and for joint yields."""
 
 YieldOf = Callable[[Array], float]
 
@@ -51,8 +52,9 @@ class StudySheets:
 
     Attributes
     ----------
-    study : Study
-    source : str
+    study
+        The study.
+    source
         Name of the study file.
     """
 
@@ -65,19 +67,19 @@ class StudySheets:
         return waves or bool(predicted_merits(self.study))
 
     def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> Derived:
-        """Derive the values that the study does not state, for a lens as drawn.
+        """Derive the values that the study does not state for the lens of a drawing.
 
         Parameters
         ----------
         lens
             The lens as drawn.
         sheets
-            Of each element. Values that are general tolerances, or missing, are open.
+            Tolerances of each element. General tolerances and missing values are replaced by derived ones.
 
         Raises
         ------
         DesignError
-            If the study perturbs what the lens does not have, or rays do not pass.
+            If the lens does not have a perturbed parameter, or rays do not pass.
         """
         check_against(self.study, lens, self.source)
         items = sheet_items(lens, self.study, sheets)
@@ -99,14 +101,14 @@ class StudySheets:
         )
 
     def score(self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]) -> SheetScore | None:
-        """Score sheets; None if none of the study's merits can be predicted without trials.
+        """Predict the yield of a drawing; None if none of the study's merits can be predicted.
 
         Parameters
         ----------
         designed, drawn
-            The lens of the study, and the one that the sheets state.
+            The lens of the study, and the lens of the drawing.
         sheets
-            Of each element.
+            Tolerances of each element.
 
         Raises
         ------
@@ -128,7 +130,7 @@ class StudySheets:
             named = [p.file_name for p in made.study.perturbations if p.file_name is not None]
             if named and path.resolve().parent != Path(self.source).resolve().parent:
                 raise InputError(
-                    f"the study as drawn needs {named[0]} beside it; write it beside {self.source}"
+                    f"the study as drawn reads {named[0]} from its own folder; write it beside {self.source}"
                 )
             title = f"{self.study.title or self.source}: as drawn"
             save_study(made.study.model_copy(update={"title": title, "design": design}), path)
@@ -144,7 +146,7 @@ class StudySheets:
 
 
 def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
-    """Yield that each indication costs alone which the study does not have, largest first."""
+    """Return the loss of yield by each indication that the study does not have, largest first."""
     at = JointYield(lens, made.study).at
     added = list({item.key: item for item in made.items if item is not None}.values())
 
@@ -157,7 +159,7 @@ def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
 
 
 class _Search:
-    """Values that a study does not state, tightened until they cost little yield."""
+    """Search for values that a study does not state, tightened until they lose little yield."""
 
     def __init__(
         self,
@@ -172,17 +174,18 @@ class _Search:
         self.shared = set[Key]()
         self.costs = dict.fromkeys(self.chosen, 0.0)
         self._lens, self._sheets = lens, sheets
-        # Whose tolerance each perturbation is: the sheet's, where it has stated it or adds it.
+        # Indication of each perturbation: that of the sheet if the sheet states or adds it.
         keys = (item_key(p, lens) for p in made.study.perturbations)
         self._keys = tuple(
             key if item is None else item.key for key, item in zip(keys, made.items, strict=True)
         )
 
     def share_wedges(self, yield_of: YieldOf) -> None:
-        """Share the wedge of elements of which the study tilts one surface by both surfaces.
+        """Divide the wedge between both surfaces of elements of which the study tilts only one.
 
-        That tilt is the wedge between the two, while a sheet holds both to the ground edge. Both get the
-        same share of it, the largest that costs little, unless the other surface may have as much beside it.
+        The tilt in the study is the wedge between the surfaces, but a sheet limits the tilt of each against
+        the ground edge. Both surfaces get the same fraction of the wedge, the largest that loses little
+        yield. The wedge is not divided if the other surface may have its own tilt without such a loss.
         """
         base = self._yield(yield_of, {})
         # Fractions of a wedge for the tilt of each of the two surfaces.
@@ -194,18 +197,18 @@ class _Search:
             if len(stated) != 1 or len(opened) != 1 or stated[0].key in self.shared:
                 continue
             wedge, other = stated[0], opened[0]
-            beside = self._valued(other, min(other.value, _floor(fractions[0] * wedge.value)))
-            if base - self._yield(yield_of, {other.key: beside}) <= LOSS_EACH:
+            added = self._valued(other, min(other.value, _floor(fractions[0] * wedge.value)))
+            if base - self._yield(yield_of, {other.key: added}) <= LOSS_EACH:
                 continue
-            for share in fractions:
-                both = {one.key: self._valued(one, _floor(share * wedge.value)) for one in (wedge, other)}
+            for fraction in fractions:
+                both = {one.key: self._valued(one, _floor(fraction * wedge.value)) for one in (wedge, other)}
                 if base - self._yield(yield_of, both) <= LOSS_EACH:
                     break
             self.chosen |= both
             self.shared |= set(both)
 
     def tighten(self, yield_of: YieldOf, most_steps: int) -> None:
-        """Tighten values until each costs little alone, and all of them together."""
+        """Tighten values until each alone, and all of them together, lose little yield."""
         shared = {key: self.chosen[key] for key in self.shared}
         own = {key: one for key, one in self.chosen.items() if key not in self.shared}
         base = self._yield(yield_of, shared)
@@ -214,16 +217,18 @@ class _Search:
             return base - self._yield(yield_of, shared | {key: one})
 
         # Yield that a general tolerance may cost alone and still stand.
-        costs_nothing = 0.001
+        negligible_loss = 0.001
         for key, one in own.items():
             self.costs[key] = cost(key, one)
-            if self.costs[key] > (LOSS_EACH if one is not self.items[key] else costs_nothing):
-                self.chosen[key] = self._widest(one, partial(self._does, yield_of, base, shared, key))
+            if self.costs[key] > (LOSS_EACH if one is not self.items[key] else negligible_loss):
+                self.chosen[key] = self._widest(
+                    one, partial(self._is_acceptable, yield_of, base, shared, key)
+                )
                 self.costs[key] = cost(key, self.chosen[key])
         for _ in range(most_steps):
             if base - self._yield(yield_of, self.chosen) <= LOSS_ALL:
                 break
-            costly = (key for key in own if self.costs[key] > 0.5 * costs_nothing)
+            costly = (key for key in own if self.costs[key] > 0.5 * negligible_loss)
             steps = {key: closer for key in costly if (closer := self._closer(self.chosen[key]))}
             if not steps:
                 break
@@ -231,33 +236,33 @@ class _Search:
             self.chosen[key] = steps[key]
             self.costs[key] = cost(key, steps[key])
 
-    def _does(
+    def _is_acceptable(
         self, yield_of: YieldOf, base: float, shared: dict[Key, SheetItem], key: Key, one: SheetItem
     ) -> bool:
-        """Return whether a value alone costs little yield."""
+        """Return whether a value alone loses little yield."""
         return base - self._yield(yield_of, shared | {key: one}) <= LOSS_EACH
 
-    def _widest(self, item: SheetItem, does: Callable[[SheetItem], bool]) -> SheetItem:
-        """The widest closer value that does, by bisection; the closest of all where none does."""
+    def _widest(self, item: SheetItem, is_acceptable: Callable[[SheetItem], bool]) -> SheetItem:
+        """Return the widest acceptable tighter value, by bisection, or else the tightest value."""
         ladder = [item]
         while (closer := self._closer(ladder[-1])) is not None:
             ladder.append(closer)
-        low, high = 0, len(ladder) - 1  # the first does not
+        low, high = 0, len(ladder) - 1  # the first value is not acceptable
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (low, middle) if does(ladder[middle]) else (middle, high)
+            low, high = (low, middle) if is_acceptable(ladder[middle]) else (middle, high)
         return ladder[high]
 
     def loss(self, yield_of: YieldOf) -> float:
-        """Yield that all chosen values cost together."""
+        """Return the loss of yield by all chosen values together."""
         return self._yield(yield_of, {}) - self._yield(yield_of, self.chosen)
 
     def _yield(self, yield_of: YieldOf, values: dict[Key, SheetItem]) -> float:
-        """Yield with some values, without what else the sheet allows beyond the study."""
+        """Return the yield with some values; other values that the study does not state are 0."""
         return yield_of(np.array([self._factor(key, values) for key in self._keys]))
 
     def _factor(self, key: Key | None, values: dict[Key, SheetItem]) -> float:
-        """Share of its widest deviation that a perturbation keeps."""
+        """Return the fraction of its widest deviation to which a perturbation is reduced."""
         if key is None or key not in self.items:
             return 1.0
         if key not in values:
@@ -268,7 +273,7 @@ class _Search:
         return with_value(item, self._lens, self._sheets[item.element], value)
 
     def _closer(self, item: SheetItem) -> SheetItem | None:
-        """The item with the next closer value; None where that is beyond the high-precision grade."""
+        """Return the item with the next tighter value; None if it is beyond the high-precision grade."""
         value = item.value + 1.0 if item.kind == "inhomogeneity" else _rounded_below(item.value)
         least = _least(item, self._lens)
         beyond = value >= len(HOMOGENEITY) if item.kind == "inhomogeneity" else value < least
@@ -278,13 +283,13 @@ class _Search:
 
 
 def _floor(value: float) -> float:
-    """A value rounded down to two digits."""
+    """Return a value rounded down to two digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{step * math.floor(value / step + 1e-9):.4g}")
 
 
 def _rounded_below(value: float) -> float:
-    """The next round value below a value."""
+    """Return the next round value below a value."""
     decade = 10.0 ** math.floor(math.log10(value))
     # Derived values are these mantissas times powers of ten.
     mantissas = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
@@ -293,10 +298,10 @@ def _rounded_below(value: float) -> float:
 
 
 def _least(item: SheetItem, lens: Lens) -> float:
-    """The closest value that is derived: that of the high-precision grade, in the unit of the sheet."""
+    """Return the tightest derived value, that of the high-precision grade, in the unit of the sheet."""
     grade = HIGH_PRECISION
     if item.kind == "radius":
-        # In proportion: so many fringes are so much radius.
+        # Fringes are proportional to the change of the radius.
         radius = abs(lens.surfaces[item.surface].radius_mm or 0.0)
         return 0.01 * grade.radius_percent * radius / item.deviations[0].tolerance * item.value
     return {
@@ -312,10 +317,10 @@ def _least(item: SheetItem, lens: Lens) -> float:
 def _written(
     sheet: DrawingTolerances, chosen: dict[Key, SheetItem], element: int, lens: Lens
 ) -> DrawingTolerances:
-    """The sheet of an element with the chosen values."""
+    """Return the sheet of an element with the chosen values."""
     front = lens.glass_fronts[element]
     for item in chosen.values():
-        # A cemented surface stands on the sheets of both its elements.
+        # A cemented surface is stated on the sheets of both of its elements.
         if element != item.element if item.kind in OF_ELEMENT else item.surface not in (front, front + 1):
             continue
         side = None if item.kind in OF_ELEMENT else "left" if item.surface == front else "right"
@@ -337,9 +342,11 @@ def _notes(search: _Search) -> list[str]:
     notes = []
     if search.shared:
         texts = ", ".join(search.chosen[key].text for key in sorted(search.shared))
-        notes.append(f"derived from the study, whose tilt of one surface is shared by both: {texts}")
+        notes.append(
+            f"derived from the study, whose tilt of one surface is divided between both surfaces: {texts}"
+        )
     derived = [
-        f"{item.text}, costs {100.0 * max(search.costs[item.key], 0.0):.1f} points"
+        f"{item.text}, loses {100.0 * max(search.costs[item.key], 0.0):.1f} percentage points of yield"
         for old in search.opened
         if (item := search.chosen[old.key]).value != old.value or old.origin == "open"
         if item.key not in search.shared

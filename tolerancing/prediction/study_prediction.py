@@ -1,8 +1,8 @@
-"""The predicted yield of a study: one definition for optimizer, commands, sheets, reports and workbench.
+"""The predicted yield of a study, as optimizer, commands, drawings, reports and workbench use it.
 
 A lens is good if it meets every limit of its study. Limits on wavefronts and on rays are predicted for the
-same drawn lenses, so that their joint yield accounts for how they fail together. Merits of other kinds need
-trials; they are named, and the predicted yield is that of the limits that are predicted.
+same drawn lenses, so that the joint yield includes their correlation. Merits of other kinds need trials. They
+are listed, and the predicted yield covers the other limits only.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class LimitPrediction:
     Attributes
     ----------
     merit : Merit
-        The merit that has it.
+        The merit with the limit.
     passed : ndarray of bool, shape (draws,)
         True for drawn lenses that meet the limit at all of its field points.
     """
@@ -112,7 +112,7 @@ def predict_study(
         The drawn lenses, for callers that predict many lenses; default: 8192 Sobol draws of the study
         (:func:`tolerancing.prediction.wavefront_prediction.drawn_batch`).
     quick
-        Whether to stay at first order and to trace no draws as a check; takes about a third of the time.
+        Whether to use the first order only, without traced draws as a check, in about a third of the time.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def predict_study(
     """
     batch = drawn_batch(study) if batch is None else batch
     waves = None
-    # Tolerances that are too large give numbers that are not finite, which are refused below.
+    # Tolerances that are too large give numbers that are not finite, which raise an error below.
     with np.errstate(all="ignore"):
         if any(is_predicted_wavefront(merit) for merit in study.merits):
             waves = predict(lens, study, amounts=amounts_of(batch), second=not quick)

@@ -1,5 +1,4 @@
-"""Derivatives of the numbers of a lens (poses, shapes, indices) by perturbations, to first and second
-order."""
+"""First and second derivatives by perturbations of the numbers that describe a lens."""
 
 from __future__ import annotations
 
@@ -23,13 +22,14 @@ from tolerancing.prediction.paths import Layout
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Derivatives of a system by d changes.
+    """Derivatives by d changes of the numbers that describe a system (:class:`Layout`).
 
-    A perturbation is one change, but an irregularity is as many as its figures have terms.
+    A perturbation is one change, except that an irregularity has one change for each term of its figures.
 
     Attributes
     ----------
     layout : Layout
+        Positions of the numbers.
     first : ndarray, shape (numbers, d)
         Derivatives of the system's numbers, for a unit of each change.
     second : sparse array, shape (d (d + 1) / 2, numbers)
@@ -37,7 +37,7 @@ class Changes:
     columns : tuple of slice
         Changes of each perturbation.
     figures : tuple of (int, slice, SurfaceFigure)
-        Of irregularities: surface from 0, changes, and the figures of one unit of each.
+        For each irregularity: index of the surface, changes, and figures for one unit of each change.
     """
 
     layout: Layout
@@ -88,7 +88,7 @@ def changes_of(
     wavelength_um: float,
     second: bool = True,
 ) -> Changes:
-    """Changes that perturbations of a lens are.
+    """Return the changes that perturbations of a lens cause.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def pair_places(count: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray
 def _unit_figures(lens: Lens, surface: int) -> SurfaceFigure:
     """Return figures of one wave root mean square of each polynomial."""
     semi_diameter = lens.surfaces[surface].semi_diameter_mm
-    assert semi_diameter is not None  # the study's check saw to it
+    assert semi_diameter is not None  # checked with the study
     ones = np.ones(len(INDICES))
     return random_figures(np.eye(len(INDICES)), ones, "rms", semi_diameter)
 
@@ -156,7 +156,7 @@ class _Numbers:
         self.layout = Layout(tuple(s.shape.terms.shape[-1] for s in lens.surfaces))
 
     def at(self, values: Array) -> Array:
-        """Shape (trials, numbers) for values of shape (trials, d)."""
+        """Return the numbers, shape (trials, numbers), for values of shape (trials, d)."""
         lens, layout = self.lens, self.layout
         batch = PerturbationBatch(self.parameters, values, self.pivot_z_mm)
         perturbed = batch.surface_perturbations(lens, self.wavelength_um)
@@ -180,9 +180,10 @@ class _Numbers:
     def derivatives(
         self, steps: Array, second: bool
     ) -> tuple[Array, tuple[NDArray[np.intp], NDArray[np.intp], Array]]:
-        """First derivatives at nominal, shape (numbers, d), and the second ones by pairs i <= j.
+        """Return first derivatives, shape (numbers, d), and second derivatives by pairs i <= j.
 
-        The latter of shape (pairs, numbers); of other pairs they are 0.
+        The second derivatives are the indices i and j, and values of shape (pairs, numbers); those of other
+        pairs are 0.
         """
         d, none = len(steps), np.zeros(0, int)
         if d == 0:
@@ -209,7 +210,7 @@ class _Numbers:
         return slopes, (np.append(np.arange(d), i), np.append(np.arange(d), j), bends)
 
     def _pairs(self, slopes: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Perturbations that may act on one and the same number together: one of them turns a part."""
+        """Return the pairs of perturbations with at least one rotation; other pairs do not interact."""
         layout = self.layout
         turns = np.zeros(slopes.shape[1], bool)
         for k in range(layout.surfaces + 2):

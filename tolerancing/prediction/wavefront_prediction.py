@@ -1,8 +1,8 @@
-"""Prediction of wavefronts of a lens as built, from derivatives and without tracing trials.
+"""Prediction of the wavefronts of lenses as built, from derivatives and without tracing trials.
 
-The path difference of a trial is a first-order sum over its perturbations, and a second-order one over their
-pairs. Its mean square over the pupil, shift and focus taken out, is then a polynomial of the drawn amounts,
-which takes microseconds.
+The path difference of a trial is the sum of a first-order term for each perturbation and a second-order term
+for each pair. Its mean square over the pupil, without shift and focus, is a polynomial of the drawn amounts,
+whose evaluation takes microseconds.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from tolerancing.study.evaluate import compensated_points, sample_perturbations
 from tolerancing.study.study import Study
 
 Place = tuple[tuple[float, float], float | None]
-"""An object point and a wavelength, the lens's first for None."""
+"""An object point and a wavelength; None is the first wavelength of the lens."""
 
 _At = tuple[Changes, tuple[FieldDifferentials, ...]]
 
 
 @dataclass(frozen=True)
 class Judged:
-    """An object point and how large a root mean square is good there.
+    """An object point and the limit of the root mean square wavefront error there.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class PointPrediction:
     rms_waves : float
         Root of the mean square over pupil and lenses.
     first_order_rms_waves : float
-        The same, were path differences linear in the perturbations.
+        The same for path differences that are linear in the perturbations.
     shares : ndarray, shape (perturbations,)
         Fraction of the mean square of each perturbation alone, to first order.
     passed : ndarray of bool, shape (draws,)
@@ -129,9 +129,9 @@ def is_predicted_wavefront(merit: Merit) -> TypeGuard[RmsWaves | Strehl]:
 
 
 def wavefront_points(study: Study) -> tuple[Judged, ...]:
-    """Object points that a study judges by the wavefront, with their limits.
+    """Return the object points at which a study limits the wavefront, with their limits.
 
-    Strehl ratios count as the root mean square that they stand for: S = exp(-(2 pi rms)^2).
+    A limit on the Strehl ratio S is converted to a root mean square by S = exp(-(2 pi rms)^2).
     """
     return tuple(
         Judged(point, merit.wavelength_um, _limit_waves(merit))
@@ -175,8 +175,8 @@ def predict(
 ) -> WavefrontPrediction:
     """Predict wavefronts and yield of a study without trials.
 
-    Neglected are the third order, merits other than those of wavefronts, and rays that a perturbed stop lets
-    through or not.
+    The third order, the changed vignetting of perturbed lenses, and merits that do not depend on wavefronts
+    are neglected.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def predict(
     amounts : ndarray, shape (draws, d), optional
         Result of :func:`drawn_amounts`, for callers that predict many lenses.
     second
-        Whether to go to second order; the first takes a tenth of the time.
+        Whether to include the second order; without it, the prediction takes a tenth of the time.
 
     Raises
     ------
@@ -209,14 +209,14 @@ def predict(
 
 
 def drawn_batch(study: Study, every: int = 1) -> PerturbationBatch:
-    """The lenses that predictions draw, or every so many of them."""
+    """Return the lenses that predictions draw, or every n-th of them."""
     # Sobol draws of a study's perturbations.
     draws = 8192
     return sample_perturbations(replace_draws(study, draws), range(0, draws, every))
 
 
 def drawn_amounts(study: Study) -> Array:
-    """Amounts of the study's perturbations by which predictions know them, shape (draws, d)."""
+    """Return the amounts of the changes of the drawn lenses, shape (draws, d)."""
     return amounts_of(drawn_batch(study))
 
 
@@ -231,10 +231,10 @@ class StudyDerivatives:
 
 
 def study_derivatives(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> StudyDerivatives:
-    """Derivatives by all that a study perturbs and compensates."""
+    """Differentiate the wavefronts of a lens by all perturbations and compensators of a study."""
 
     def at(points: Sequence[Place], perturbed: Sequence[PerturbedParameter], sizes: list[float]) -> _At:
-        # Points of one wavelength share all that is traced of the lens.
+        # Points with the same wavelength are traced together.
         found: dict[Place, FieldDifferentials] = {}
         for wavelength in dict.fromkeys(w for _, w in points):
             same = [place for place in points if place[1] == wavelength]
@@ -258,25 +258,25 @@ def study_derivatives(lens: Lens, study: Study, judged: Sequence[Judged], second
     if not limits:
         return StudyDerivatives(tuple(judged), changes, Compensation(np.zeros(0), (), ()), fields)
     adapted = study.compensators, limits
-    told = compensated_points(study)
-    compensation = Compensation(np.array(limits), at(told, *scatter)[1], at(told, *adapted)[1])
+    fitted = compensated_points(study)
+    compensation = Compensation(np.array(limits), at(fitted, *scatter)[1], at(fitted, *adapted)[1])
     models = at(own, *adapted)[1]
     left = tuple(less_model(field, model) for field, model in zip(fields, models, strict=True))
     return StudyDerivatives(tuple(judged), changes, compensation, left)
 
 
 def replace_draws(study: Study, count: int) -> Study:
-    """The study, drawn by so many points of a Sobol sequence."""
+    """Return the study with draws by a Sobol sequence of `count` points."""
     return study.model_copy(update={"draws": "sobol", "trials": count})
 
 
 def mean_squares(field: FieldDifferentials, amounts: Array) -> Array:
-    """Mean square of the refocused path difference, in waves, of each trial; shape (trials,)."""
+    """Return the mean square of the refocused path difference in waves of each trial, shape (trials,)."""
     return np.asarray(field.waves(amounts) ** 2 @ field.weights)
 
 
 def first_order(field: FieldDifferentials) -> Array:
-    """Mean square of the refocused path difference as a quadratic form of the amounts, shape (d, d)."""
+    """Return the quadratic form of the amounts for the mean square path difference, shape (d, d)."""
     return np.asarray((field.registered.T * field.weights) @ field.registered)
 
 
@@ -285,7 +285,7 @@ def _point(
 ) -> PointPrediction:
     judged, form = known.judged[k], first_order(known.fields[k])
     linear = float(np.mean(np.sum((together @ form) * together, axis=1)))
-    # What a perturbation brings by itself is what compensators leave of it.
+    # The effect of a perturbation alone is what remains of it after compensation.
     follow = known.compensation.following(known.changes.count)
     alone = (follow.T @ form @ follow) * (amounts.T @ amounts / len(amounts))
     shares = [float(np.sum(alone[own, own])) for own in known.changes.columns]

@@ -48,7 +48,7 @@ class RunEstimate:
         work = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         workers = f"{self.workers} {'worker' if self.workers == 1 else 'workers'}"
         if not self.workers:
-            workers = "one worker of a cluster like this machine"
+            workers = "one cluster worker as fast as this machine"
         return f"{work}: about {duration_text(self.seconds)} by {workers}"
 
 

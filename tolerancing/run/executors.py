@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, TypeVar
 
-from lensdesign.common.clusters import LOOK_SECONDS, ClusterError, open_cluster, result_of, toolkit_version
+from lensdesign.common.clusters import CHECK_SECONDS, ClusterError, open_cluster, result_of, toolkit_version
 from lensdesign.errors import TransferLensError
 from tolerancing.run.tasks import Task, perform
 
@@ -26,9 +26,9 @@ Batches = Generator[FinishedTasks, None, None]
 Perform = Callable[[Iterable[Task]], Batches]
 RetryTasks = Callable[[list[Task]], Batches]
 
-RESUME_HINT = "what was finished is in the store, and the same command goes on from there"
+RESUME_HINT = "the finished results are in the store; repeat the command to continue"
 WORKER_DIED = (
-    f"a worker process died, perhaps because memory ran out; {RESUME_HINT}: fewer --workers need less memory"
+    f"a worker process died, perhaps because memory ran out; {RESUME_HINT}, with fewer --workers if so"
 )
 
 TASKS_IN_FLIGHT = 3
@@ -129,7 +129,7 @@ def in_flight(
             pending[submitted(submit, task)] = task
         if not pending:
             return
-        finished, _ = wait(pending, timeout=LOOK_SECONDS if check else None, return_when=FIRST_COMPLETED)
+        finished, _ = wait(pending, timeout=CHECK_SECONDS if check else None, return_when=FIRST_COMPLETED)
         if not finished and check is not None:
             try:
                 check()

@@ -290,6 +290,6 @@ def _check_same_study(store: Store, loaded: LoadedStudy) -> None:
         )
     if record.toolkit_version != toolkit_version():
         raise InputError(
-            f"{store.path} was begun with version {record.toolkit_version} of the toolkit, this is version "
-            f"{toolkit_version()}: their rows may differ; give another store, or --fresh to replace it"
+            f"{store.path} was created by version {record.toolkit_version} of the toolkit, this is version "
+            f"{toolkit_version()}, whose results may differ; give another store, or --fresh to replace it"
         )

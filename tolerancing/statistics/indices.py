@@ -130,7 +130,7 @@ def variance_indices(
         )
     most = most_trials(study, base)
     columns = 3 * len(study.perturbations) + len(study.all_merits)  # Uniform draws (twice), values, scores.
-    check_memory(8.0 * columns * most, f"base = {base}", "take a smaller base")
+    check_memory(8.0 * columns * most, f"base = {base}", "use a smaller base")
     from SALib.sample import sobol as sampling
 
     problem = _problem(study)

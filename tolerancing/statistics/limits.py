@@ -116,7 +116,7 @@ def inverse(
     0.0213
     """
     study = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
-    validate_settings(study, "how far it may go")
+    validate_settings(study, "its largest deviation")
     high_fidelity = [m for m in study.high_fidelity_merits if m.label == merit]
     if high_fidelity:  # It is scored itself, not the low-fidelity merit that selects its trials.
         own = high_fidelity[0].model_copy(update={"predicted_by": None})

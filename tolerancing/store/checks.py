@@ -60,14 +60,16 @@ def check_tables(connection: sqlite3.Connection) -> None:
     found = {name: (kind, sql) for kind, name, sql in rows}
     triggers = [name for name, (kind, _) in found.items() if kind == "trigger"]
     if triggers:
-        raise ValueError(f"{triggers[0]!r} is a trigger, and no run makes one")
+        raise ValueError(f"it has the trigger {triggers[0]!r}, which no run creates")
     made = (_squeezed(text) for text in SCHEMA.split(";"))
     fixed = {text.split()[2]: text for text in made if text}
     for name in (*fixed, "trial", "dear"):  # The columns of these two depend on the study.
         kind, sql = found.get(name, ("missing", ""))
         text = _squeezed(str(sql))
         if kind != "table" or (text != fixed[name] if name in fixed else not _is_plain(name, text)):
-            raise ValueError(f"{name!r} is {'missing' if kind == 'missing' else 'no table that a run makes'}")
+            raise ValueError(
+                f"{name!r} is {'missing' if kind == 'missing' else 'not a table that a run creates'}"
+            )
 
 
 def _squeezed(text: str) -> str:

@@ -156,7 +156,7 @@ def translated_errors(path: Path, action: str) -> Iterator[None]:
 def reason(error: sqlite3.Error) -> str:
     """Return the message of SQLite, with advice for the common errors."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    kept = "the store keeps its results, and the same command goes on from there"
+    kept = "the finished results are in the store; repeat the command to continue"
     advice = {
         sqlite3.SQLITE_FULL: f"; free some disk space: {kept}",
         sqlite3.SQLITE_IOERR: f"; {kept}",
@@ -176,5 +176,5 @@ def damage_as_error(path: Path) -> Iterator[None]:
         raise
     except (sqlite3.DatabaseError, ValueError, TypeError) as error:
         raise InputError(
-            f"the store {path} is damaged: {error}; take a whole copy, or run its study anew with --fresh"
+            f"the store {path} is damaged: {error}; use an intact copy, or run its study again with --fresh"
         ) from error

@@ -22,7 +22,7 @@ from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations import draws
 from tolerancing.perturbations.dependence import Correlation
 from tolerancing.perturbations.parameters import Perturbation, perturbation_from_table
-from tolerancing.study.lengths import doubted_study_lengths
+from tolerancing.study.lengths import implausible_study_lengths
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
@@ -111,7 +111,7 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
         validate_inside(design, path, "design", DesignError)
     lens = load_design(design)
     # A length in another unit is often the cause of other faults, so it comes first.
-    _raise_faults([*doubted_study_lengths(study, lens), *_faults_against(study, lens)], str(path))
+    _raise_faults([*implausible_study_lengths(study, lens), *_faults_against(study, lens)], str(path))
     return LoadedStudy(study, lens, *_gathered(path, design, study, lens))
 
 

@@ -78,7 +78,7 @@ class LinePairSection(Section):
     _own_lists = field_validator("line_widths_um", "merits", "field_mm", mode="before")(tuples)
 
     @model_validator(mode="after")
-    def _something(self) -> Any:
+    def _check_scores(self) -> Any:
         if not self.merits and not self.line_widths_um:
             raise ValueError("nothing to score: give merits or line_widths_um")
         validate_unique(self, "line_widths_um", "merits")

@@ -82,7 +82,7 @@ class GridAxis(PerturbedParameter):
     _lists = field_validator("values", mode="before")(tuples)
 
     @model_validator(mode="after")
-    def _distinct(self) -> GridAxis:
+    def _check_values(self) -> GridAxis:
         validate_unique(self, "values")
         self.check_setting(self.values)
         return self
@@ -104,7 +104,7 @@ class ParameterGrid(LinePairSection, Series):
     y: GridAxis
 
     @model_validator(mode="after")
-    def _two(self) -> ParameterGrid:
+    def _check_axes(self) -> ParameterGrid:
         if self.x.column == self.y.column:
             raise ValueError(f"x and y are both {self.x.column}; give two different parameters, or names")
         return self

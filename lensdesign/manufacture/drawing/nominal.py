@@ -120,13 +120,13 @@ def _edge(lens: Lens, element: Element, tolerances: ToleranceOf) -> tuple[Edge, 
     margins = _edge_margins(element, tolerances(with_ground_edge(lens, element, semi)))
     reasons = (
         f"{mount_margin_mm(clear):.3g} mm to each side for the mount, {margins.chamfer_mm:g} for the bevel, "
-        f"{margins.play_mm:g} for its tolerance"
+        f"{margins.play_mm:g} for the tolerance of the diameter"
     )
     general = chosen_semi_diameter_mm(lens, element)
     other = (
         ""
         if general == semi
-        else f"; exports of the design have {2.0 * general:g} mm, those of the design that --as-drawn writes "
+        else f"; exports of this design have {2.0 * general:g} mm, those of the design written by --as-drawn "
         f"{2.0 * semi:g} mm"
     )
     return edge, [

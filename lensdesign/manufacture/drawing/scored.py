@@ -75,7 +75,7 @@ class SheetScore:
     @property
     def worst(self) -> str:
         """The four indications that cost most yield, in words."""
-        return ", ".join(f"{text}: {100.0 * loss:.1f} points" for text, loss in self.losses[:4])
+        return ", ".join(f"{text}: {100.0 * loss:.1f} percentage points" for text, loss in self.losses[:4])
 
 
 class SheetScorer(Protocol):

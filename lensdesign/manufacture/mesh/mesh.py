@@ -145,7 +145,7 @@ def write_mesh(
         temporary.write_bytes(data)
     for index, surface in enumerate(lens.surfaces, start=1):
         if surface.figure is not None and not measured:
-            warn(f"surface {index}: nominal shape written, its measured figure left out")
+            warn(f"surface {index}: the nominal shape was written, without the measured figure")
     return whole
 
 

@@ -29,7 +29,7 @@ from lensdesign.manufacture.step.occ import (
 )
 from lensdesign.manufacture.step.solids import EXACT, element_solid, rim_corners
 
-ALONG, ROUND = 513, 16
+POINTS_ALONG, POINTS_AROUND = 513, 16
 """Number of points along the meridian and around the axis at which a surface is measured."""
 
 
@@ -141,7 +141,7 @@ def write_step(
         size = temporary.stat().st_size
     for index, surface in enumerate(lens.surfaces, start=1):
         if surface.figure is not None:
-            warn(f"surface {index}: nominal shape written, its measured figure left out")
+            warn(f"surface {index}: the nominal shape was written, without the measured figure")
     return StepReport(size, bodies)
 
 
@@ -183,8 +183,8 @@ def _measured_body(element: Element, name: str, solid: Any) -> StepBody:
     if len(faces) != len(rim_corners(element)) + 1:
         raise InputError(f"{element.name} has {len(faces)} faces when read back")
     meridians = (element.front, element.back)
-    measured = face_error_mm if element.rotational else freeform_error_mm
-    errors = [measured(face, m) for face, m in zip((faces[0], faces[-1]), meridians, strict=True)]
+    error_mm = face_error_mm if element.rotational else freeform_error_mm
+    errors = [error_mm(face, m) for face, m in zip((faces[0], faces[-1]), meridians, strict=True)]
     for index, meridian, error in zip(element.surfaces, meridians, errors, strict=True):
         exact = element.rotational and meridian.shape.kind in EXACT
         allowed = 1e-9 if exact else 1e-6  # the file holds 13 digits; splines deviate by up to 1e-7 mm
@@ -193,8 +193,8 @@ def _measured_body(element: Element, name: str, solid: Any) -> StepBody:
                 f"surface {index + 1} is {error:.3g} mm off when read back; allowed: {allowed:g} mm"
             )
     body = StepBody(name, (errors[0], errors[1]), _volume_mm3(solid), element.volume_mm3)
-    area = sum(_area_bound_mm2(m) * error for m, error in zip(meridians, errors, strict=True))
-    if not abs(body.volume_mm3 - body.exact_volume_mm3) <= 1e-9 * body.exact_volume_mm3 + area:
+    tolerance = sum(_area_bound_mm2(m) * error for m, error in zip(meridians, errors, strict=True))
+    if not abs(body.volume_mm3 - body.exact_volume_mm3) <= 1e-9 * body.exact_volume_mm3 + tolerance:
         raise InputError(
             f"{element.name} has a volume of {body.volume_mm3:.12g} mm^3 when read back, not "
             f"{body.exact_volume_mm3:.12g} mm^3"
@@ -204,7 +204,7 @@ def _measured_body(element: Element, name: str, solid: Any) -> StepBody:
 
 def _area_bound_mm2(meridian: SurfaceMeridian) -> float:
     """Return an upper bound of the area of a surface in mm^2."""
-    points = meridian.points(np.linspace(0.0, 1.0, ALONG))
+    points = meridian.points(np.linspace(0.0, 1.0, POINTS_ALONG))
     length = float(np.sum(np.abs(np.diff(points, axis=0))))
     return 2.0 * math.pi * meridian.end_mm * length
 
@@ -221,17 +221,17 @@ def face_error_mm(face: Any, meridian: SurfaceMeridian) -> float:
     """
     inside, boundary = _radial(_face_points(face)), _radial(_boundary_points(face))
     points = np.concatenate([inside[inside[:, 0] <= np.max(boundary[:, 0])], boundary])
-    reach = abs(float(np.max(points[:, 0])) - meridian.end_mm)
-    gap = float(np.linalg.norm(points - meridian.points(0.0), axis=1).min())
-    return max(float(np.max(meridian.distances(points))), reach, gap)
+    rim_error = abs(float(np.max(points[:, 0])) - meridian.end_mm)
+    vertex_error = float(np.linalg.norm(points - meridian.points(0.0), axis=1).min())
+    return max(float(np.max(meridian.distances(points))), rim_error, vertex_error)
 
 
 def freeform_error_mm(face: Any, meridian: SurfaceMeridian) -> float:
     """Return the largest distance in mm of a face from a surface that is not a surface of revolution."""
     inside, boundary = _face_points(face), _boundary_points(face)
-    reach = abs(float(np.max(np.hypot(boundary[:, 0], boundary[:, 1]))) - meridian.end_mm)
-    gap = float(np.linalg.norm(inside - [0.0, 0.0, meridian.vertex_z_mm], axis=1).min())
-    return max(surface_error_mm(np.concatenate([inside, boundary]), meridian), reach, gap)
+    rim_error = abs(float(np.max(np.hypot(boundary[:, 0], boundary[:, 1]))) - meridian.end_mm)
+    vertex_error = float(np.linalg.norm(inside - [0.0, 0.0, meridian.vertex_z_mm], axis=1).min())
+    return max(surface_error_mm(np.concatenate([inside, boundary]), meridian), rim_error, vertex_error)
 
 
 def _face_points(face: Any) -> Array:
@@ -243,7 +243,7 @@ def _face_points(face: Any) -> Array:
     face = TopoDS.Face(face)
     surface = BRepAdaptor_Surface(face)
     u0, u1, v0, v1 = BRepTools.UVBounds_s(face)
-    around, along = np.linspace(u0, u1, ROUND + 1), np.linspace(v0, v1, ALONG)
+    around, along = np.linspace(u0, u1, POINTS_AROUND + 1), np.linspace(v0, v1, POINTS_ALONG)
     return _xyz([surface.Value(float(u), float(v)) for u in around for v in along])
 
 
@@ -259,8 +259,8 @@ def _boundary_points(face: Any) -> Array:
         edge = TopoDS.Edge(shape)
         if not BRep_Tool.Degenerated_s(edge):
             curve = BRepAdaptor_Curve(edge)
-            range_ = np.linspace(curve.FirstParameter(), curve.LastParameter(), ALONG)
-            points += [curve.Value(float(t)) for t in range_]
+            parameters = np.linspace(curve.FirstParameter(), curve.LastParameter(), POINTS_ALONG)
+            points += [curve.Value(float(t)) for t in parameters]
     return _xyz(points)
 
 

@@ -14,7 +14,7 @@ from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.optimization.limits.kinds import APERTURE, FIELD
 from lensdesign.optimization.limits.search import Limit, LimitsInterrupted, find_limits
 from lensdesign.optimization.local_search import Budget, search_from
-from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.specification import Specification
 
@@ -71,8 +71,10 @@ class FeasibilityLimit:
             return "no smaller field or aperture was found that can be met" + (
                 f" ({reasons})" if reasons else ""
             )
-        nominal = " (as designed, without what is asked of lenses as built)" if self.nominal else ""
-        return f"can be met, and no more was found: {', or '.join(values)}{nominal}"
+        nominal = (
+            " (for the lens as designed, without the constraints on lenses as built)" if self.nominal else ""
+        )
+        return f"the largest values found that can be met: {', or '.join(values)}{nominal}"
 
     def _confidence(self, name: str) -> str:
         return next((f" ({one.confidence})" for one in self.limits if one.name == name), "")
@@ -153,7 +155,7 @@ def _best_as_built(specification: Specification, base: Lens, point: Array) -> Fe
             continue
         problem = DesignProblem(_nominal(specification, goal), base)
         found = search_from(problem, point, Budget(most_evaluations), 0, lambda *_: None)
-        if found.outcome.violation > KEPT:
+        if found.outcome.violation > ACCEPTED_VIOLATION:
             return None
         built = problem.predicted(found.outcome.point)
         failing, rms = max(one.failing for one in built), max(float(np.max(one.rms_waves)) for one in built)

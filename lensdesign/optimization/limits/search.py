@@ -25,7 +25,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.kinds import Kind, kinds_of
 from lensdesign.optimization.local_search import Budget, Found, dense_rays, search_from, starts_of
-from lensdesign.optimization.operands.operand import KEPT
+from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
@@ -94,11 +94,11 @@ class Limit:
         if self.cut:
             return f"not confirmed: {self.cut} stopped the search"
         if self.reached is None:
-            return f"{self.starts} starts found no lens down to {FRACTIONS[-1]:g} times what is asked, not "
-            "proof"
+            least = FRACTIONS[-1]
+            return f"{self.starts} starts found no lens down to {least:g} times the required value (no proof)"
         if not self.ended:
             return "no larger value was tried"
-        return f"{self.starts} independent starts found no lens above it, not proof"
+        return f"{self.starts} independent starts found no lens above it (no proof)"
 
 
 class LimitsInterrupted(KeyboardInterrupt):
@@ -299,7 +299,7 @@ class _LimitSearch:
             for point in self._fresh(easier_fraction * end.value, glasses, count):
                 self.starts += 1
                 easier = self._search(easier_fraction * end.value, glasses, point)
-                if easier is None or easier.outcome.violation > KEPT:
+                if easier is None or easier.outcome.violation > ACCEPTED_VIOLATION:
                     continue
                 if self._reaches(value, glasses, easier.outcome.point):
                     return True
@@ -309,7 +309,7 @@ class _LimitSearch:
         """Return whether a search from a point finds a lens for a value, and record the lens."""
         self.report(f"{self.kind.name}: {value:.4g} {self.kind.unit}".rstrip() + f", {glasses}")
         found = self._search(value, glasses, point)
-        if found is None or found.outcome.violation > KEPT:
+        if found is None or found.outcome.violation > ACCEPTED_VIOLATION:
             self.failed += 1
             return False
         end = _End(value, glasses, found.outcome.point)
@@ -383,7 +383,7 @@ def binding(problem: DesignProblem, point: Array, rays: Rays, within: float) -> 
     """
     _, constraints = problem.rows(point, rays, final=True, derivatives=False)
     worst = ((row.name, float(np.max(row.values, initial=-1.0))) for row in constraints)
-    names = [name for name, value in worst if -within < value <= KEPT]
+    names = [name for name, value in worst if -within < value <= ACCEPTED_VIOLATION]
     for v, u in zip(problem.ranges, point, strict=True):
         if u < 1e-6 or u > 1.0 - 1e-6:
             names.append(f"{v.name} at its {'lower' if u < 0.5 else 'upper'} bound")

@@ -16,7 +16,7 @@ from lensdesign.raytrace.gradients import GradientTrace, Variable
 LIMIT_MARGIN = 3e-5
 """Relative margin by which limits are tightened, so that a denser check of the result finds them met."""
 
-KEPT = 2.0 * LIMIT_MARGIN
+ACCEPTED_VIOLATION = 2.0 * LIMIT_MARGIN
 """Largest excess of a scaled square over its tightened limit that still meets the limit as given."""
 
 

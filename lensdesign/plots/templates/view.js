@@ -8,7 +8,7 @@ setTheme(dark.matches);
 const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
 if (!gl) { byId("missing").hidden = false; return; }
 
-// Both kinds of drawing share the projection: parallel, along "towards", which points at the viewer.
+// Faces and lines have the same projection: parallel, along "towards", which points at the viewer.
 const PROJECTION = `#version 300 es
 precision highp float;
 uniform vec3 right, up, towards;
@@ -79,7 +79,7 @@ const faces = program(FACES), lines = program(LINES);
 const decoded = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-// Corners of triangles with normals that are smooth within a surface and break at its edges.
+// Corners of triangles, with normals that are continuous within a surface but not across its edges.
 function corners(vertices, indices) {
   const count = indices.length / 3, normals = [], around = [];
   for (let f = 0; f < count; f++) {
@@ -101,7 +101,7 @@ function corners(vertices, indices) {
   return data;
 }
 
-// Ends of the segments of polylines; those without length are left out.
+// Ends of the segments of polylines; segments of zero length are omitted.
 function segments(points, each) {
   const found = [];
   for (let i = 0; i + 3 < points.length; i += 3) {
@@ -153,7 +153,7 @@ function extent(direction) {
   direction.forEach((d, i) => { from += Math.min(d * low[i], d * high[i]); to += Math.max(d * low[i], d * high[i]); });
   return [0.5 * (from + to), 0.5 * (to - from)];
 }
-// Pixels for a mm and the middle of the picture, so that everything is in view.
+// Sets pixels per mm and the middle of the picture so that everything is visible.
 function fit() {
   const { right, up } = axes(), [x, halfX] = extent(right), [y, halfY] = extent(up);
   const [w, h] = [canvas.clientWidth, canvas.clientHeight];
@@ -203,7 +203,7 @@ function draw() {
   gl.enable(gl.BLEND);
   gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   gl.depthMask(false);
-  // Along the axis nothing reaches into its neighbour, so that order along the axis is order of depth.
+  // Parts do not overlap along the axis, so their order along the axis is their order in depth.
   const clear = shown.filter((part) => part.opacity < 1).sort((a, b) => (a.middle - b.middle) * (towards[2] || 1));
   for (const part of clear) {
     const glass = part.kind === "glass";
@@ -230,8 +230,8 @@ function drawWires(part, shared, night) {
   gl.bindVertexArray(part.wires.array);
   gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, part.wires.count);
 }
-// Names above the highest point of what they name, or below the lowest; farther on where glass or another name
-// would be crossed, with a line to the point then.
+// Places each name above the highest or below the lowest point of its part. A name that would cross glass or another
+// name is placed farther away, with a line to the point.
 function placeNames(right, up, w, h) {
   const named = parts.filter((part) => part.name.parentElement), taken = [];
   for (const part of named) {

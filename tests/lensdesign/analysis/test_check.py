@@ -133,10 +133,9 @@ def test_vignetting(paper_lens: Lens) -> None:
     report = check_design(paper_lens.with_surface(1, semi_diameter_mm=8.0))
     assert report.throughput < 1.0
     (sentence,) = report.violations
-    assert sentence.startswith(
-        f"throughput: {100.0 * report.throughput:.4g} % of the stop passes from the field"
-    )
-    assert sentence.endswith("at 0.532 um; must be 100 %")
+    assert sentence.startswith("throughput: ")
+    assert f"{100.0 * report.throughput:.4g} %" in sentence
+    assert "at 0.532 um" in sentence
 
 
 def test_numerical_aperture_that_is_not_reached(paper_lens: Lens) -> None:

@@ -96,8 +96,8 @@ def test_a_mesh_says_that_it_leaves_figures_out(paper_lens: Lens, tmp_path: Path
     done = CliRunner().invoke(app, ["export", str(path), str(mesh), "--chord-error-um", "20", "--json"])
     assert done.exit_code == 0
     assert json.loads(done.stdout)["surfaces_without_their_figure"] == [1, 2]
-    assert "surface 2: nominal shape written, its measured figure left out" in done.stderr
-    with pytest.warns(UserWarning, match=r"surface 1.*figure left out"):
+    assert "surface 2: the nominal shape was written" in done.stderr
+    with pytest.warns(UserWarning, match=r"surface 1: .*measured figure"):
         write_mesh(paper_lens.with_surface(0, figure=measured(paper_lens).surfaces[0].figure), mesh, 20.0)
 
 

@@ -56,7 +56,7 @@ def test_the_share_of_a_coating_scales_irradiance() -> None:
     bare, coated = (ghost_report(PAPER, share).on_planes[1] for share in (1e-2, 1e-6))
     assert bare.relative_irradiance == pytest.approx(1e4 * coated.relative_irradiance)
     assert bare.contrast == pytest.approx(1e2 * coated.contrast, rel=0.01)
-    with pytest.raises(InputError, match=r"ghost share = 1\.5.*0 to 1"):
+    with pytest.raises(InputError, match=r"fraction of the ghost = 1\.5.*0 to 1"):
         ghost_report(PAPER, 1.5)
 
 
@@ -70,7 +70,7 @@ def test_a_ghost_that_comes_to_a_focus_on_a_plane_is_brighter_than_the_light_bes
 def test_command() -> None:
     shown = CliRunner().invoke(app, ["ghost", "designs/paper_singlet.toml"])
     assert shown.exit_code == 0, shown.output
-    assert "effective, back focal length of the ghost 8.609, -16.52 mm" in shown.stdout
+    assert "effective and back focal length of the ghost 8.609, -16.52 mm" in shown.stdout
     rows = [line.split() for line in shown.stdout.splitlines()[-4:]]
     assert [row[:2] for row in rows] == [["2", "0"], ["2", "1.5"], ["22", "0"], ["22", "1.5"]]
     told = CliRunner().invoke(app, ["ghost", "designs/paper_singlet.toml", "--share", "1e-4", "--json"])

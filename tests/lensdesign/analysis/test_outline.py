@@ -71,7 +71,7 @@ def test_an_element_that_does_not_close_keeps_its_clear_aperture_and_says_so() -
     (edge,) = outline.edges
     assert (edge.origin, edge.diameter_mm, edge.drawn_diameter_mm) == ("clear aperture", 18.0, 20.5)
     assert edge.drawn_thickness_mm < 0.0 < edge.thickness_mm
-    assert "diameter 18 mm, that of the clear aperture; at the ground diameter of a drawing" in edge.statement
+    assert "diameter 18 mm (clear aperture)" in edge.statement
     assert lens_mesh(outline.lens, 5.0).mesh.is_watertight
 
 

@@ -54,10 +54,10 @@ SWALLOW = """
 
 
 def started(
-    folder: Path, work: str, nervous_seconds: float = 600.0, grace_seconds: float = 600.0
+    folder: Path, work: str, repeat_seconds: float = 600.0, grace_seconds: float = 600.0
 ) -> subprocess.Popen[str]:
     """A command at its work; later signals and slow ends are judged by the times that a test needs."""
-    times = f"interrupts.NERVOUS_SECONDS, interrupts.GRACE_SECONDS = {nervous_seconds}, {grace_seconds}"
+    times = f"interrupts.REPEAT_SECONDS, interrupts.GRACE_SECONDS = {repeat_seconds}, {grace_seconds}"
     child = subprocess.Popen(
         [sys.executable, "-c", COMMAND.replace("{work}", work.strip()).replace("{times}", times), "write"],
         cwd=folder,
@@ -103,13 +103,13 @@ def test_a_key_pressed_twice_does_not_disturb_unwinding(tmp_path: Path) -> None:
 
 
 def test_a_later_signal_ends_what_does_not_unwind(tmp_path: Path) -> None:
-    child = started(tmp_path, UNWIND_SLOWLY, nervous_seconds=0.0)
+    child = started(tmp_path, UNWIND_SLOWLY, repeat_seconds=0.0)
     assert said(child) == "within\n"
     child.send_signal(signal.SIGHUP)
     assert said(child) == "unwinding\n"
     child.send_signal(signal.SIGTERM)
     assert child.wait(timeout=600) == 129
-    assert child.communicate()[1] == "interrupted; ended before all had come to its end\n"
+    assert child.communicate()[1] == "interrupted; ended without an orderly stop\n"
     assert not list(tmp_path.iterdir())
 
 
@@ -118,7 +118,7 @@ def test_what_does_not_unwind_in_time_is_ended(tmp_path: Path) -> None:
     assert said(child) == "within\n"
     child.send_signal(signal.SIGTERM)
     assert child.wait(timeout=600) == 143
-    assert child.communicate()[1] == "interrupted; ended before all had come to its end\n"
+    assert child.communicate()[1] == "interrupted; ended without an orderly stop\n"
     assert not list(tmp_path.iterdir())
 
 

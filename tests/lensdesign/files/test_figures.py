@@ -117,7 +117,7 @@ def test_units_comments_and_points_not_measured(tmp_path: Path, unit: str, value
         ("# spacing_mm = 1\n# unit = um\n1,x\n", "line 3: 'x' is not a number"),
         ("# spacing_mm = 1\n# unit = um\n0,1,0,2\n0,3,-1,4\n", "line 3: '0,1,0,2': may be 4 whole numbers"),
         ("# spacing_mm = 1\n# unit = um\n0,15;0,2\n", "line 3: '15;0' is not a number"),
-        ("# spacing_mm = 1\n# unit = um\n0,012,1\n", "line 3: '012': begins with an unneeded zero"),
+        ("# spacing_mm = 1\n# unit = um\n0,012,1\n", "line 3: '012': begins with a zero"),
         ("# spacing_mm = 0,1\n# unit = um\n1.5,2\n", "line 1: spacing_mm = '0,1' is not a number: a comma"),
         ("# spacing_mm = 1\n# unit = um\n1,inf\n", "line 3: inf is not a valid sag error"),
         ("# spacing_mm = -1\n# unit = um\n1\n", "line 1: spacing_mm = -1: must be finite and above 0"),

@@ -57,7 +57,7 @@ def test_step_files_hold_their_outline(tmp_path: Path) -> None:
 def test_measured_bodies_end_at_their_clear_apertures_and_say_so(tmp_path: Path) -> None:
     made, _ = exported(tmp_path / "lens.stl", DESIGNS / "measured_singlet.toml", measured=True)
     (statement,) = made.outline
-    assert "diameter 20 mm, that of the clear aperture" in statement
+    assert "diameter 20 mm (clear aperture" in statement
     assert (tmp_path / "lens.stl").read_bytes()[:80].startswith(b"transferlens element 1")
 
 

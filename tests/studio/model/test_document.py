@@ -40,7 +40,7 @@ def test_a_file_that_changed_on_disk_is_left_alone(file: Path) -> None:
         document.saved(edited(editing))
     assert file.read_bytes() == undo_steps
     file.unlink()
-    with pytest.raises(InputError, match="gone from the disk"):
+    with pytest.raises(InputError, match="removed from the disk"):
         document.saved(edited(editing))
 
 

@@ -159,7 +159,7 @@ def test_run_ends_by_saying_what_was_done_and_where_it_lies(command, write_study
     assert ran.stdout.splitlines()[-1].endswith(str(store))
     assert ran.stderr.startswith("40 trials, 8 steps: about ")
     again = command("run", write_study(ray_study), "--store", store, "--workers", "1")
-    assert again.stdout.splitlines()[-1] == f"nothing was missing: {store}"
+    assert again.stdout.splitlines()[-1] == f"the store is already complete: {store}"
     assert again.stderr == ""
 
 
@@ -206,7 +206,7 @@ def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
     assert data["same_as_stored"] is True
     for arguments, message in (
         (("--trial", "9"), "error: trial = 9: the study has trials 0 to 3"),
-        (("-o", picture), "error: --output and --dear go with --trial"),
+        (("-o", picture), "error: --output and --dear need --trial"),
         (("--trial", "1", "-o", tmp_path / "a.gif"), "error: cannot write "),
     ):
         refused = command("show", store, *arguments)
@@ -242,7 +242,7 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
     found = command("budget", store, "--yield", "0.6", "-o", out, "--verify", "40")
     assert found.returncode == 0, found.stderr
     assert "40 fresh trials (seed 202406" in found.stdout
-    assert "all tolerances scaled alike" in found.stdout
+    assert "all tolerances scaled by one factor" in found.stdout
     assert found.stderr.startswith("at most 320 trials of the lens, about ")
     assert command("run", out, "--store", tmp_path / "c.db", "--trials", "4").returncode == 0
 
@@ -337,7 +337,7 @@ def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study,
     assert expected.endswith(" by 1 worker")
     # Older releases of rich end a progress line with a new one.
     assert "".join(rest).strip() == (
-        f"interrupted; the finished results are in {path}, and the same command goes on from there"
+        f"interrupted; the finished results are stored in {path}; repeat the command to continue"
     )
     done = len(finished(path))
     again = command("run", tmp_path / "study.toml", "--store", path, "--workers", "1", "--trials", done + 40)

@@ -158,11 +158,11 @@ def test_whatever_leaves_the_program_is_that_trials_failure(tmp_path, context, b
     scores, messages = score_batch([own(tmp_path, "leave", WAYS_OUT)], context, batch)
     assert np.all(np.isnan(scores))
     assert messages == (
-        "python: SystemExit: 0: asks for the end of the run (mine.py, line 19)",
+        "python: SystemExit: 0: a merit must not end the run (mine.py, line 19)",
         "python: GeneratorExit:  (mine.py, line 21)",
         "python: Own: no message (its __str__ failed) (mine.py, line 23)",
         r"python: ValueError: \ud800\x1b[31m (mine.py, line 25)",
-        "python: SystemExit: 0: asks for the end of the run (mine.py, line 13)",
+        "python: SystemExit: 0: a merit must not end the run (mine.py, line 13)",
     )
 
 

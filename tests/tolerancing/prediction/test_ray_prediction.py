@@ -83,5 +83,5 @@ def test_the_command_tells_rays_with_wavefronts_or_without(ray_study: Path) -> N
     assert "points" not in found
     assert [r["merit"] for r in found["rays"]] == ["largest_spread_deg", "footprint_radius_mm"]
     shown = CliRunner().invoke(app, ["predict", str(ray_study)])
-    assert "Deviation by itself" in shown.output
+    assert "Deviation by each perturbation alone" in shown.output
     assert "lens_decenter_x_mm" in shown.output

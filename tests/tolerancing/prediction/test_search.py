@@ -169,7 +169,7 @@ def test_a_yield_that_no_lens_reaches_ends_with_the_best(wavefront_study: Path) 
     shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1"])
     assert shown.exit_code == 1
     assert "not met: yield: 0." in shown.output
-    assert "can be met, and no more was found: a predicted yield of 0.7" in shown.output
+    assert "can be met: a predicted yield of 0.7" in shown.output
     assert load_design(output).surfaces[0].material == "N-BK7"
 
 
@@ -220,7 +220,7 @@ def test_a_wavelength_that_the_specification_does_not_have_is_refused(figured_st
     with figured_study.open("a", encoding="utf-8") as more:
         more.write(SECOND_WAVELENGTH)
     study = read_as_built(Tolerances(study=str(figured_study)))
-    with pytest.raises(DesignError, match=r"0\.6328 um.*alone, 0\.532 um"):
+    with pytest.raises(DesignError, match=r"0\.6328 um.*allowed.*0\.532 um"):
         study.check(load_design(DESIGNS / "paper_singlet.toml"))
 
 
@@ -256,7 +256,7 @@ def test_lenses_as_built_are_asked_for_at_temperatures(wavefront_study: Path) ->
         np.testing.assert_allclose(here.rms_by[:, k], (high.rms_waves - low.rms_waves) / width, rtol=1e-5)
     command = ["optimize", str(path), "-o", str(path.with_suffix(".out.toml")), "--max-evaluations", "2"]
     shown = CliRunner().invoke(app, command)
-    assert "max_evaluations = 2 cut the search" in shown.output
+    assert "max_evaluations = 2 ended the search" in shown.output
     assert re.search(r"constraint +┃ +limit ┃ 20 C +┃ 50 C", shown.output)
     assert re.search(r"│ yield +│ +>= 0\.6 │ [01](\.\d+)? +│ [01](\.\d+)? ", shown.output)
 
@@ -304,7 +304,7 @@ tilt_deg = { reference = 0.05, share = 0.2 }
     ("lines", "said"),
     [
         ('cost = 9.0\ncosts = "gaps.toml"\n', "process.shop has no radius_percent, for surface_1_radius_mm"),
-        ("cost = 0.5\n", "cost = 0.5: must be above 1, which the elements of the lens cost"),
+        ("cost = 0.5\n", "cost = 0.5: must be above 1"),
         ("cost = 9.0\nfactor = 2.0\n", "cost = 9 and factor = 2: give one of them"),
         ('cost = 9.0\ncosts = "none.toml"\n', "none.toml"),
     ],

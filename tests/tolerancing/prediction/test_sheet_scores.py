@@ -142,7 +142,7 @@ def test_a_wedge_that_the_study_gives_one_surface_is_shared_where_it_must() -> N
     assert made.left.centring_arcmin == made.right.centring_arcmin < 0.72
     assert "centring_arcmin" in made.left.derived
     assert "centring_arcmin" in made.right.derived
-    assert derived.notes[0].startswith("derived from the study, whose tilt of one surface is shared by both")
+    assert derived.notes[0].startswith("derived from the study, whose tilt of one surface is divided")
     score = sheets.score(paper.lens, stated.lens, derived.tolerances)
     assert score is not None
     assert score.loss < MAX_YIELD_LOSS

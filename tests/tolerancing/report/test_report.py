@@ -173,7 +173,7 @@ def test_every_section_is_there_in_order(full):
     _, _, text, page = full
     titles = [heading.split(". ", 1)[1] for tag, heading in page.headings if tag == "h2"]
     assert titles == SECTIONS
-    for part in ("Worst offenders", "Correlations", "Compensators", "Root sum square beside Monte Carlo"):
+    for part in ("Worst offenders", "Correlations", "Compensators", "Root sum square and Monte Carlo"):
         assert ("h3", part) in page.headings
     assert ("h3", "Line pairs of these trials") in page.headings
     assert "is not finished" not in text

@@ -37,7 +37,7 @@ def test_time_is_shared_by_the_workers(ticking, write_study, ray_study):
     )
     assert estimate_run(loaded, missing, steps, 4, 16).seconds == 34.5
     cluster = estimate_run(loaded, missing | {"high_fidelity": 0}, steps, 0, 16)
-    assert cluster.sentence.endswith("about 108.0 s by one worker of a cluster like this machine")
+    assert cluster.sentence.endswith("about 108.0 s by one cluster worker as fast as this machine")
 
 
 SLICES = """

@@ -115,7 +115,7 @@ def test_another_study_is_refused_unless_fresh(rays, write_study, ray_study, tmp
 def test_another_version_of_the_toolkit_is_refused(rays, tmp_path, monkeypatch):
     run_study(rays, tmp_path / "store", workers=1)
     monkeypatch.setattr(module, "toolkit_version", lambda: "99.0")
-    with pytest.raises(InputError, match=r"begun with version .*99\.0"):
+    with pytest.raises(InputError, match=r"version .* of the toolkit, this is version 99\.0"):
         run_study(rays, tmp_path / "store", workers=1)
 
 

@@ -114,7 +114,7 @@ def test_full_disk_in_the_middle_of_a_run_stops_it_with_a_word_and_the_store_int
     _, error = run.communicate()
     assert run.returncode == 2
     assert error.startswith(f"error: cannot write the store {path}: ")
-    assert "goes on from there" in error
+    assert "repeat the command" in error
     assert "Traceback" not in error
     with open_store(path) as store:
         assert 0 < store.trial_count() < TRIALS
@@ -258,7 +258,7 @@ def test_a_death_that_no_trial_repeats_is_none_of_a_trial(write_study, ray_study
         "        once.touch()\n        os.kill(os.getpid(), 9)\n    return 1.0\n"
     )
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
-    with pytest.raises(RunError, match="same command"):
+    with pytest.raises(RunError, match="repeat the command"):
         run_study(study, tmp_path / "a.db", workers=2, trials=2)
     with open_store(tmp_path / "a.db") as store:
         assert store.trials().messages == ("", "")

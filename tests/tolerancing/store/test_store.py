@@ -321,14 +321,14 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELEC
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (f"DROP TABLE study; CREATE VIEW study AS {ENDLESS} x FROM c", "'study' is no table"),
-        (f"DROP TABLE trial; CREATE VIEW trial AS {ENDLESS} x AS trial FROM c", "'trial' is no table"),
-        ("DROP TABLE dear; CREATE VIRTUAL TABLE dear USING fts5(trial)", "'dear' is no table"),
+        (f"DROP TABLE study; CREATE VIEW study AS {ENDLESS} x FROM c", "'study' is not a table"),
+        (f"DROP TABLE trial; CREATE VIEW trial AS {ENDLESS} x AS trial FROM c", "'trial' is not a table"),
+        ("DROP TABLE dear; CREATE VIRTUAL TABLE dear USING fts5(trial)", "'dear' is not a table"),
         (
             "DROP TABLE trial; CREATE TABLE trial (trial INTEGER PRIMARY KEY, a AS (zeroblob(9)) STORED)",
-            "'trial' is no table",
+            "'trial' is not a table",
         ),
-        ("CREATE TRIGGER t AFTER INSERT ON trial BEGIN DELETE FROM trial; END", "'t' is a trigger"),
+        ("CREATE TRIGGER t AFTER INSERT ON trial BEGIN DELETE FROM trial; END", "it has the trigger 't'"),
         ("DROP TABLE file", "'file' is missing"),
     ],
 )

@@ -10,7 +10,7 @@ from tests_studies import DECENTER, DESIGN, FULL_STUDY, HEAD, RADIUS, SPREAD, ST
 
 from lensdesign import DesignError
 from tolerancing.study.files import load_study
-from tolerancing.study.lengths import doubted_study_lengths
+from tolerancing.study.lengths import implausible_study_lengths
 
 THICKNESS = DECENTER.replace('"lens"', '"surface 1"').replace("decenter_y_mm", "thickness_mm")
 PLANE = DECENTER.replace('"lens"', '"sensor"').replace("decenter_y_mm", "plane_distance_2_mm")
@@ -27,7 +27,7 @@ def study(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("path", sorted(DESIGNS.glob("*tolerances.toml")), ids=lambda path: path.stem)
 def test_studies_of_the_designs_are_plausible(path: Path) -> None:
     loaded = load_study(path)
-    assert list(doubted_study_lengths(loaded.study, loaded.lens)) == []
+    assert list(implausible_study_lengths(loaded.study, loaded.lens)) == []
 
 
 @pytest.mark.parametrize(

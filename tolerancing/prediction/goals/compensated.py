@@ -1,13 +1,13 @@
-"""Wavefronts of drawn lenses once compensators are taken out, with exact derivatives.
+"""Wavefronts of drawn lenses after compensation, with exact derivatives.
 
 With the amounts a of a lens's perturbations and the values x of the compensators, the mean square at an
-object point p is z^T Q_p z, z = (a, x). The compensators make the sum over the object points that determine
-them, z^T C z, as small as it gets within their limits. Those at a limit stay there; for the free ones
-(C z)_f = 0, so a change of the lens moves them by dx_f = -C_ff^-1 (dC z)_f, and
+object point p is z^T Q_p z, z = (a, x). The compensators minimize z^T C z, the sum over the object points
+that determine them, within their limits. Compensators at a limit do not change. The free ones (index f)
+satisfy (C z)_f = 0, so a change of the lens changes them by dx_f = -C_ff^-1 (dC z)_f, and
 
     d(z^T Q_p z) = z^T dQ_p z - 2 l^T dC z,    l_f = C_ff^-1 (Q_p z)_f, 0 elsewhere.
 
-Where Q_p is C itself the second term vanishes (the envelope theorem); at a single object point it does not.
+The second term vanishes if Q_p = C (envelope theorem), but not at a single one of several object points.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tolerancing.prediction.goals.joint import WAVEFRONT_SOFTNESS
 
 @dataclass(frozen=True, eq=False)
 class CompensatedWaves:
-    """Mean squares of drawn lenses at object points; t lenses, d changes, k compensators, v variables.
+    """Mean squares of t drawn lenses at p object points; d changes, k compensators, v variables.
 
     Attributes
     ----------
@@ -35,6 +35,7 @@ class CompensatedWaves:
     total, total_by : ndarray, shapes (d + k, d + k) and (v, d + k, d + k)
         Their sum over the object points that determine the compensators.
     amounts : ndarray, shape (t, d)
+        Amount of each change in each lens.
     limits : ndarray, shape (k,)
         Largest value of each compensator.
     """
@@ -48,7 +49,7 @@ class CompensatedWaves:
 
     @cached_property
     def _solved(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Amounts and compensators' values, shape (t, d + k), and which of the latter are free."""
+        """Amounts and values of the compensators, shape (t, d + k), and which compensators are free."""
         d, limits = self.amounts.shape[1], self.limits
         if not len(limits):
             return self.amounts, np.zeros((len(self.amounts), 0), bool)
@@ -58,7 +59,7 @@ class CompensatedWaves:
 
     @cached_property
     def _normal(self) -> Array:
-        """Normal equations of the compensators' values as fractions of their limits."""
+        """Matrix of the normal equations for the compensators as fractions of their limits."""
         d = self.amounts.shape[1]
         return regularised(self.total[d:, d:] * self.limits * self.limits[:, None])
 
@@ -68,22 +69,22 @@ class CompensatedWaves:
         return self._solved[0]
 
     def squares(self, point: int) -> Array:
-        """Mean square of each lens at one object point, shape (t,)."""
+        """Return the mean square of each lens at one object point, shape (t,)."""
         return np.asarray(np.sum((self.together @ self.forms[point]) * self.together, axis=1))
 
     def weighted(self, point: int, weights: Array) -> Array:
-        """Derivatives of the sum of the mean squares with these weights, shape (v,)."""
+        """Return derivatives of the weighted sum of the mean squares by the variables, shape (v,)."""
         together, free = self._solved
         moments = (together.T * weights) @ together
         by = np.tensordot(self.forms_by[:, point], moments, 2)
         if len(self.limits):
-            pulled = self._adjoint(together @ self.forms[point], free)
-            crossed = (pulled.T * weights) @ together
+            multipliers = self._adjoint(together @ self.forms[point], free)
+            crossed = (multipliers.T * weights) @ together
             by = by - 2.0 * np.tensordot(self.total_by[:, -len(self.limits) :], crossed, 2)
         return np.asarray(by)
 
     def _adjoint(self, response: Array, free: NDArray[np.bool_]) -> Array:
-        """The vectors l of each lens, shape (t, k)."""
+        """Return the vector l of each lens, shape (t, k)."""
         right_side = response[:, -len(self.limits) :] * self.limits
         found = np.zeros_like(right_side)
         patterns, own = np.unique(free, axis=0, return_inverse=True)
@@ -115,9 +116,9 @@ class WavefrontLoads:
 
     @cached_property
     def loads(self) -> Array:
-        """Mean squares over the limit's square."""
+        """Mean squares divided by the square of the limit."""
         return self.waves.squares(self.point) / self.limit_waves**2
 
     def weighted(self, weights: Array) -> Array:
-        """Derivatives of the sum of the loads with these weights, shape (v,)."""
+        """Return derivatives of the weighted sum of the loads by the variables, shape (v,)."""
         return self.waves.weighted(self.point, weights / self.limit_waves**2)

@@ -1,8 +1,9 @@
-"""A lens of a search at one wavelength and its perturbations, with derivatives by complex step.
+"""A lens of a search and its perturbations at one wavelength, with derivatives by complex step.
 
-First-order responses to perturbations are differentiated by design variables by complex step through
-:mod:`tolerancing.prediction.paths`, along rays that keep their points on the stop. What a perturbation is in
-numbers of the lens changes smoothly with the design, and is differentiated by central differences.
+A complex step through :mod:`tolerancing.prediction.paths` differentiates first-order responses to
+perturbations by design variables, along rays through fixed points of the stop. The changes of the lens's
+numbers that a perturbation causes vary smoothly with the design and are differentiated by central
+differences.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from tolerancing.prediction.wavefront_prediction import replace_draws
 from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
-STEP, SHARE = 1e-30, 1e-4
-"""The complex step; and the fraction of a variable's range over which perturbations are differenced."""
+STEP, DIFFERENCE_STEP = 1e-30, 1e-4
+"""The complex step, and the step of central differences as a fraction of the range of a variable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,7 @@ class Scatter:
 
     @cached_property
     def parameters(self) -> tuple[PerturbedParameter, ...]:
-        """Perturbations, and behind them the compensators."""
+        """Perturbations, followed by the compensators."""
         return (*self.study.perturbations, *self.study.compensators)
 
     @cached_property
@@ -85,15 +86,15 @@ class DesignPoint:
     Attributes
     ----------
     changes : Changes
-        Of perturbations and compensators.
+        Changes of the perturbations and compensators.
     multiplier : ndarray, shape (d + k,)
-        By which responses to a unit of each change count: the factor of the tolerances, and -1 for
-        compensators, whose path is subtracted.
+        Factor of the response to each change: the factor of the tolerances for perturbations, and -1 for
+        compensators, because their path is subtracted.
 
     Raises
     ------
     DesignError
-        If the rays by which surfaces get their clear heights do not pass.
+        If the rays that determine clear heights do not pass.
     """
 
     def __init__(
@@ -114,19 +115,19 @@ class DesignPoint:
         self._ends: dict[int, tuple[Changes, Changes, float, complex]] = {}
 
     def moved_changes(self, variable: int) -> tuple[Changes, Array]:
-        """Changes and multiplier a complex step of a variable away."""
+        """Return changes and multiplier after a complex step of a variable."""
         high, low, width, factor = self._moved(variable)
         first = self.changes.first + 1j * STEP * (high.first - low.first) / width
         return replace(self.changes, first=first), self._multiplier(factor)
 
     def figures(self, paths: Paths) -> list[Figures]:
-        """Sag errors of irregularities at rays."""
+        """Return the sag errors of irregularities at rays."""
         return figures_on(paths, self.changes)
 
     def moved_figures(self, paths: Paths, still: Paths, variable: int) -> list[Figures]:
-        """Those of rays and lens a complex step of a variable away from where they stand `still`."""
+        """Return the sag errors after a complex step of a variable, for moved rays and the rays `still`."""
         high, low, width, _ = self._moved(variable)
-        share = 1j * STEP / width
+        step = 1j * STEP / width
         found = []
         for own, upper, lower in zip(
             self.figures(paths), figures_on(still, high), figures_on(still, low), strict=True
@@ -134,20 +135,21 @@ class DesignPoint:
             found.append(
                 replace(
                     own,
-                    sag=own.sag + share * (upper.sag - lower.sag),
-                    slope_x=own.slope_x + share * (upper.slope_x - lower.slope_x),
-                    slope_y=own.slope_y + share * (upper.slope_y - lower.slope_y),
+                    sag=own.sag + step * (upper.sag - lower.sag),
+                    slope_x=own.slope_x + step * (upper.slope_x - lower.slope_x),
+                    slope_y=own.slope_y + step * (upper.slope_y - lower.slope_y),
                 )
             )
         return found
 
     def _moved(self, k: int) -> tuple[Changes, Changes, float, complex]:
-        """Changes of the lens on both sides of a variable, how far they lie apart, and the complex factor."""
+        """Return the changes at two values of a variable, their distance, and the complex factor."""
         if k not in self._ends:
-            axis, step = np.eye(len(self.point))[k], SHARE * self.problem.width[k]
+            axis, step = np.eye(len(self.point))[k], DIFFERENCE_STEP * self.problem.width[k]
             (high, more), (low, less) = (
                 self._changes_of(
-                    self.problem.lens_at(self.point + sign * SHARE * axis), self._clear(k, sign * step)
+                    self.problem.lens_at(self.point + sign * DIFFERENCE_STEP * axis),
+                    self._clear(k, sign * step),
                 )
                 for sign in (1.0, -1.0)
             )
@@ -161,7 +163,7 @@ class DesignPoint:
         return np.concatenate([np.full(perturbed, factor), np.full(compensators, -1.0)])
 
     def _clear(self, variable: int | None, step: float) -> Array:
-        """Clear height of each surface, and how it follows a variable; of the stop its semi-diameter."""
+        """Return the clear height of each surface (stop: semi-diameter) after a step of a variable."""
         trace, stop = self._rim, self.lens.stop_index
         squares = np.sum(trace.heights**2, axis=-1)
         rays = np.argmax(squares, axis=0)
@@ -177,7 +179,7 @@ class DesignPoint:
         return np.asarray(clear + step * by)
 
     def _changes_of(self, lens: Lens, clear_mm: Array) -> tuple[Changes, float]:
-        """Changes of a lens whose surfaces all have clear heights and radii; and the tolerances' factor."""
+        """Return the changes and the tolerance factor of a lens, with all clear heights and radii defined."""
         whole, scatter = sized(lens, clear_mm), self.scatter
         pivot = scatter.study.pivot_z_mm
         changes = changes_of(whole, scatter.parameters, scatter.sizes, pivot, self.wavelength_um, False)
@@ -187,7 +189,7 @@ class DesignPoint:
 def rim_heights(problem: DesignProblem, point: Array) -> Array:
     """Return the clear height of each surface of the lens at a point of the unit box, in mm.
 
-    Of the stop it is the semi-diameter.
+    The value of the stop is its semi-diameter.
 
     Raises
     ------
@@ -201,7 +203,7 @@ def rim_heights(problem: DesignProblem, point: Array) -> Array:
 
 
 def _rim_trace(problem: DesignProblem, point: Array, derivatives: bool, wavelength: int) -> GradientTrace:
-    """Rays from the edge of the field through the rim of the stop."""
+    """Trace rays from the edge of the field through the rim of the stop."""
     # Rays that determine the clear height of a surface that has none.
     rim_points = 16
     angles = 2.0 * np.pi * np.arange(rim_points) / rim_points
@@ -214,7 +216,7 @@ def _rim_trace(problem: DesignProblem, point: Array, derivatives: bool, waveleng
 
 
 class TracedRays:
-    """Rays of a design to a plane, with their paths a complex step of each variable away.
+    """Rays of a design to a plane, with their paths after a complex step of each variable.
 
     Parameters
     ----------
@@ -222,7 +224,8 @@ class TracedRays:
     rays
         Object points and stop points.
     plane_mm
-        Distance of the plane from the exit vertex; None is the first sensor plane, which heat moves.
+        Distance of the plane from the exit vertex; None is the first sensor plane, which moves with
+        temperature.
 
     Attributes
     ----------
@@ -244,7 +247,7 @@ class TracedRays:
         return self._paths(None)
 
     def moved(self, variable: int) -> Paths:
-        """Paths a complex step of a variable away."""
+        """Return the paths after a complex step of a variable."""
         return self._paths(variable)
 
     def _paths(self, moved: int | None) -> Paths:
@@ -267,7 +270,7 @@ class TracedRays:
 
 
 def sized(lens: Lens, clear_mm: Array) -> Lens:
-    """The lens with clear heights where it has none, the stop's as its rays fill it, and no planes."""
+    """Return the lens with clear heights for all surfaces, and with planes slightly curved."""
     surfaces = [
         s
         if s.semi_diameter_mm is not None and number != lens.stop_index

@@ -24,7 +24,7 @@ from tolerancing.prediction.system import Changes
 
 
 def wavefront_forms(design: DesignPoint, points_mm: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """Quadratic forms whose values are mean squares of the refocused path difference, in waves.
+    """Return quadratic forms whose values are mean squares of the refocused path difference, in waves.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ def wavefront_forms(design: DesignPoint, points_mm: Sequence[tuple[float, float]
     Returns
     -------
     values : ndarray, shape (p, d + k, d + k)
-        By amounts of the perturbations' changes, and values of the compensators.
+        Forms of the amounts of the changes and the values of the compensators.
     by : ndarray, shape (v, p, d + k, d + k)
-        Derivatives by the variables' own values.
+        Derivatives by the variables in their own units.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The joint yield of a study's limits as a smooth function of what each drawn lens scores.
+"""The joint yield of all limits of a study as a smooth function of the scores of drawn lenses.
 
-A lens is good if it meets all limits. Each limit gives drawn lenses a load: the square of what is limited
-over the square of the limit, beyond 1 for a lens that fails. A drawn lens turns from good to bad over the
-softness of the limit that it misses most.
+A lens is good if it meets all limits. The load of a lens on a limit is the square
+of the limited quantity divided by the square of the limit; a lens with a load above 1 fails. A logistic
+function of the worst load, whose width is the softness of that limit, replaces the step from good to bad.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ WAVEFRONT_SOFTNESS = 0.06
 """Softness of a limit on wavefronts, as a fraction of the limit's square."""
 
 RAY_SOFTNESS, LEAST_SOFTNESS = 0.15, 1e-4
-"""Softness of a limit on rays, as a fraction of the standard deviation of its loads; and the least of all.
+"""Softness of a limit on rays, as a fraction of the standard deviation of its loads, and its smallest value.
 
-Squares of angles and footprints scatter by a per cent or less, and a fixed softness would blur that."""
+Squares of angles and footprints scatter by a per cent or less, and a fixed softness would hide that."""
 
 
 class DrawnLoads(Protocol):
-    """Loads of drawn lenses on one limit; t of them, v variables.
+    """Loads of t drawn lenses on one limit, for v variables.
 
     Attributes
     ----------
     softness : float or None
-        None takes it from the standard deviation of the loads.
+        Softness of the limit; None derives it from the standard deviation of the loads.
     sign : float
         1 if larger loads are worse, -1 if smaller ones are.
     """
@@ -45,18 +45,18 @@ class DrawnLoads(Protocol):
     def sign(self) -> float: ...
 
     def weighted(self, weights: Array) -> Array:
-        """Derivatives of the sum of the loads with these weights, shape (v,)."""
+        """Return derivatives of the weighted sum of the loads by the variables, shape (v,)."""
 
 
 def failing_fraction(limits: Sequence[DrawnLoads], variables: int) -> tuple[float, Array]:
-    """The smoothed fraction of lenses that miss a limit, and its derivatives by the variables.
+    """Return the smoothed fraction of lenses that miss a limit, and its derivatives by the variables.
 
     Parameters
     ----------
     limits
-        At least one; of the same drawn lenses.
+        Loads on the limits, at least one; all for the same drawn lenses.
     variables
-        How many derivatives are asked for; 0 for none.
+        Number of variables; 0 computes no derivatives.
     """
     softness = np.array([_softness(one) for one in limits])
     loads = np.stack([one.loads for one in limits])

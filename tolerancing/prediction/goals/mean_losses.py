@@ -1,10 +1,10 @@
 """Mean reconstruction losses of the lenses of a search, with derivatives.
 
-The chain from object to reconstruction has speckle: which pixels are dark depends on phases of thousands of
-waves, so that the mean loss of two lenses that are almost the same differs by 10 to 30 %. A search therefore
-takes the chain of one lens, that of the study, for all lenses, and lets only the changes of path follow the
-lens. These are smooth. Their derivatives by the design variables are central differences; those of the losses
-by the changes of path follow by adjoint differentiation.
+The chain from object to reconstruction has speckle: the phases of thousands of waves determine which pixels
+are dark, so that the mean losses of two almost equal lenses differ by 10 to 30 %. A search therefore uses the
+chain of the study's own lens for all lenses; only the changes of path are those of each lens, and these are
+smooth. Derivatives of the path changes by design variables are central differences. Derivatives of the losses
+by the path changes are computed by adjoint differentiation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import LossValues
 from lensdesign.optimization.problem import DesignProblem
 from tolerancing.merits.loss import ReconstructionLoss
-from tolerancing.prediction.goals.design import SHARE, bent, rim_heights, sized
+from tolerancing.prediction.goals.design import DIFFERENCE_STEP, bent, rim_heights, sized
 from tolerancing.prediction.losses import LossChains, drawn_losses, loss_chains, loss_paths
 from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study
@@ -66,16 +66,16 @@ class SearchedLosses:
             self.chains(lens)
         except (InputError, ValueError) as error:
             raise DesignError(
-                f"{self.source}: a search for a small reconstruction loss takes the light through the "
-                f"study's own lens with the object, sensor and wavelengths of the specification: {error}"
+                f"{self.source}: a search for a small reconstruction loss needs the study's own lens with "
+                f"the object, sensor and wavelengths of the specification, which is not possible: {error}"
             ) from None
 
     def chains(self, lens: Lens) -> tuple[LossChains, ...]:
-        """Chains of the merits, for lenses with the object, sensor and wavelengths of this one."""
+        """Return chains of the merits for lenses with the object, sensor and wavelengths of this lens."""
         return self._held(lens)[0]
 
     def _held(self, lens: Lens) -> tuple[tuple[LossChains, ...], float]:
-        """Chains that a search holds, and the largest mean loss of the study's own lens."""
+        """Return the cached chains, and the largest mean loss of the study's own lens."""
         scene = lens.object.replaced(working_distance_mm=self.reference.object.working_distance_mm)
         key = scene, lens.sensor, lens.wavelengths_um
         if key not in self._known:
@@ -87,10 +87,10 @@ class SearchedLosses:
             search_pixels = 2.0
             chains = tuple(loss_chains(other, merit, search_pixels) for merit in self.merits)
             means = []
-            for merit, own in zip(self.merits, chains, strict=True):
+            for merit, chain in zip(self.merits, chains, strict=True):
                 paths = loss_paths(bent(other), self.study, merit)
-                each, _ = own.losses(own.coefficients(paths, self._amounts))
-                means.append(float(np.mean(each.max(axis=0))))
+                losses, _ = chain.losses(chain.coefficients(paths, self._amounts))
+                means.append(float(np.mean(losses.max(axis=0))))
             self._known[key] = chains, max(*means, float(np.finfo(float).tiny))
         return self._known[key]
 
@@ -105,7 +105,7 @@ class SearchedLosses:
         return drawn_losses(self.study, search_draws)
 
     def values(self, problem: DesignProblem, point: Array, derivatives: bool) -> LossValues:
-        """Mean losses of the lens at a point of the unit box.
+        """Return the mean losses of the lens at a point of the unit box.
 
         Raises
         ------
@@ -127,8 +127,8 @@ class SearchedLosses:
             lenses = np.arange(each.shape[1])
             losses[m] = np.mean(each[worst, lenses])
             for k in range(count):
-                step = SHARE * np.eye(len(point))[k]
+                step = DIFFERENCE_STEP * np.eye(len(point))[k]
                 change = coefficients(point + step) - coefficients(point - step)
                 each_by = np.sum(slopes * change, axis=(1, 3))[worst, lenses]
-                by[m, k] = np.mean(each_by) / (2.0 * SHARE * problem.width[k])
+                by[m, k] = np.mean(each_by) / (2.0 * DIFFERENCE_STEP * problem.width[k])
         return LossValues(losses, by, scale)

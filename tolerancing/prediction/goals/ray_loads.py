@@ -1,8 +1,8 @@
 """Largest spreads and footprints of drawn lenses, with exact derivatives by design variables.
 
-Each ray follows the perturbations to first order; which ray is the outermost is determined for each drawn
-lens anew. Only rays that can be the outermost of some lens are followed for all of them, and only those that
-are are differentiated.
+Each ray follows the perturbations to first order, and each drawn lens has its own outermost ray. Only rays
+that can be the outermost ray of some lens are followed for all lenses, and only actual outermost rays are
+differentiated.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from tolerancing.prediction.goals.design import STEP, DesignPoint, TracedRays
 from tolerancing.prediction.motions import Motions, motions_of
 
 LEADING, BEHIND = 48, 6.0
-"""Rays with the largest nominal loads, and by how many of their standard deviations others may lie behind the
-first of them and still be the outermost of a lens."""
+"""Number of rays with the largest nominal loads, and distance from the largest nominal load within which any
+other ray may be the outermost ray of a lens, in units of the largest standard deviation of these loads."""
 
 PROBED, CLOSE = 128, 0.1
-"""Drawn lenses that show which rays are followed for all: those that are the outermost of one of them, or
-come so close to it, in standard deviations of the largest loads."""
+"""Number of drawn lenses that select the rays to follow, and largest distance of a selected ray from the
+largest load of one of these lenses, in standard deviations of the largest loads."""
 
 FAN, HEIGHTS = 41, (0.4, 0.7, 0.85)
-"""Points of a fan along each field point's own azimuth, where extreme rays mostly lie; and field heights, as
-fractions of the largest, beside the axis and the rim, where a limit holds over the whole field."""
+"""Number of points of a fan along the azimuth of a field point, where most extreme rays lie, and additional
+field heights, as fractions of the largest, for a limit over the whole field."""
 
 
 def judged_rays(merit: RayMerit, lens: Lens, sampling: Sampling) -> Rays:
-    """Rays by which a search judges a limit: the merit's own rings over the stop, and fans beside them.
+    """Return the rays by which a search evaluates a limit: the merit's rings over the stop, and fans.
 
-    Trials trace the extreme rays of the nominal lens instead, which to find takes longer than all else that a
-    search does with a lens.
+    Trials trace the extreme rays of the nominal lens instead. Finding these would take longer than everything
+    else that a search does with a lens.
     """
     fields = np.array(merit.points(lens), float).reshape(-1, 2)
     rings = pupil_rings(sampling.rings, sampling.arms, edge=True).points
@@ -126,7 +126,7 @@ class RayLoads:
 
     @property
     def sign(self) -> float:
-        """1 for an upper limit."""
+        """1 for an upper limit, -1 for a lower one."""
         return 1.0 if self.merit.at_most is not None else -1.0
 
     @cached_property
@@ -144,7 +144,7 @@ class RayLoads:
         return near.subset(np.flatnonzero(close))
 
     def _drawn_loads(self, rays: FollowedRays, amounts: Array) -> Array:
-        """Loads of all rays of drawn lenses, shape (t, n)."""
+        """Return the loads of all rays of drawn lenses, shape (t, n)."""
         used = self._used
         n, responses = len(rays.values), rays.responses[:, used]
         moved = amounts @ responses.reshape(-1, responses.shape[-1]).T
@@ -152,7 +152,7 @@ class RayLoads:
 
     @cached_property
     def _outermost(self) -> tuple[Array, NDArray[np.intp], Array]:
-        """Loads of the lenses, the ray that gives each, and slopes by that ray's values, shape (t, 2, 2)."""
+        """Load of each lens, its outermost ray, and derivatives by the values of this ray, (t, 2, 2)."""
         rays = self._candidates
         loads = self._drawn_loads(rays, self.amounts)
         worst = np.argmax(loads, axis=1)
@@ -165,11 +165,11 @@ class RayLoads:
 
     @property
     def loads(self) -> Array:
-        """Square of the largest sine or footprint over that of the limit, shape (t,)."""
+        """Square of the largest sine or footprint divided by that of the limit, shape (t,)."""
         return self._outermost[0]
 
     def weighted(self, weights: Array) -> Array:
-        """Derivatives of the sum of the loads with these weights, shape (v,)."""
+        """Return derivatives of the weighted sum of the loads by the variables, shape (v,)."""
         _, worst, slopes = self._outermost
         used, place = np.unique(worst, return_inverse=True)
         rays, gradient = self._candidates.subset(used), weights[:, None, None] * slopes
@@ -211,14 +211,14 @@ class RayLoads:
         return by * np.array([(0.0 if own else p[-1]) - p[0] for p in planes])
 
     def _at_distance(self, further: float) -> Array:
-        """Loads with the outermost rays as they are and another distance between the planes."""
+        """Return the loads of the same outermost rays for another distance between the planes."""
         _, worst, _ = self._outermost
         rays = self._candidates
         moved = np.einsum("td,tacd->tac", self.amounts, rays.responses[worst])
         return self._loads_of(rays.values[worst] + moved, further)
 
     def _loads_of(self, values: Array, further: float | None = None) -> Array:
-        """Loads of rays with these positions and direction cosines, shape (..., 2, 2), or cosines alone."""
+        """Return the loads of rays by positions and cosines, shape (..., 2, 2), or by cosines alone."""
         cosines = values[..., -1, :]
         if not isinstance(self.merit, FootprintRadius):
             return np.asarray(np.sum(cosines**2, axis=-1) / np.sin(np.deg2rad(self.merit.limit)) ** 2)
@@ -226,7 +226,7 @@ class RayLoads:
         return np.asarray(np.sum(across**2, axis=-1) / self.merit.limit**2)
 
     def _slopes_of(self, values: Array) -> Array:
-        """Derivatives of the loads by positions and cosines, shape (..., 2, 2)."""
+        """Return derivatives of the loads by positions and cosines, shape (..., 2, 2)."""
         cosines, slopes = values[..., 1, :], np.zeros_like(values)
         if not isinstance(self.merit, FootprintRadius):
             slopes[..., 1, :] = 2.0 * cosines / np.sin(np.deg2rad(self.merit.limit)) ** 2
@@ -244,5 +244,5 @@ class RayLoads:
         return np.asarray(distance * cosines / self._along(cosines))
 
     def _along(self, cosines: Array) -> Array:
-        """Direction cosines along the axis, with an axis of length 1 behind them."""
+        """Return direction cosines along the axis, with an additional last axis of length 1."""
         return np.sqrt(np.maximum(1.0 - np.sum(cosines**2, axis=-1), 1e-12))[..., None]

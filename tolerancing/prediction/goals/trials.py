@@ -47,7 +47,7 @@ def predicted_of(lens: Lens, study: Study) -> AsBuiltPrediction:
 def trials_of(
     name: str, lens: Lens, study: Study, judged: Sequence[Judged], predicted: AsBuiltPrediction
 ) -> TrialsOf:
-    """Score all trials of a study of a lens as a run of it does.
+    """Score all trials of a study for a lens, as a run of the study does.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ def trials_of(
     lens, study
         The lens and its study.
     judged
-        Object points of the wavefront whose root mean square is asked for.
+        Object points at which the root mean square of the wavefront is evaluated.
     predicted
-        What is predicted of the lens by the draws of the study as it is, whatever seed the trials have.
+        Prediction of the lens. It uses the draws of the study itself, also if the trials have another seed.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def _merit_yield(
 
 
 def _mean_squares(context: Context, batch: PerturbationBatch, judged: Sequence[Judged]) -> Array:
-    """Mean squares of the refocused path difference, shape (trials, points); NaN where there is none."""
+    """Return mean squares of the refocused path difference, (trials, points); NaN for a missing pupil."""
     found = np.full((len(batch), len(judged)), np.nan)
     for k, point in enumerate(judged):
         try:

@@ -43,7 +43,7 @@ NEGLECTED = {
     "eikonal patch": "A patch of bars is propagated through the perturbed lens and back through the nominal "
     "one. Internal reflections are neglected, and phase retrieval is taken as ideal.",
     "whole chain on a line": "An object on a meridional line is propagated to the pixels of all planes, and "
-    "reconstructed with the reconstruction's model. Light beside the line, internal reflections and light "
+    "reconstructed with the reconstruction's model. Light outside the line, internal reflections and light "
     "from outside the region are neglected.",
     "eikonal, two planes, retrieval": "The object is propagated to frames in two planes and reconstructed by "
     "phase retrieval. Internal reflections and light from outside the patch are neglected.",

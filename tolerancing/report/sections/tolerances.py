@@ -219,4 +219,4 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
     )
     if data.study.correlations or any(p.group for p in data.study.perturbations):
         caption += " Perturbations are taken as independent, although some of this study are not."
-    return [Heading("Root sum square beside Monte Carlo", 3), table(headings, rows, caption)]
+    return [Heading("Root sum square and Monte Carlo", 3), table(headings, rows, caption)]

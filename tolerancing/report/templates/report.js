@@ -26,14 +26,14 @@
     tip.style.left = Math.max(4, Math.min(x + 12, innerWidth - tip.offsetWidth - 4)) + "px";
     tip.style.top = (y + 16 + tip.offsetHeight > innerHeight ? y - tip.offsetHeight - 10 : y + 16) + "px";
   };
-  // The nearest point counts, so that small ones can be met with a finger.
+  // The nearest point is selected, so that small points can be hit with a finger.
   const nearest = (svg, event, reach) => {
     const matrix = svg.getScreenCTM();
     if (!matrix) return null;
-    const place = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
+    const pointer = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
     let best = null, least = (reach / matrix.a) ** 2;
     for (const circle of svg.querySelectorAll("circle[data-trial]")) {
-      const d = (circle.getAttribute("cx") - place.x) ** 2 + (circle.getAttribute("cy") - place.y) ** 2;
+      const d = (circle.getAttribute("cx") - pointer.x) ** 2 + (circle.getAttribute("cy") - pointer.y) ** 2;
       if (d < least) { least = d; best = circle.dataset.trial; }
     }
     return best;

@@ -106,7 +106,7 @@ def test_a_file_without_limits_is_drawn_unscored(folder: Path) -> None:
     words = ["drawing", folder / "best.toml", "--tolerances", folder / "only.toml", "-o", folder / "o.svg"]
     done = CliRunner().invoke(app, [str(word) for word in words])
     assert done.exit_code == 0
-    assert "the sheet is not scored: " in done.stderr
+    assert "the yield of the sheet is not predicted: " in done.stderr
     assert "has no [[merit]] tables" in done.stderr
     done = CliRunner().invoke(app, [*(str(w) for w in words), "--study-as-drawn", str(folder / "s.toml")])
     assert isinstance(done.exception, InputError)

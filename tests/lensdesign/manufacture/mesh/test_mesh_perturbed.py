@@ -189,7 +189,8 @@ def test_measured_figures(tmp_path: Any) -> None:
         lens_mesh(singlet(), 1.0, surface_perturbations=change).mesh.vertices, abs=1e-12
     )
     nominal = write_mesh(lens, tmp_path / "lens.ply", 1.0, warn=notes.append)
-    assert notes == ["surface 1: nominal shape written, its measured figure left out"]
+    (note,) = notes
+    assert note.startswith("surface 1: ")
     assert nominal.mesh.vertices == pytest.approx(lens_mesh(singlet(), 1.0).mesh.vertices, abs=1e-12)
 
 

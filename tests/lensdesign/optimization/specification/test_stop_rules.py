@@ -85,7 +85,7 @@ def test_an_interrupt_before_the_first_lens_writes_nothing(
         out.write_text(before)
     ended = stopped(1, sent, "optimize", SPEC, "-o", out)
     assert (ended.returncode, ended.stdout) == (status, ""), ended.stderr
-    assert ended.stderr.splitlines()[-1] == "interrupted before there was a lens to keep"
+    assert ended.stderr.splitlines()[-1] == "interrupted before a first lens was found"
     assert "Traceback" not in ended.stderr
     assert [path.read_text() for path in tmp_path.iterdir()] == ([] if before is None else [before])
 
@@ -168,6 +168,6 @@ def test_trials_that_do_not_fit_are_left_out_and_count_as_missed(monkeypatch: py
     assert time[0] <= 66.0
     assert found.as_built is None
     assert not found.feasible
-    assert any("left no time for the trials" in sentence for sentence in found.unfinished)
+    assert any("before the trials" in sentence for sentence in found.unfinished)
     assert any(v.startswith("yield: not checked") for v in found.violations)
     assert math.isfinite(found.goal_value)

@@ -141,7 +141,7 @@ def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene
 def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
     scene: Scene, cluster: Cluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("lensdesign.common.clusters.TELL_SECONDS", 0.5)
+    monkeypatch.setattr("lensdesign.common.clusters.REPORT_SECONDS", 0.5)
     monkeypatch.setattr("lensdesign.common.clusters.WAIT_SECONDS", 2.0)
     only = cluster.worker()
     engine, field = engine_on(scene), noise(scene.object_grid)
