@@ -127,7 +127,7 @@ def spectrum_support(
     if values.ndim not in (1, 2) or not np.all(np.isfinite(values)):
         raise InputError("spectrum_support: values must be finite, on a line or a plane")
     spectrum = scipy.fft.fftn(values - values.mean(), workers=-1, overwrite_x=True)
-    cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm, np)]
+    cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm)]
     width = math.hypot(*(float(np.max(np.abs(c))) for c in cycles)) / RADIAL_BINS
     binned, beyond = np.zeros(RADIAL_BINS + 1), 0.0
     for radius, power in _spectral_rows(spectrum, cycles):

@@ -306,7 +306,7 @@ def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
     total = float(np.sum(power))
     if total == 0.0:
         raise InputError("the measured field is dark")
-    cycles = fft_frequencies(source.shape, source.pitch_mm, np)
+    cycles = fft_frequencies(source.shape, source.pitch_mm)
     limit = min(INTERPOLATED_BAND * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)
     fine = (abs(cycles[0]) > limit) | (abs(cycles[1]) > limit)
     report_loss(
