@@ -25,7 +25,6 @@ SCRIPTS = (
     "carry_limit",
     "field_scaling",
     "large_field",
-    "gpu_field",
     "full_plane_slices",
     "rim",
     "chooser",

@@ -13,21 +13,21 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.full_field import field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, engine_for
+from wavesim.engines.whole_field import executors
 from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.executors import ThisComputer
-from wavesim.engines.whole_field.on_cpu import OnCpu
+from wavesim.engines.whole_field.tiles import carry_tiles
 from wavesim.fields.field import Grid
+from wavesim.runtime.threads import THREADS
 
 FIELDS_MM = (0.25, 0.5, 1.0, 2.0, 3.0)
 APERTURES = (0.2, 0.3, 0.4, 0.5)
@@ -83,21 +83,16 @@ def own_process(point: dict[str, float]) -> dict[str, Any]:
     return found
 
 
-class Timed(OnCpu):
-    """Knows how long super-tiles' own work took, and adding them up."""
+def timed(work: Callable[..., Any], seconds: list[float]) -> Callable[..., Any]:
+    """Return the function, which also appends its duration to `seconds`."""
 
-    carrying = adding = 0.0
-
-    def carry(self, *given: Any) -> NDArray[np.complex64]:
+    def run(*arguments: Any) -> Any:
         started = time.perf_counter()
-        result = super().carry(*given)
-        self.carrying += time.perf_counter() - started
+        result = work(*arguments)
+        seconds.append(time.perf_counter() - started)
         return result
 
-    def add(self, *given: Any) -> None:
-        started = time.perf_counter()
-        super().add(*given)
-        self.adding += time.perf_counter() - started
+    return run
 
 
 def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
@@ -111,20 +106,20 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     started = time.perf_counter()
     groups = len(engine.groups)
     setup = time.perf_counter() - started
-    seconds, workers = [], [Timed(), Timed()]
+    seconds, carrying = [], list[float]()
+    executors.carry_tiles = timed(carry_tiles, carrying)
     ways = (engine.forward, scene.object_grid), (engine.adjoint, scene.exit_grid)
-    for worker, (carried, grid) in zip(workers, ways, strict=True):
+    for carried, grid in ways:
         warm_up(engine, grid)
         values = Field(grid, noise(rng, grid), scene.wavelength_um)
-        engine.elsewhere = ThisComputer(engine.groups, scene.exit_grid.shape, worker)
         started = time.perf_counter()
         carried(values)
         seconds.append(time.perf_counter() - started)
     return {
         "forward": seconds[0],
         "adjoint": seconds[1],
-        "carrying": workers[0].carrying,
-        "adding": workers[0].adding,
+        "carrying": sum(carrying[:groups]),
+        "adding": seconds[0] - sum(carrying[:groups]),
         "setup": setup,
         "groups": groups,
         "sums_bytes": engine.sums_bytes,
@@ -136,9 +131,9 @@ def warm_up(engine: WholeFieldEngine, grid: Grid) -> None:
     """Have loops compiled, or loaded."""
     group = engine.groups[0]
     if grid == engine.scene.object_grid:
-        OnCpu().carry("forward", group, np.ones([p.stop - p.start for p in group.part], np.complex64))
+        carry_tiles("forward", group, np.ones(group.shape_of("adjoint"), np.complex64), THREADS)
     else:
-        OnCpu().carry("adjoint", group, np.ones(group.shape, np.complex64))
+        carry_tiles("adjoint", group, np.ones(group.shape, np.complex64), THREADS)
 
 
 def exponent(sizes: Sequence[float], figures: Sequence[float]) -> float:

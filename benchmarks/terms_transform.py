@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.timing import Row, interleaved, print_table
-from wavesim.runtime.device import Precision, fourier_plan
+from wavesim.runtime.fourier.nonuniform import Precision, fourier_plan
 from wavesim.runtime.fourier.terms import TermsTransform
 
 SAMPLES, TERMS, ERROR = 294, (1, 4, 8), 5e-4

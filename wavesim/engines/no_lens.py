@@ -9,9 +9,10 @@ import math
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from wavesim.engines.surfaces.grids import check_grid_size
 from wavesim.fields.propagator import FreeSpacePropagator
-from wavesim.runtime.arrays import in_double
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
@@ -45,10 +46,10 @@ class NoLens(Engine):
         return self._transfer
 
     def _forward(self, values: Any) -> Any:
-        return self._prepared.forward(in_double(values))
+        return self._prepared.forward(np.asarray(values, complex))
 
     def _adjoint(self, values: Any) -> Any:
-        return self._prepared.adjoint(in_double(values))
+        return self._prepared.adjoint(np.asarray(values, complex))
 
     def cost(self) -> Cost:
         return Cost(self._transfer.seconds, 0.0, self._transfer.peak_bytes)

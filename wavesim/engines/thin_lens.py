@@ -31,7 +31,6 @@ from wavesim.engines.surfaces.grids import check_grid_size
 from wavesim.fields.field import Grid
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.rays.interfaces import transmission
-from wavesim.runtime.arrays import in_double
 from wavesim.runtime.speed import exponential_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
@@ -208,11 +207,11 @@ class ThinLens(Engine):
 
     def _forward(self, values: Any) -> Any:
         into, phase, out_of = self._prepared
-        return out_of.forward(into.forward(in_double(values)) * phase)
+        return out_of.forward(into.forward(np.asarray(values, complex)) * phase)
 
     def _adjoint(self, values: Any) -> Any:
         into, phase, out_of = self._prepared
-        return into.adjoint(out_of.adjoint(in_double(values)) * phase.conj())
+        return into.adjoint(out_of.adjoint(np.asarray(values, complex)) * phase.conj())
 
     def settings(self) -> dict[str, Any]:
         return {"pitch_mm": self.lens_grids[0].pitch_mm}

@@ -23,7 +23,7 @@ from wavesim.fields.plane_waves import (
     transfer,
     windows,
 )
-from wavesim.runtime.arrays import array_module, fftn, ifftn
+from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 FACTOR_BYTES = 64
@@ -76,21 +76,20 @@ class AngularSpectrum:
     def adjoint(self, values: Any) -> Any:
         return self._propagated(values, adjoint=True)
 
-    def factor(self, dtype: Any = None, xp: Any = np) -> Any:
+    def factor(self, dtype: Any = None) -> Any:
         """Return the factor of each plane wave, in FFT order."""
         pairs = windows(self.source, self.target)
         bands = [pair.pass_band(n) for pair, n in zip(pairs, self.counts, strict=True)]
         if not self.band_limit:
             bands = [BandLimit(pair.shift_mm, math.inf, math.inf) for pair in pairs]
-        cycles = fft_frequencies(self.counts, self.source.pitch_mm, xp)
-        return transfer(cycles, self.wavelength_um, self.index, self.distance_mm, bands, dtype=dtype, xp=xp)
+        cycles = fft_frequencies(self.counts, self.source.pitch_mm)
+        return transfer(cycles, self.wavelength_um, self.index, self.distance_mm, bands, dtype=dtype)
 
     def _propagated(self, values: Any, adjoint: bool) -> Any:
-        xp = array_module(values)
-        kind = xp.result_type(values.dtype, xp.complex64)
-        factor = self.factor(kind, xp)
+        kind = np.result_type(values.dtype, np.complex64)
+        factor = self.factor(kind)
         spectrum = fftn(values, self.counts)
-        spectrum *= xp.conj(factor) if adjoint else factor
+        spectrum *= np.conj(factor) if adjoint else factor
         result = ifftn(spectrum, overwrite=True)
         return result[tuple(slice(0, n) for n in self.source.shape)]
 

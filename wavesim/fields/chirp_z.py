@@ -11,6 +11,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from lensdesign.errors import InputError
 from wavesim.fields.angular_spectrum import FACTOR_BYTES
 from wavesim.fields.field import Field, Grid
@@ -26,7 +28,7 @@ from wavesim.fields.plane_waves import (
     transfer,
     windows,
 )
-from wavesim.runtime.arrays import array_module, fft, ifft
+from wavesim.runtime.arrays import fft, ifft
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 
@@ -56,23 +58,22 @@ def chirp_z_transform(
     InputError
         If the number of values along the axis is not that of the source.
     """
-    xp = array_module(values)
-    kind = xp.result_type(values.dtype, xp.complex64)
+    kind = np.result_type(values.dtype, np.complex64)
     axis = axis % values.ndim
     if values.shape[axis] != source.count:
         raise InputError(f"values have {values.shape[axis]} samples along axis {axis}, not {source.count}")
     two_pi = sign * 2.0 * math.pi
 
     def wave(phase: Any) -> Any:
-        return along(phasor_of(phase, kind, xp), axis, values.ndim, xp)
+        return along(phasor_of(phase, kind), axis, values.ndim)
 
-    x, f = source.offsets(xp), target.offsets(xp)
+    x, f = source.offsets(), target.offsets()
     rate = 0.5 * two_pi * source.step * target.step
-    order_x = xp.arange(source.count, dtype=xp.float64) - 0.5 * (source.count - 1)
-    order_f = xp.arange(target.count, dtype=xp.float64) - 0.5 * (target.count - 1)
+    order_x = np.arange(source.count, dtype=np.float64) - 0.5 * (source.count - 1)
+    order_f = np.arange(target.count, dtype=np.float64) - 0.5 * (target.count - 1)
     size = fast_count(source.count + target.count - 1)
-    lag = xp.arange(size, dtype=xp.float64)
-    lag = xp.where(lag < target.count, lag, lag - size) - 0.5 * (target.count - source.count)
+    lag = np.arange(size, dtype=np.float64)
+    lag = np.where(lag < target.count, lag, lag - size) - 0.5 * (target.count - source.count)
     chirp = fft(wave(-rate * lag**2), axis=axis)
 
     spread = values * wave(rate * order_x**2 + two_pi * target.centre * x)
@@ -117,17 +118,16 @@ class ChirpZ:
     def _propagated(
         self, values: Any, points: list[Samples], targets: list[Samples], cell: float, *, adjoint: bool
     ) -> Any:
-        xp = array_module(values)
-        kind = xp.result_type(values.dtype, xp.complex64)
+        kind = np.result_type(values.dtype, np.complex64)
         cell *= math.prod(f.step for f in self.frequencies)
         dimensions = len(self.frequencies)
-        cycles = [along(f.points(xp), axis, dimensions, xp) for axis, f in enumerate(self.frequencies)]
+        cycles = [along(f.points(), axis, dimensions) for axis, f in enumerate(self.frequencies)]
         factor = cell * transfer(
-            cycles, self.wavelength_um, self.index, self.distance_mm, self.bands, dtype=kind, xp=xp
+            cycles, self.wavelength_um, self.index, self.distance_mm, self.bands, dtype=kind
         )
         for axis, (x, f) in enumerate(zip(points, self.frequencies, strict=True)):
             values = chirp_z_transform(values, x, f, sign=-1, axis=axis)
-        values = values * (xp.conj(factor) if adjoint else factor)
+        values = values * (np.conj(factor) if adjoint else factor)
         for axis, (f, x) in enumerate(zip(self.frequencies, targets, strict=True)):
             values = chirp_z_transform(values, f, x, sign=1, axis=axis)
         return values

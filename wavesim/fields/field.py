@@ -19,7 +19,6 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
-from wavesim.runtime.arrays import array_module
 
 Orientation = Literal["x", "y"]
 
@@ -183,8 +182,7 @@ class Field:
     @property
     def energy(self) -> float:
         """Integral of |u|^2 over the grid: sum of |u|^2 times the cell in mm (line) or mm^2 (plane)."""
-        xp = array_module(self.values)
-        return float(xp.sum(abs(self.values) ** 2)) * self.grid.cell
+        return float(np.sum(abs(self.values) ** 2)) * self.grid.cell
 
     def with_values(self, values: Any) -> Field:
         """Return a field with other values on the same grid."""

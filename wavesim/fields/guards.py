@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import (
@@ -25,7 +27,7 @@ from wavesim.fields.plane_waves import (
     period_counts,
     windows,
 )
-from wavesim.runtime.arrays import array_module, fftn
+from wavesim.runtime.arrays import fftn
 
 Pad = Literal["auto"] | tuple[int, ...]
 
@@ -135,20 +137,19 @@ def measure_propagation(
     """
     target = field.grid.towards(to)
     distance_mm = target.z_mm - field.grid.z_mm
-    xp = array_module(field.values)
     power = abs(fftn(field.values)) ** 2
-    total = float(xp.sum(power))
+    total = float(np.sum(power))
     if not math.isfinite(total):
         raise InputError("the field has values that are not finite")
     if total == 0.0:
         return PropagationCheck(0.0, 0.0, 0.0, 0.0, 0.0)
-    cycles = fft_frequencies(field.grid.shape, field.grid.pitch_mm, xp)
-    kz, propagating = axial_wavenumbers(cycles, field.wavelength_um, field.index, xp)
-    walks = lateral_shift_mm(cycles, kz, distance_mm, xp)
+    cycles = fft_frequencies(field.grid.shape, field.grid.pitch_mm)
+    kz, propagating = axial_wavenumbers(cycles, field.wavelength_um, field.index)
+    walks = lateral_shift_mm(cycles, kz, distance_mm)
 
     none = propagating & ~propagating
     edge, fine, lands = none, none, propagating
-    astray = xp.zeros_like(power)
+    astray = np.zeros_like(power)
     # Diffraction blurs the geometric arrival point by about this width.
     blur = math.sqrt(1e-3 * field.wavelength_um / field.index * abs(distance_mm))
     counts = pad
@@ -161,16 +162,16 @@ def measure_propagation(
         arrival = abs(walk + centre - pair.shift_mm)
         inside = arrival < pair.half_out_mm + half
         strays = arrival > counts[axis] * pair.pitch_mm - pair.half_out_mm - half - 0.5 * blur
-        passed = pair.pass_band(counts[axis]).weight(walk, xp) if band_limit else xp.ones_like(walk)
-        wrong = xp.where(strays, passed**2, 0.0 * walk) + xp.where(inside, (1.0 - passed) ** 2, 0.0 * walk)
+        passed = pair.pass_band(counts[axis]).weight(walk) if band_limit else np.ones_like(walk)
+        wrong = np.where(strays, passed**2, 0.0 * walk) + np.where(inside, (1.0 - passed) ** 2, 0.0 * walk)
         lands, astray = lands & inside, astray + wrong
     squared = sum((2.0 * math.pi * across) ** 2 for across in cycles)
-    decay = xp.exp(
-        -2.0 * abs(distance_mm) * xp.sqrt(xp.clip(squared - field.wavenumber_per_mm**2, 0.0, None))
+    decay = np.exp(
+        -2.0 * abs(distance_mm) * np.sqrt(np.clip(squared - field.wavenumber_per_mm**2, 0.0, None))
     )
 
     def fraction(mask: Any, weights: Any = power) -> float:
-        return float(xp.sum(xp.where(mask, weights, xp.zeros_like(weights)))) / total
+        return float(np.sum(np.where(mask, weights, np.zeros_like(weights)))) / total
 
     landing = fraction(lands)
     return PropagationCheck(
@@ -184,15 +185,14 @@ def measure_propagation(
 
 def _extent_mm(field: Field, axis: int) -> tuple[float, float]:
     """Return centre and half-width of the field's bright part along an axis, from the grid's centre."""
-    xp = array_module(field.values)
     power = abs(field.values) ** 2
-    rows = xp.sum(power, axis=1 - axis) if power.ndim == 2 else power
-    at = Samples(0.0, field.grid.pitch_mm, field.grid.shape[axis]).points(xp)
+    rows = np.sum(power, axis=1 - axis) if power.ndim == 2 else power
+    at = Samples(0.0, field.grid.pitch_mm, field.grid.shape[axis]).points()
     # Intensity, relative to the brightest row, below which a row of the field counts as dark.
     dark = 1e-8
-    bright = rows > dark * xp.max(rows)
-    low = float(xp.min(xp.where(bright, at, xp.max(at))))
-    high = float(xp.max(xp.where(bright, at, xp.min(at))))
+    bright = rows > dark * np.max(rows)
+    low = float(np.min(np.where(bright, at, np.max(at))))
+    high = float(np.max(np.where(bright, at, np.min(at))))
     return 0.5 * (low + high), 0.5 * (high - low)
 
 

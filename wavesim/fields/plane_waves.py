@@ -43,44 +43,46 @@ class Samples:
     step: float
     count: int
 
-    def offsets(self, xp: Any = np) -> Any:
+    def offsets(self) -> Any:
         """Return the points relative to their centre, in float64."""
-        return self.step * (xp.arange(self.count, dtype=xp.float64) - 0.5 * (self.count - 1))
+        return self.step * (np.arange(self.count, dtype=np.float64) - 0.5 * (self.count - 1))
 
-    def points(self, xp: Any = np) -> Any:
+    def points(self) -> Any:
         """Return the points, in float64."""
-        return self.offsets(xp) + self.centre
+        return self.offsets() + self.centre
 
 
-def along(values: Any, axis: int, dimensions: int, xp: Any = np) -> Any:
+def along(values: Any, axis: int, dimensions: int) -> Any:
     """Reshape a 1-D array so that it lies along one axis of several."""
-    return xp.reshape(values, (1,) * axis + (-1,) + (1,) * (dimensions - axis - 1))
+    return np.reshape(values, (1,) * axis + (-1,) + (1,) * (dimensions - axis - 1))
 
 
-def fft_frequencies(shape: tuple[int, ...], pitch_mm: float, xp: Any = np) -> list[Any]:
+def fft_frequencies(shape: tuple[int, ...], pitch_mm: float) -> list[Any]:
     """Return cycles per mm along each axis, in FFT order, shaped so that they broadcast to `shape`."""
     result = []
     for axis, n in enumerate(shape):
-        order = xp.arange(n, dtype=xp.float64)
-        cycles = xp.where(order > (n - 1) // 2, order - n, order) / (n * pitch_mm)
-        result.append(along(cycles, axis, len(shape), xp))
+        order = np.arange(n, dtype=np.float64)
+        cycles = np.where(order > (n - 1) // 2, order - n, order) / (n * pitch_mm)
+        result.append(along(cycles, axis, len(shape)))
     return result
 
 
 def axial_wavenumbers(
-    cycles_per_mm: Sequence[Any], wavelength_um: float, index: float, xp: Any = np
+    cycles_per_mm: Sequence[Any],
+    wavelength_um: float,
+    index: float,
 ) -> tuple[Any, Any]:
     """Return kz (1/mm, 0 for evanescent plane waves) and a mask of the propagating ones."""
-    squared = xp.asarray((2e3 * math.pi * index / wavelength_um) ** 2)
+    squared = np.asarray((2e3 * math.pi * index / wavelength_um) ** 2)
     for cycles in cycles_per_mm:
         squared = squared - (2.0 * math.pi * cycles) ** 2
     propagating = squared > 0.0
-    return xp.sqrt(xp.where(propagating, squared, xp.zeros_like(squared))), propagating
+    return np.sqrt(np.where(propagating, squared, np.zeros_like(squared))), propagating
 
 
-def lateral_shift_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float, xp: Any = np) -> list[Any]:
+def lateral_shift_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float) -> list[Any]:
     """Return the lateral shift of plane waves along each axis over a distance; meaningless where kz is 0."""
-    safe = xp.where(kz > 0.0, kz, xp.ones_like(kz))
+    safe = np.where(kz > 0.0, kz, np.ones_like(kz))
     return [2.0 * math.pi * distance_mm * cycles / safe for cycles in cycles_per_mm]
 
 
@@ -101,29 +103,27 @@ class BandLimit:
     passed_mm: float
     stopped_mm: float
 
-    def weight(self, walk_mm: Any, xp: Any = np) -> Any:
+    def weight(self, walk_mm: Any) -> Any:
         """Return the transmission (0 to 1) for each lateral shift."""
         away = abs(walk_mm - self.shift_mm)
         if self.stopped_mm <= self.passed_mm:
-            return xp.asarray(away <= self.passed_mm, dtype=xp.float64)
+            return np.asarray(away <= self.passed_mm, dtype=np.float64)
         inner = (self.stopped_mm - away) / (self.stopped_mm - self.passed_mm)
-        inner = xp.clip(inner, 0.0, 1.0)
-        return xp.sin(0.5 * math.pi * xp.sin(0.5 * math.pi * inner) ** 2) ** 2
+        inner = np.clip(inner, 0.0, 1.0)
+        return np.sin(0.5 * math.pi * np.sin(0.5 * math.pi * inner) ** 2) ** 2
 
 
-def phasor_of(phase: Any, dtype: Any = None, xp: Any = np) -> Any:
+def phasor_of(phase: Any, dtype: Any = None) -> Any:
     """Return exp(i phase) of phases in float64, as complex64 if that is the `dtype`, else complex128.
 
     The phase is reduced to one turn before it is rounded to single precision.
     """
-    kind = xp.complex64 if dtype == xp.complex64 else xp.complex128
-    if kind == xp.complex64:
-        phase = xp.asarray(phase - TURN * xp.round(phase / TURN), dtype=xp.float32)
-    if not hasattr(phase, "real"):  # arrays of the plain array API have no writable real and imaginary parts
-        return xp.cos(phase) + 1j * xp.sin(phase)
-    result = xp.empty(phase.shape, dtype=kind)
-    xp.cos(phase, out=result.real)
-    xp.sin(phase, out=result.imag)
+    kind = np.complex64 if dtype == np.complex64 else np.complex128
+    if kind == np.complex64:
+        phase = np.asarray(phase - TURN * np.round(phase / TURN), dtype=np.float32)
+    result = np.empty(phase.shape, dtype=kind)
+    np.cos(phase, out=result.real)
+    np.sin(phase, out=result.imag)
     return result
 
 
@@ -135,23 +135,22 @@ def transfer(
     bands: Sequence[BandLimit] | None = None,
     *,
     dtype: Any = None,
-    xp: Any = np,
 ) -> Any:
     """Return the transfer factor of each plane wave over a distance, 0 for evanescent waves.
 
     With `bands` the factor refers to the shifted output window, and waves outside the bands are blocked. The
     result is complex128, or complex64 if that is the `dtype`.
     """
-    kz, propagating = axial_wavenumbers(cycles_per_mm, wavelength_um, index, xp)
+    kz, propagating = axial_wavenumbers(cycles_per_mm, wavelength_um, index)
     phase = kz * distance_mm
-    weight = xp.asarray(propagating, dtype=xp.float64)
+    weight = np.asarray(propagating, dtype=np.float64)
     if bands is not None:
-        walks = lateral_shift_mm(cycles_per_mm, kz, distance_mm, xp)
+        walks = lateral_shift_mm(cycles_per_mm, kz, distance_mm)
         for cycles, walk, band in zip(cycles_per_mm, walks, bands, strict=True):
-            weight = weight * band.weight(walk, xp)
+            weight = weight * band.weight(walk)
             phase = phase + TURN * band.shift_mm * cycles
-    factor = phasor_of(phase, dtype, xp)
-    return factor * xp.asarray(weight, dtype=xp.float32 if factor.dtype == xp.complex64 else xp.float64)
+    factor = phasor_of(phase, dtype)
+    return factor * np.asarray(weight, dtype=np.float32 if factor.dtype == np.complex64 else np.float64)
 
 
 class TransferFunction:

@@ -124,7 +124,7 @@ def spectrum_support(
     if values.ndim not in (1, 2) or not np.all(np.isfinite(values)):
         raise InputError("spectrum_support: values must be finite, on a line or a plane")
     spectrum = scipy.fft.fftn(values - values.mean(), workers=-1, overwrite_x=True)
-    cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm, np)]
+    cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm)]
     # Bins of a spectrum by the distance from frequency 0, for the first pass of a search.
     radial_bins = 8192
     width = math.hypot(*(float(np.max(np.abs(c))) for c in cycles)) / radial_bins

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -35,7 +33,7 @@ from wavesim.fields.plane_waves import (
     fft_frequencies,
     phasor_of,
 )
-from wavesim.runtime.arrays import array_module, fftn
+from wavesim.runtime.arrays import fftn
 
 WIDEST = 4.0
 """Width on the tilted plane, in half-widths of the input window, within which light is followed."""
@@ -90,13 +88,13 @@ class TiltedSamples:
         self.samples = math.prod(f.count for f in self.frequencies)
         check_sample_count([f.count for f in self.frequencies], "the tilt")
 
-    def directions(self, cycles: Sequence[Any], rotation: Array, xp: Any = np) -> tuple[list[Any], Any, Any]:
+    def directions(self, cycles: Sequence[Any], rotation: Array) -> tuple[list[Any], Any, Any]:
         """Return frequencies in the other frame (y, x), and axial ones in this frame and in the other.
 
         `cycles` are the frequencies in this frame (y, x); the columns of `rotation` are its axes.
         """
         squared = self.most**2 - sum(f**2 for f in cycles)
-        axial = xp.sqrt(xp.clip(squared, 0.0, None))
+        axial = np.sqrt(np.clip(squared, 0.0, None))
         parts = dict(zip((1, 0), cycles, strict=False)) | {2: axial}
         turned = [sum(float(rotation[row, column]) * parts[column] for column in parts) for row in parts]
         return turned[:-1], axial, turned[-1]
@@ -146,32 +144,31 @@ class TiltedSamples:
         return [np.broadcast_to(across, keep.shape)[keep] for across in sources], jacobian * cell
 
     def forward(self, values: Any) -> Any:
-        xp = array_module(values)
         sources, factor = self._weights()
-        keep = xp.asarray(factor > 0.0)
-        spectrum = xp.zeros(factor.shape, dtype=xp.complex128)
-        spectrum[keep] = self._nonuniform(values, sources, 2, xp)
-        spectrum = spectrum * xp.asarray(factor)
+        keep = np.asarray(factor > 0.0)
+        spectrum = np.zeros(factor.shape, dtype=np.complex128)
+        spectrum[keep] = self._nonuniform(values, sources, 2)
+        spectrum = spectrum * np.asarray(factor)
         for axis, (f, n) in enumerate(zip(self.frequencies, self.target.shape, strict=True)):
             x = Samples(self.centre_out[axis], self.target.pitch_mm, n)
             spectrum = chirp_z_transform(spectrum, f, x, sign=1, axis=axis)
-        return xp.asarray(spectrum, dtype=xp.result_type(values.dtype, xp.complex64))
+        return np.asarray(spectrum, dtype=np.result_type(values.dtype, np.complex64))
 
     def adjoint(self, values: Any) -> Any:
-        xp = array_module(values)
         sources, factor = self._weights()
-        result = xp.asarray(values, dtype=xp.complex128) * (self.target.cell / self.source.cell)
+        result = np.asarray(values, dtype=np.complex128) * (self.target.cell / self.source.cell)
         for axis, (f, n) in enumerate(zip(self.frequencies, self.target.shape, strict=True)):
             x = Samples(self.centre_out[axis], self.target.pitch_mm, n)
             result = chirp_z_transform(result, x, f, sign=-1, axis=axis)
-        result = (result * xp.asarray(factor))[xp.asarray(factor > 0.0)]
-        return xp.asarray(
-            self._nonuniform(result, sources, 1, xp), dtype=xp.result_type(values.dtype, xp.complex64)
+        result = (result * np.asarray(factor))[np.asarray(factor > 0.0)]
+        return np.asarray(
+            self._nonuniform(result, sources, 1), dtype=np.result_type(values.dtype, np.complex64)
         )
 
-    def _nonuniform(self, values: Any, cycles: list[Array], kind: int, xp: Any) -> Any:
+    def _nonuniform(self, values: Any, cycles: list[Array], kind: int) -> Any:
         """Return the Fourier sum from source samples to frequencies (kind 2), or its adjoint (kind 1)."""
-        library, on_device = _nufft_library(xp)
+        import finufft  # type: ignore[import-untyped]
+
         pitch = self.source.pitch_mm
         points = [np.remainder(2.0 * math.pi * pitch * f + math.pi, 2.0 * math.pi) - math.pi for f in cycles]
         # The library's samples are offset by half a pitch where their number is even.
@@ -181,18 +178,14 @@ class TiltedSamples:
         ]
         phase = sum(2.0 * math.pi * f * x for f, x in zip(cycles, offset, strict=True))
         twiddle = phasor_of(-phase if kind == 2 else phase)
-        data = xp.asarray(values, dtype=xp.complex128)
-        if on_device:
-            points, twiddle = [xp.asarray(p) for p in points], xp.asarray(twiddle)
-        else:
-            data = np.ascontiguousarray(data)
-        transform = getattr(library, f"nufft{len(points)}d{kind}")
+        data = np.ascontiguousarray(values, dtype=np.complex128)
+        transform = getattr(finufft, f"nufft{len(points)}d{kind}")
         # Relative accuracy of the non-uniform Fourier sums.
         accuracy = 1e-13
         if kind == 2:
-            return xp.asarray(transform(*points, data, eps=accuracy, isign=-1) * twiddle)
+            return np.asarray(transform(*points, data, eps=accuracy, isign=-1) * twiddle)
         shape = self.source.shape if len(points) == 2 else self.source.shape[0]
-        return xp.asarray(transform(*points, data * twiddle, shape, eps=accuracy, isign=1))
+        return np.asarray(transform(*points, data * twiddle, shape, eps=accuracy, isign=1))
 
     @property
     def seconds(self) -> float:
@@ -206,18 +199,17 @@ class TiltedSamples:
 
     def measure(self, values: Any) -> dict[str, float]:
         """Return the fractions of the field's energy that the samples cannot represent, by name."""
-        xp = array_module(values)
         dimensions = len(self.source.shape)
         for axis, (n, carrier) in enumerate(zip(self.source.shape, self.carrier, strict=True)):
-            x = Samples(0.0, self.source.pitch_mm, n).offsets(xp)
-            values = values * along(phasor_of(-TURN * carrier * x, xp=xp), axis, dimensions, xp)
+            x = Samples(0.0, self.source.pitch_mm, n).offsets()
+            values = values * along(phasor_of(-TURN * carrier * x), axis, dimensions)
         power = abs(fftn(values)) ** 2
-        total = float(xp.sum(power))
+        total = float(np.sum(power))
         if not math.isfinite(total):
             raise InputError("the field has values that are not finite")
-        base = fft_frequencies(self.source.shape, self.source.pitch_mm, xp)
+        base = fft_frequencies(self.source.shape, self.source.pitch_mm)
         cycles = [f + carrier for f, carrier in zip(base, self.carrier, strict=True)]
-        turned, axial, forwards = self.directions(cycles, self.rotation.T, xp)
+        turned, axial, forwards = self.directions(cycles, self.rotation.T)
         lost = (axial <= 0.0) | (forwards <= 0.0)
         edge, fine, wide = lost & ~lost, lost & ~lost, lost & ~lost
         cosine = float(self.rotation[2, 2])
@@ -225,14 +217,14 @@ class TiltedSamples:
         for axis, (across, out) in enumerate(zip(base, turned, strict=True)):
             edge = edge | (abs(across) > EDGE * 0.5 / self.source.pitch_mm)
             fine = fine | (abs(out) > 0.5 / self.target.pitch_mm * (1.0 + 1e-9))
-            slope = abs(out) / xp.where(lost, xp.ones_like(forwards), forwards)
+            slope = abs(out) / np.where(lost, np.ones_like(forwards), forwards)
             reach = half_in * (1.0 + slope * math.sqrt(1.0 - cosine**2))
             wide = wide | (reach > self._half_field_mm(axis))
 
         masks = {"edge": edge, "lost": lost, "wide": wide & ~lost, "fine": fine & ~lost}
-        none = xp.zeros_like(power)
+        none = np.zeros_like(power)
         return {
-            name: float(xp.sum(xp.where(mask, power, none))) / max(total, 1e-300)
+            name: float(np.sum(np.where(mask, power, none))) / max(total, 1e-300)
             for name, mask in masks.items()
         }
 
@@ -273,9 +265,3 @@ def _rotation(grid: Grid, tilt_deg: tuple[float, float]) -> Array:
     if grid.is_line and about_y != 0.0:
         raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has only a tilt about x")
     return rotation_matrix(np.deg2rad(about_x), np.deg2rad(about_y))
-
-
-def _nufft_library(xp: Any) -> tuple[ModuleType, bool]:
-    """Return the library for an array module, and whether it uses that module's arrays."""
-    on_device = "cupy" in xp.__name__
-    return import_module("cufinufft" if on_device else "finufft"), on_device

@@ -7,7 +7,7 @@ increases until they agree with further rays that were not fitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -91,16 +91,10 @@ class MapOnAxes:
     coefficients: NDArray
     terms: tuple[NDArray, ...]
 
-    def each(self, transfer: Callable[[NDArray], Any] = np.asarray) -> Iterator[Any]:
-        """Yield the values of one function after the other, to limit the memory.
-
-        Parameters
-        ----------
-        transfer
-            Moves an array to the device that computes.
-        """
-        y, *x = (transfer(terms) for terms in self.terms)
-        for c in transfer(self.coefficients):
+    def each(self) -> Iterator[Any]:
+        """Yield the values of one function after the other, to limit the memory."""
+        y, *x = self.terms
+        for c in self.coefficients:
             yield y @ c @ x[0].T if x else y @ c
 
     def single(self) -> MapOnAxes:

@@ -1,4 +1,4 @@
-"""What calculations run on: threads, memory, files, array libraries, GPUs, Fourier transforms."""
+"""What calculations run on: threads, memory, files, Fourier transforms."""
 
 import lazy_loader
 

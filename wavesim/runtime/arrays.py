@@ -1,31 +1,12 @@
-"""Array modules, and Fourier transforms by `scipy.fft` for all arrays that its back end supports.
-
-By default all threads are used. Their number is not an argument of the transforms, since back ends for other
-arrays reject it. For CuPy arrays call `scipy.fft.set_global_backend(cupyx.scipy.fft)` once; for other array
-libraries set `SCIPY_ARRAY_API=1` before SciPy is imported.
-"""
+"""Fourier transforms by `scipy.fft` in all threads, or in a given number."""
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any, Literal
 
-import numpy as np
 import scipy.fft
 
 Norm = Literal["ortho"] | None
-
-
-def array_module(values: Any) -> Any:
-    """Return the module of an array: NumPy, CuPy, or another library of the array API."""
-    if hasattr(values, "__array_namespace__"):
-        return values.__array_namespace__()
-    return import_module(type(values).__module__.partition(".")[0])
-
-
-def in_double(values: Any) -> Any:
-    """Return NumPy arrays in double precision, arrays of other libraries unchanged."""
-    return np.asarray(values, complex) if isinstance(values, np.ndarray) else values
 
 
 def fft(

@@ -206,7 +206,7 @@ class EngineDetails(Settings):
 
     def details(self) -> dict[str, Any]:
         """Return the settings that are given, by their names in the engines."""
-        names = (*EngineDetails.model_fields, "spacing", "device")
+        names = (*EngineDetails.model_fields, "spacing")
         given = {name: getattr(self, name, None) for name in names}
         if self.pitch_um is not None:
             given |= {"pitch_um": None, "pitch_mm": 1e-3 * self.pitch_um}
@@ -227,13 +227,12 @@ class EngineSettings(EngineDetails):
 
 
 class MachineSettings(Settings):
-    """Memory and hardware of a run."""
+    """Memory and cluster of a run."""
 
     memory_gb: Size | None = Field(None, description="Memory limit; default: 80 % of what is free.")
     cluster: str | None = Field(
         None, description="hierarchical: Dask scheduler (ADDRESS) whose workers compute the tiles."
     )
-    device: str | None = Field(None, description="hierarchical: cpu or gpu.")
 
 
 class CameraSettings(Settings):

@@ -302,7 +302,7 @@ def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
     total = float(np.sum(power))
     if total == 0.0:
         raise InputError("the measured field is dark")
-    cycles = fft_frequencies(source.shape, source.pitch_mm, np)
+    cycles = fft_frequencies(source.shape, source.pitch_mm)
     # Fraction of the Nyquist band in which cubic spline interpolation is accurate.
     interpolated_band = 0.5
     limit = min(interpolated_band * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)

@@ -408,7 +408,7 @@ def band_limit(
             f"numerical_aperture = {numerical_aperture:g}: at {wavelength_um:g} um it needs a pitch of "
             f"{500.0 / limit:.4g} um or less; the grid's is {1e3 * grid.pitch_mm:.4g} um"
         )
-    squared = sum(across**2 for across in fft_frequencies(grid.shape, grid.pitch_mm, np))
+    squared = sum(across**2 for across in fft_frequencies(grid.shape, grid.pitch_mm))
     return np.asarray(ifftn(np.where(squared <= limit**2, fftn(values), 0.0)))
 
 

@@ -98,7 +98,7 @@ def test_progress_is_told_within_an_iteration(
 
     monkeypatch.setattr(runs, "progress_bar", shown)
     monkeypatch.setattr(problem, "imaging_engine", kept)
-    options = ("--engine", "hierarchical", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
+    options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code in ENDED, err
     (engine,) = engines

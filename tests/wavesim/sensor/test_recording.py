@@ -17,8 +17,7 @@ from lensdesign import load_design, save_design, scaled
 from lensdesign.common import clusters
 from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import engine_for
-from wavesim.engines.whole_field import tile_store
-from wavesim.engines.whole_field.on_cpu import OnCpu
+from wavesim.engines.whole_field import executors, tile_store
 from wavesim.fields.field import relative_error
 from wavesim.runtime.inventory import need_of
 from wavesim.scene.engine import Engine
@@ -97,20 +96,20 @@ def test_a_run_that_was_cut_off_goes_on(
 ) -> None:
     recording = Recording(PLANES_MM[:1], CAMERA, 3)
     whole, _ = scenery.imaged("hierarchical", recording)
-    carry, carried = OnCpu.carry, list[Any]()
+    carry, carried = executors.carry_tiles, list[Any]()
 
-    def counted(self: OnCpu, way: Any, group: Any, values: Any) -> Any:
+    def counted(way: Any, group: Any, *rest: Any) -> Any:
         if len(carried) == 3:
             raise KeyboardInterrupt
         carried.append(group)
-        return carry(self, way, group, values)
+        return carry(way, group, *rest)
 
-    monkeypatch.setattr(OnCpu, "carry", counted)
+    monkeypatch.setattr(executors, "carry_tiles", counted)
     with pytest.raises(KeyboardInterrupt):
         scenery.imaged("hierarchical", recording, folder=tmp_path)
     assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
     carried.clear()
-    monkeypatch.setattr(OnCpu, "carry", carry)
+    monkeypatch.setattr(executors, "carry_tiles", carry)
     told: list[tuple[str, int, int]] = []
     again, _ = scenery.imaged(
         "hierarchical", recording, folder=tmp_path, progress=lambda *what: told.append(what)

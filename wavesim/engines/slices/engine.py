@@ -13,8 +13,7 @@ slice instead of its two borders, so that the error has no first order in the he
 error decreases with the square of their number. What remains is diffraction at the borders, where the light
 of neighbouring slices overlaps or leaves a gap; it decreases with the number of slices once they are thin.
 
-Each surface has its own window and pitch. NumPy fields are propagated in the given precision. Fields of
-another array library (CuPy) keep their own precision and memory.
+Each surface has its own window and pitch. NumPy fields are propagated in the given precision.
 """
 
 from __future__ import annotations
@@ -183,18 +182,14 @@ class AnnularSlices(Engine):
 
     @property
     def _dtype(self) -> np.dtype[Any]:
-        """Precision of NumPy's fields, and of the stored factors."""
+        """Precision of the fields, and of the stored factors."""
         return np.dtype(np.complex64 if self.precision == "single" else np.complex128)
 
     def _forward(self, values: Any) -> Any:
-        return self._prepared.forward(self._cast(values))
+        return self._prepared.forward(np.asarray(values, self._dtype))
 
     def _adjoint(self, values: Any) -> Any:
-        return self._prepared.adjoint(self._cast(values))
-
-    def _cast(self, values: Any) -> Any:
-        """Return NumPy arrays in the given precision, arrays of other libraries unchanged."""
-        return np.asarray(values, self._dtype) if isinstance(values, np.ndarray) else values
+        return self._prepared.adjoint(np.asarray(values, self._dtype))
 
     @cached_property
     def _nominal_planes(self) -> list[Array]:

@@ -1,9 +1,8 @@
 """Propagation from slice to slice: plane waves in front of a surface, samples of each slice, waves behind it.
 
 A slice covers a part of its window, and its waves lie within a band. The Fourier transforms between waves and
-samples therefore compute only the required rows and columns, some at a time. They keep the precision and the
-memory of the given field, for any array library that indexes as NumPy does (CuPy). Phases are computed in
-float64.
+samples therefore compute only the required rows and columns, some at a time. They keep the precision of the
+given field. Phases are computed in float64.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from wavesim.engines.slices.samples import SlicedSurface
 from wavesim.engines.slices.windows import Waves, block, transferred
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import BandLimit, axial_wavenumbers, lateral_shift_mm, phasor_of
-from wavesim.runtime.arrays import array_module, fft, ifft
+from wavesim.runtime.arrays import fft, ifft
 from wavesim.runtime.threads import for_blocks
 
 Sides = tuple[Waves, Waves]
@@ -100,7 +99,7 @@ def _widened(spectrum: Any, waves: Waves) -> Any:
     """Return a spectrum with zeros for the waves of higher orders."""
     if spectrum.shape == waves.shape:
         return spectrum
-    result = array_module(spectrum).zeros(waves.shape, dtype=spectrum.dtype)
+    result = np.zeros(waves.shape, dtype=spectrum.dtype)
     orders = [n // 2 for n in spectrum.shape]
     result[tuple(slice(m - n, m + n + 1) for m, n in zip(waves.orders, orders, strict=True))] = spectrum
     return result
@@ -124,12 +123,11 @@ def through_surface(
     adjoint
         Whether to apply the adjoint.
     """
-    xp = array_module(spectrum)
-    arriving = xp.reshape(spectrum, _plane(source.shape))
-    total = xp.zeros(_plane(target.shape), dtype=spectrum.dtype)
+    arriving = np.reshape(spectrum, _plane(source.shape))
+    total = np.zeros(_plane(target.shape), dtype=spectrum.dtype)
     rows = max(arriving.shape[0], total.shape[0])
     widest = max(b.columns.stop - b.columns.start for b in surface.boxes)
-    between = xp.empty((rows, widest), dtype=spectrum.dtype)
+    between = np.empty((rows, widest), dtype=spectrum.dtype)
     order = range(len(surface.boxes))
     start, end = surface.before_mm, surface.behind_mm
     if adjoint:
@@ -138,21 +136,21 @@ def through_surface(
     last = order[0]
     for q in order:
         work = _Slice(surface, q, _plane(source.grid.shape), adjoint)
-        steps[0].prepare(float(start[q] - start[last]), spectrum)
-        steps[1].prepare(float(end[q] - end[last]), spectrum)
+        steps[0].prepare(float(start[q] - start[last]), spectrum.dtype)
+        steps[1].prepare(float(end[q] - end[last]), spectrum.dtype)
         work.take_rows(arriving, steps[0], between)
         work.pass_columns(arriving.shape[0], total.shape[0], between)
         work.give_rows(total, steps[1], between)
         last = q
-    return xp.reshape(total, target.shape)
+    return np.reshape(total, target.shape)
 
 
 def propagated(waves: Waves, spectrum: Any, distance_mm: float, limit: BandLimit | None = None) -> Any:
     """Propagate waves over a distance, in place; those beyond the band or the limit become 0."""
-    plane = array_module(spectrum).reshape(spectrum, _plane(waves.shape))
+    plane = np.reshape(spectrum, _plane(waves.shape))
     step = _Steps(waves)
-    step.factor = step_factor(waves, distance_mm, spectrum, limit)
-    _in_blocks(lambda a, b: step.multiply(plane[a:b], a), plane.shape[0], plane.shape[1], spectrum)
+    step.factor = step_factor(waves, distance_mm, spectrum.dtype, limit)
+    _in_blocks(lambda a, b: step.multiply(plane[a:b], a), plane.shape[0], plane.shape[1])
     return spectrum
 
 
@@ -169,49 +167,46 @@ class _Slice:
         """Transform along x, from waves to the columns of the slice."""
         columns = self._columns
         width, order = columns.stop - columns.start, arriving.shape[1] // 2
-        xp = array_module(arriving)
 
         def work(a: int, b: int) -> None:
             part = arriving[a:b]
             step.multiply(part, a)
             if self.shape[1] > 1:
-                full = xp.zeros((b - a, self.shape[1]), dtype=part.dtype)
+                full = np.zeros((b - a, self.shape[1]), dtype=part.dtype)
                 full[:, : order + 1] = part[:, order:]
                 full[:, self.shape[1] - order :] = part[:, :order]
                 part = ifft(full, 1, overwrite=True, workers=1)[:, columns]
             between[a:b, :width] = part
 
-        _in_blocks(work, arriving.shape[0], self.shape[1], arriving)
+        _in_blocks(work, arriving.shape[0], self.shape[1])
 
     def pass_columns(self, source_rows: int, target_rows: int, between: Any) -> None:
         """Transform along y to samples, multiply them by their factors, and transform back to waves."""
         surface, box, rows = self.surface, self.surface.boxes[self.which], self._rows
         count, order, other = self.shape[0], source_rows // 2, target_rows // 2
-        xp = array_module(between)
 
         def work(a: int, b: int) -> None:
-            full = xp.zeros((count, b - a), dtype=between.dtype)
+            full = np.zeros((count, b - a), dtype=between.dtype)
             full[: order + 1] = between[order:source_rows, a:b]
             full[count - order :] = between[:order, a:b]
             wave = ifft(full, 0, overwrite=True, workers=1)
             columns = slice(box.columns.start + a, box.columns.start + b)
-            factor = xp.asarray(surface.factors[box.rows, columns], dtype=between.dtype)
-            is_own = xp.asarray(surface.indices[box.rows, columns]) == surface.labels[self.which]
-            kept = wave[rows] * (xp.conj(factor) if self.adjoint else factor)
+            factor = np.asarray(surface.factors[box.rows, columns], dtype=between.dtype)
+            is_own = np.asarray(surface.indices[box.rows, columns]) == surface.labels[self.which]
+            kept = wave[rows] * (np.conj(factor) if self.adjoint else factor)
             wave[: rows.start] = 0.0
             wave[rows.stop :] = 0.0
-            wave[rows] = xp.where(is_own, kept, xp.zeros_like(kept))
+            wave[rows] = np.where(is_own, kept, np.zeros_like(kept))
             sums = fft(wave, axis=0, overwrite=True, workers=1)
             between[other:target_rows, a:b] = sums[: other + 1]
             between[:other, a:b] = sums[count - other :]
 
-        _in_blocks(work, box.columns.stop - box.columns.start, count, between)
+        _in_blocks(work, box.columns.stop - box.columns.start, count)
 
     def give_rows(self, total: Any, step: _Steps, between: Any) -> None:
         """Transform along x, from the columns of the slice to waves, and add them to the total."""
         columns = self._columns
         width, order = columns.stop - columns.start, total.shape[1] // 2
-        xp = array_module(total)
 
         def work(a: int, b: int) -> None:
             sums = total[a:b]
@@ -219,13 +214,13 @@ class _Slice:
             if self.shape[1] == 1:
                 sums += between[a:b, :width]
                 return
-            full = xp.zeros((b - a, self.shape[1]), dtype=total.dtype)
+            full = np.zeros((b - a, self.shape[1]), dtype=total.dtype)
             full[:, columns] = between[a:b, :width]
             waves = fft(full, axis=1, overwrite=True, workers=1)
             sums[:, order:] += waves[:, : order + 1]
             sums[:, :order] += waves[:, self.shape[1] - order :]
 
-        _in_blocks(work, total.shape[0], self.shape[1], total)
+        _in_blocks(work, total.shape[0], self.shape[1])
 
     @property
     def _rows(self) -> slice:
@@ -248,7 +243,7 @@ class _Steps:
         self.factor: Any = None
         self.is_zero = False
 
-    def prepare(self, step_mm: float, like: Any) -> None:
+    def prepare(self, step_mm: float, dtype: np.dtype[Any]) -> None:
         """Compute the factor of a step, unless it is the previous one."""
         # Steps are rounded so that equal ones share a factor; the phase error stays below 1e-5 rad.
         step_grain_mm = 1e-12
@@ -258,47 +253,46 @@ class _Steps:
             return
         # Frees the old factor before the new one is computed.
         self.factor = None
-        self.step_mm, self.factor = step_mm, step_factor(self.waves, step_mm, like)
+        self.step_mm, self.factor = step_mm, step_factor(self.waves, step_mm, dtype)
 
     def multiply(self, rows_of_spectrum: Any, start: int) -> None:
         """Multiply rows of a spectrum, from one on, by the factor, in place."""
         if self.is_zero:
             return
-        xp = array_module(rows_of_spectrum)
         down, across = self.factor.shape[0] - 1, self.factor.shape[1] - 1
-        rows = abs(xp.arange(start, start + rows_of_spectrum.shape[0]) - down)
+        rows = abs(np.arange(start, start + rows_of_spectrum.shape[0]) - down)
         factor = self.factor[rows]
         rows_of_spectrum[:, across:] *= factor
         if across > 0:
             rows_of_spectrum[:, :across] *= factor[:, :0:-1]
 
 
-def step_factor(waves: Waves, distance_mm: float, like: Any, limit: BandLimit | None = None) -> Any:
-    """Return the factor of each wave of orders from 0 on, in the library and precision of an array.
+def step_factor(
+    waves: Waves, distance_mm: float, dtype: np.dtype[Any], limit: BandLimit | None = None
+) -> Any:
+    """Return the factor of each wave of orders from 0 on, in the precision of `dtype`.
 
     It is 0 beyond the band, and where `limit` blocks the radial shift.
     """
-    xp, medium = array_module(like), waves.medium
+    medium = waves.medium
     steps = [f.step for f in waves.frequencies(waves.orders)]
     down, across = (
-        step * xp.arange(m + 1, dtype=xp.float64)
+        step * np.arange(m + 1, dtype=np.float64)
         for m, step in zip((*waves.orders, 0)[:2], (*steps, 0.0)[:2], strict=True)
     )
-    result = xp.empty((down.shape[0], across.shape[0]), dtype=like.dtype)
+    result = np.empty((down.shape[0], across.shape[0]), dtype=dtype)
 
     def work(a: int, b: int) -> None:
-        cycles = [xp.reshape(down[a:b], (-1, 1)), xp.reshape(across, (1, -1))]
-        kz, _ = axial_wavenumbers(cycles, medium.wavelength_um, medium.index, xp)
-        factor = phasor_of(kz * distance_mm, like.dtype, xp) * (kz > medium.smallest_kz_per_mm)
+        cycles = [np.reshape(down[a:b], (-1, 1)), np.reshape(across, (1, -1))]
+        kz, _ = axial_wavenumbers(cycles, medium.wavelength_um, medium.index)
+        factor = phasor_of(kz * distance_mm, dtype) * (kz > medium.smallest_kz_per_mm)
         if limit is not None:
-            walks = lateral_shift_mm(cycles, kz, distance_mm, xp)
-            weight = limit.weight(xp.sqrt(walks[0] ** 2 + walks[1] ** 2), xp)
-            factor = factor * xp.asarray(
-                weight, dtype=xp.float32 if like.dtype == xp.complex64 else xp.float64
-            )
+            walks = lateral_shift_mm(cycles, kz, distance_mm)
+            weight = limit.weight(np.sqrt(walks[0] ** 2 + walks[1] ** 2))
+            factor = factor * np.asarray(weight, dtype=np.float32 if dtype == np.complex64 else np.float64)
         result[a:b] = factor
 
-    _in_blocks(work, result.shape[0], result.shape[1], like)
+    _in_blocks(work, result.shape[0], result.shape[1])
     return result
 
 
@@ -311,11 +305,6 @@ def _moved(part: slice, by: int) -> slice:
     return slice(part.start + by, part.stop + by)
 
 
-def _in_blocks(work: Callable[[int, int], None], count: int, samples: int, like: Any) -> None:
-    """Process rows or columns of so many samples each, in threads where the arrays are NumPy's."""
-    step = block(samples, like)
-    if isinstance(like, np.ndarray):
-        for_blocks(work, count, step)
-        return
-    for start in range(0, count, step):
-        work(start, min(start + step, count))
+def _in_blocks(work: Callable[[int, int], None], count: int, samples: int) -> None:
+    """Process rows or columns of so many samples each, in threads."""
+    for_blocks(work, count, block(samples))

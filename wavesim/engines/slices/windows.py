@@ -20,14 +20,13 @@ from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.chirp_z import chirp_z_transform
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import BandLimit, Samples, centres_mm
-from wavesim.runtime.arrays import array_module
 from wavesim.scene.scene import Scene
 
 TRANSFER_FINENESS = 0.9
 """Pitch for the transfer between two windows, as a fraction of the coarsest that samples the field."""
 
-BLOCK_BYTES, DEVICE_BLOCK_BYTES = 1 << 22, 1 << 28
-"""Size of a block of rows or columns that is processed at a time, for NumPy's and for other arrays."""
+BLOCK_BYTES = 1 << 22
+"""Size of a block of rows or columns that is processed at a time."""
 
 
 @dataclass(frozen=True)
@@ -193,25 +192,23 @@ def _along_axes(
     """Transform along one axis after the other in blocks, in the order that keeps arrays small."""
     if values.ndim == 1:
         return transform(values, 0)
-    xp = array_module(values)
-    kind = xp.result_type(values.dtype, xp.complex64)
+    kind = np.result_type(values.dtype, np.complex64)
     for axis in (1, 0) if math.prod(shape) > math.prod(values.shape) else (0, 1):
         count, others = shape[axis], values.shape[1 - axis]
-        result = xp.empty((count, others) if axis == 0 else (others, count), dtype=kind)
-        for part in parts(others, 4 * max(values.shape[axis] + count, 2 * longest), result):
+        result = np.empty((count, others) if axis == 0 else (others, count), dtype=kind)
+        for part in parts(others, 4 * max(values.shape[axis] + count, 2 * longest)):
             block_of = (slice(None), part) if axis == 0 else (part, slice(None))
             result[block_of] = transform(values[block_of], axis)
         values = result
     return values
 
 
-def parts(count: int, samples: int, like: Any) -> Iterator[slice]:
+def parts(count: int, samples: int) -> Iterator[slice]:
     """Return parts of a range of rows or columns of so many samples, each small enough for one block."""
-    step = block(samples, like)
+    step = block(samples)
     return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
-def block(samples: int, like: Any) -> int:
+def block(samples: int) -> int:
     """Return the number of rows or columns of so many samples in a block."""
-    most = BLOCK_BYTES if isinstance(like, np.ndarray) else DEVICE_BLOCK_BYTES
-    return max(most // (16 * samples), 8)
+    return max(BLOCK_BYTES // (16 * samples), 8)

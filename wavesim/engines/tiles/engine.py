@@ -37,7 +37,7 @@ from wavesim.engines.tiles.residual import Quadratic, Separable
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.runtime.device import Precision
+from wavesim.runtime.fourier.nonuniform import Precision
 from wavesim.runtime.threads import THREADS, one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.light import Light

@@ -32,7 +32,13 @@ from wavesim.fields.resampling import (
 )
 from wavesim.rays.maps import RayMap, SmoothMap
 from wavesim.rays.ray_bundles import RayBundle
-from wavesim.runtime.device import Precision, adjoint_of_terms, folded, plan_of_terms, sum_of_terms
+from wavesim.runtime.fourier.nonuniform import (
+    Precision,
+    adjoint_of_terms,
+    folded,
+    plan_of_terms,
+    sum_of_terms,
+)
 from wavesim.runtime.threads import THREADS, for_blocks
 from wavesim.scene.scene import Scene
 
@@ -237,7 +243,7 @@ class TileOperator:
         if self._plans is None:
             return None
         field = np.zeros(self._needed.shape, self._dtype)
-        field[self._needed] = sum_of_terms(self._plans[0], np, values, self._tile_factors, self._weights)
+        field[self._needed] = sum_of_terms(self._plans[0], values, self._tile_factors, self._weights)
         return field
 
     def add(self, field: NDArray | None, result: NDArray) -> None:
@@ -258,7 +264,7 @@ class TileOperator:
         else:
             field = gathered(values, self._interpolation, self._carrier, self._origin, threads)
         strength = field[self._needed]
-        return np.asarray(adjoint_of_terms(self._plans[1], np, strength, self._tile_factors, self._weights))
+        return np.asarray(adjoint_of_terms(self._plans[1], strength, self._tile_factors, self._weights))
 
 
 def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:

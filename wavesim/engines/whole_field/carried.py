@@ -59,7 +59,7 @@ class CarriedStep:
     ----------
     ways : InterpolationWeights
     turns : array
-        Phase of the carrier over 2 pi on the smooth grid, in the library that computes.
+        Phase of the carrier over 2 pi on the smooth grid.
     edge : array of float32
         Smooth edge of the aperture: 0 where it is dark, 1 or more where it is open, on the smooth grid.
     window : (slice, slice)

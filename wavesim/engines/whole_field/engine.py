@@ -27,8 +27,6 @@ from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import whole_field_cost
 from wavesim.engines.whole_field.executors import Band, Executor, Part, Progress, Sums, ThisComputer
 from wavesim.engines.whole_field.factors import factors_over_object
-from wavesim.engines.whole_field.on_cpu import OnCpu
-from wavesim.engines.whole_field.on_gpu import OnDevice
 from wavesim.engines.whole_field.ray_maps import MapsOverObject, Region, maps_over_object, region_of_object
 from wavesim.engines.whole_field.soft_edge import soft_edge_error, softness
 from wavesim.engines.whole_field.tiles import (
@@ -41,7 +39,7 @@ from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.runtime.device import Device, Precision, device_named
+from wavesim.runtime.fourier.nonuniform import Precision
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, ErrorTerm, Tiled
@@ -79,8 +77,6 @@ class WholeFieldEngine(Tiled):
 
     Attributes
     ----------
-    device : Device or None
-        Device that computes instead of the compiled loops.
     elsewhere : Executor or None
         Executor of super-tiles on other computers; None for this computer.
 
@@ -94,13 +90,11 @@ class WholeFieldEngine(Tiled):
         Tiles along each side of a super-tile.
     error : float
         Relative L2 error of the exit field that tiles and interpolation may cause.
-    device : {"cpu", "gpu"}
-        Device that computes; a GPU needs the extra ``gpu``. :meth:`cost` predicts times of the processor.
 
     Raises
     ------
     InputError
-        If a setting is not usable, the scene is a line, or there is no GPU.
+        If a setting is not usable, or the scene is a line.
     FoldError
         On first use, if rays fold on the exit grid's plane.
     RayMapError
@@ -133,7 +127,6 @@ class WholeFieldEngine(Tiled):
         tile_width_mm: float | None = None,
         tiles_across: int = 4,
         error: float = 1e-2,
-        device: str = "cpu",
     ) -> None:
         super().__init__(scene)
         if scene.object_grid.is_line:
@@ -145,7 +138,6 @@ class WholeFieldEngine(Tiled):
         if not LEAST_ERROR <= error <= 1.0:
             raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
         self._asked_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
-        self.device: Device | None = None if device == "cpu" else device_named(device)
 
     @cached_property
     def region(self) -> Region:
@@ -244,13 +236,8 @@ class WholeFieldEngine(Tiled):
         return sum(COMPLEX64 * math.prod(group.shape) for group in self.groups)
 
     @property
-    def worker(self) -> OnCpu | OnDevice:
-        """Worker that computes super-tiles on this computer."""
-        return OnCpu() if self.device is None else OnDevice(self.device)
-
-    @property
     def _executor(self) -> Executor:
-        return self.elsewhere or ThisComputer(self.groups, self.scene.exit_grid.shape, self.worker)
+        return self.elsewhere or ThisComputer(self.groups, self.scene.exit_grid.shape)
 
     def _forward(self, values: Any) -> Any:
         plane = self._executor.plane(self._parts_of(values, range(self.parts)), self._progress_callback())
@@ -311,7 +298,7 @@ class WholeFieldEngine(Tiled):
             "tile_width_mm": self._prepared[0],
             "tiles_across": self._tiles_across,
             "error": self._error,
-        } | ({} if self.device is None else {"device": self.device.name})
+        }
 
     def error_terms(self) -> tuple[ErrorTerm, ...]:
         _, tiles, settings = self._prepared

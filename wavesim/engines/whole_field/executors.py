@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.on_cpu import OnCpu
-from wavesim.engines.whole_field.on_gpu import OnDevice
-from wavesim.engines.whole_field.tiles import SuperTile
-from wavesim.runtime.memory import COMPLEX64
+from wavesim.engines.whole_field.tiles import SuperTile, carry_tiles
+from wavesim.runtime.threads import THREADS
 
 Part = tuple[int, NDArray[np.complex64]]
 """Index of a super-tile, and values on its part of the object."""
@@ -52,53 +50,40 @@ class ThisComputer:
         All super-tiles of the field.
     shape : (int, int)
         Shape of the plane.
-    worker : OnCpu or OnDevice
-        Worker that computes each super-tile.
     """
 
     groups: Sequence[SuperTile]
     shape: tuple[int, ...]
-    worker: OnCpu | OnDevice
 
     def plane(self, parts: Iterable[Part], progress: Progress) -> NDArray[np.complex64]:
-        height, width = self.shape
-        rows = int(min(self.worker.memory_bytes / (COMPLEX64 * width), height))
-        if rows < height:
-            return np.concatenate([band for _, band in self.bands(parts, {}, max(rows, 1), progress)])
-        result = self._dark(height)
+        result = np.zeros(self.shape, np.complex64)
         for number, total in self._carried(parts, progress):
-            self.worker.add(self.groups[number].carried, total, result)
-        return self.worker.device.to_host(result)
+            self.groups[number].carried.add(total, result, threads=THREADS)
+        return result
 
     def bands(self, parts: Iterable[Part], sums: Sums, rows: int, progress: Progress) -> Iterator[Band]:
         sums.update(self._carried(parts, progress))
-        height = self.shape[0]
+        height, width = self.shape
         for start in range(0, height, rows):
-            band = self._dark(min(rows, height - start))
+            band = np.zeros((min(rows, height - start), width), np.complex64)
             for number, group in enumerate(self.groups):
-                self.worker.add(group.carried, sums[number], band, start)
-            yield slice(start, start + len(band)), self.worker.device.to_host(band)
+                group.carried.add(sums[number], band, start, THREADS)
+            yield slice(start, start + len(band)), band
 
     def parts(
         self, plane: NDArray[np.complex64], numbers: Sequence[int], progress: Progress
     ) -> Iterator[Part]:
-        worker = self.worker
-        on_device = plane if plane.nbytes > worker.memory_bytes else worker.device.to_device(plane)
         for number in numbers:
-            yield number, part_of(worker, self.groups[number], on_device)
+            yield number, part_of(self.groups[number], plane, THREADS)
             progress()
 
     def _carried(self, parts: Iterable[Part], progress: Progress) -> Iterator[Part]:
         """Yield the super-tiles' fields on their own grids."""
         for number, values in parts:
-            yield number, self.worker.carry("forward", self.groups[number], values)
+            yield number, carry_tiles("forward", self.groups[number], values, THREADS)
             progress()
 
-    def _dark(self, rows: int) -> Any:
-        """Return rows of zeros of the plane, in the memory of the worker's device."""
-        return self.worker.device.xp.zeros((rows, self.shape[1]), dtype=np.complex64)
 
-
-def part_of(worker: OnCpu | OnDevice, group: SuperTile, plane: Any) -> NDArray[np.complex64]:
+def part_of(group: SuperTile, plane: NDArray, threads: int) -> NDArray[np.complex64]:
     """Apply the conjugate transpose of a super-tile to the plane; return its part of the object."""
-    return worker.carry("adjoint", group, worker.collect(group.carried, plane))
+    return carry_tiles("adjoint", group, group.carried.collect(plane, threads), threads)

@@ -31,8 +31,7 @@ from lensdesign.common.clusters import (
 from lensdesign.errors import InputError
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.executors import Band, Part, Progress, Sums, part_of
-from wavesim.engines.whole_field.on_cpu import OnCpu
-from wavesim.engines.whole_field.on_gpu import OnDevice
+from wavesim.engines.whole_field.tiles import carry_tiles
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -41,6 +40,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
 Values = NDArray[np.complex64]
+
+THREADS_OF_TASK = 1
+"""Threads of a task; the cluster starts one task for each core."""
 
 TASKS_IN_FLIGHT = 2
 """Tasks that are submitted at a time for each thread of the cluster."""
@@ -271,7 +273,7 @@ def engine_of(packet: ScenePacket) -> WholeFieldEngine:
 def carry(packet: ScenePacket, number: int, values: Values) -> Values:
     """Return a super-tile's field on its own grid; runs in a worker."""
     engine = engine_of(packet)
-    return _worker_of(engine).carry("forward", engine.groups[number], values)
+    return carry_tiles("forward", engine.groups[number], values, THREADS_OF_TASK)
 
 
 def rows_for(packet: ScenePacket, number: int, band: tuple[int, int], field: Values) -> Values:
@@ -289,22 +291,14 @@ def add(
 ) -> Values:
     """Return a band of the plane with further super-tiles, as a new array; runs in a worker."""
     engine = engine_of(packet)
-    worker, shape = _worker_of(engine), (band[1] - band[0], engine.scene.exit_grid.shape[1])
-    total = worker.device.to_device(
-        np.zeros(shape, np.complex64) if total_before is None else total_before.copy()
-    )
+    shape = band[1] - band[0], engine.scene.exit_grid.shape[1]
+    total = np.zeros(shape, np.complex64) if total_before is None else total_before.copy()
     for number, field in zip(numbers, fields, strict=True):
         part, _ = engine.groups[number].carried.onto_rows(*band)
-        worker.add(part, field, total, band[0])
-    return worker.device.to_host(total)
+        part.add(field, total, band[0], THREADS_OF_TASK)
+    return total
 
 
 def collect(packet: ScenePacket, number: int, plane: Values) -> Values:
     """Apply a super-tile's conjugate transpose to the plane; runs in a worker."""
-    engine = engine_of(packet)
-    return part_of(_worker_of(engine), engine.groups[number], plane)
-
-
-def _worker_of(engine: WholeFieldEngine) -> OnCpu | OnDevice:
-    """Return the worker for a task; it uses one thread, since the cluster starts one for each core."""
-    return OnCpu(threads=1) if engine.device is None else engine.worker
+    return part_of(engine_of(packet).groups[number], plane, THREADS_OF_TASK)

@@ -8,9 +8,10 @@ the difference of both carriers; a super-tile is interpolated to the plane with 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,8 @@ from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
-from wavesim.runtime.device import Device, Precision, adjoint_of_terms, sum_of_terms
+from wavesim.runtime.fourier.nonuniform import Precision, adjoint_of_terms, plan_of_terms, sum_of_terms
+from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Direction
 from wavesim.scene.scene import Scene
 
@@ -177,7 +179,7 @@ def _smooth_axis(fine: Array, settings: WholeFieldSettings) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TileFrame:
-    """Prepared data of a tile for any array library; small arrays only.
+    """Prepared data of a tile; small arrays only.
 
     Attributes
     ----------
@@ -243,7 +245,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     path, amplitude, *cosines, edge = carrier.coefficients
     factors = expansion.sensor_factors.coefficients
     parts = np.stack([factors.real, factors.imag], axis=1).reshape(-1, *factors.shape[1:])
-    own = carrier.along((y, x)).terms
+    own = _terms(carrier, (y, x))
     # The squared relative distance changes by 2 over half a footprint.
     per_mm = 2.0 / float(np.max(half_mm))
     return TileFrame(
@@ -252,13 +254,18 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
         window,
         alike[lengths],
         MapOnAxes(np.stack([path, *cosines]), own),
-        replace(group.carrier, coefficients=group.carrier.coefficients[:1]).along((y, x)),
+        MapOnAxes(group.carrier.coefficients[:1], _terms(group.carrier, (y, x))),
         MapOnAxes(np.stack([amplitude, edge]), own).single(),
-        MapOnAxes(parts, expansion.sensor_factors.along((y, x)).terms).single(),
+        MapOnAxes(parts, _terms(expansion.sensor_factors, (y, x))).single(),
         _exponential(expansion.shared_logarithm(offsets)) * alike[size],
         settings.rise_over(group.steps_mm),
         per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
     )
+
+
+def _terms(smooth: SmoothMap, axes: tuple[Array, Array]) -> tuple[NDArray, ...]:
+    """Return the terms of a map along two axes, C-contiguous for fast matrix products."""
+    return tuple(map(np.ascontiguousarray, smooth.along(axes).terms))
 
 
 def _exponential(logarithm: NDArray[np.complex128]) -> NDArray[np.complex64]:
@@ -267,61 +274,41 @@ def _exponential(logarithm: NDArray[np.complex128]) -> NDArray[np.complex64]:
     return np.asarray(phasor_of(logarithm.imag, np.complex64) * size)
 
 
-class Step(Protocol):
-    """Interpolation between a tile's grid and its super-tile's, in the memory of the device that computes."""
-
-    def add(self, coarse: Any, fine: Any, /) -> None:
-        """Add a coarse field to a fine one."""
-
-    def collect(self, fine: Any, /) -> Any:
-        """Apply the conjugate transpose to a fine field; return a coarse one."""
-
-
 class ObjectTile:
-    """Propagation of one tile to its super-tile's grid, for any array library.
+    """Propagation of one tile to its super-tile's grid.
 
     Parameters
     ----------
-    device
-        Device of the arrays.
-    step
-        Converts a :class:`wavesim.engines.whole_field.carried.CarriedStep` to an interpolation on the device.
     frame
         Prepared data of the tile.
     plans
         Cache of transforms of tiles of the same shape; extended by the object.
     """
 
-    def __init__(
-        self,
-        device: Device,
-        step: Callable[[CarriedStep], Step],
-        frame: TileFrame,
-        plans: dict[tuple[int, ...], Any],
-    ) -> None:
-        self._device, self._plans = device, plans
+    def __init__(self, frame: TileFrame, plans: dict[tuple[int, ...], Any]) -> None:
+        self._plans = plans
         settings, scene = frame.group.settings, frame.group.settings.scene
-        xp, wavelength_mm = device.xp, 1e-3 * scene.wavelength_um
-        path, py, px = frame.rays.each(device.to_device)
-        turns = (path - next(frame.shared.each(device.to_device))) / wavelength_mm
+        wavelength_mm = 1e-3 * scene.wavelength_um
+        path, py, px = frame.rays.each()
+        turns = (path - next(frame.shared.each())) / wavelength_mm
         turns += -0.25 - 0.25 * settings.maps.caustics
-        amplitude, edge = frame.light.each(device.to_device)
-        self._step = step(CarriedStep(frame.ways, turns, 0.5 + (1.0 - edge) / frame.rise, frame.window))
+        amplitude, edge = frame.light.each()
+        self._step = CarriedStep(frame.ways, turns, 0.5 + (1.0 - edge) / frame.rise, frame.window)
         most = 0.5 * wavelength_mm / frame.tile.pitch_mm
         needed = edge < 1.0 + 0.5 * frame.rise + frame.reach
         needed &= (abs(py) <= most) & (abs(px) <= most)
-        self._shape, self._places = needed.shape, xp.flatnonzero(needed)
-        self._tile_factors = device.to_device(frame.tile_factors)
+        self._shape, self._places = needed.shape, np.flatnonzero(needed)
+        self._tile_factors = np.ascontiguousarray(frame.tile_factors)
         scale = self._needed(amplitude) * np.float32(1.0 / wavelength_mm)
-        self._weights = xp.empty((len(frame.tile_factors), len(scale)), dtype=np.complex64)
-        parts = frame.factors.each(device.to_device)
+        self._weights = np.empty((len(frame.tile_factors), len(scale)), dtype=np.complex64)
+        parts = frame.factors.each()
         for weight in self._weights:
             weight.real = scale * self._needed(next(parts))
             weight.imag = scale * self._needed(next(parts))
         self._precision = settings.precision
         per_mm, half = scene.wavenumber_per_mm * frame.tile.pitch_mm, np.float32(math.pi)
         angles = [(per_mm * self._needed(p)).astype(np.float32) for p in (py, px)]
-        self._angles = [xp.clip(angle, -half, half) for angle in angles]  # rounding may exceed half a turn
+        self._angles = [np.clip(angle, -half, half) for angle in angles]  # rounding may exceed half a turn
 
     def _needed(self, values: Any) -> Any:
         return values.ravel().take(self._places)
@@ -329,56 +316,66 @@ class ObjectTile:
     def _plan(self, kind: int) -> Any:
         key = (kind, *self._tile_factors.shape)
         if key not in self._plans:
-            self._plans[key] = self._device.plan(kind, self._tile_factors.shape, self._precision)
+            self._plans[key] = plan_of_terms(kind, self._tile_factors.shape, self._precision)
         self._plans[key].setpts(*self._angles)
         return self._plans[key]
 
     def add(self, values: Any, result: Any) -> None:
         """Add the field of the tile's part of the object to the super-tile's grid."""
-        xp = self._device.xp
         if not len(self._places):
             return
-        field = xp.zeros(self._shape, dtype=np.complex64)
-        spectrum = sum_of_terms(self._plan(2), xp, values, self._tile_factors, self._weights)
+        field = np.zeros(self._shape, dtype=np.complex64)
+        spectrum = sum_of_terms(self._plan(2), values, self._tile_factors, self._weights)
         field.ravel()[self._places] = spectrum
         self._step.add(field, result)
 
     def collect(self, values: Any) -> Any:
         """Apply the conjugate transpose: from the super-tile's grid to the tile's part of the object."""
-        xp = self._device.xp
         if not len(self._places):
-            return xp.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
+            return np.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
         strength = self._needed(self._step.collect(values))
-        return adjoint_of_terms(self._plan(1), xp, strength, self._tile_factors, self._weights)
+        return adjoint_of_terms(self._plan(1), strength, self._tile_factors, self._weights)
 
 
 def carry_tiles(
-    device: Device,
-    step: Callable[[CarriedStep], Step],
-    direction: Direction,
-    frames: Iterable[TileFrame],
-    values: Any,
-    result: Any,
-) -> None:
-    """Propagate the tiles of one super-tile, one after the other; all arrays are the device's.
+    direction: Direction, group: SuperTile, values: NDArray, threads: int
+) -> NDArray[np.complex64]:
+    """Propagate one super-tile.
 
     Parameters
     ----------
-    device, step
-        As in :class:`ObjectTile`.
     direction
         Forward or adjoint.
-    frames
-        Prepared data of the tiles.
+    group
+        The super-tile.
     values
-        Field on the super-tile's part of the object, or on its own grid.
-    result
-        Result on its own grid, to which forward tiles are added, or on its part of the object.
+        Field on `group.part` of the object, or on its own grid.
+    threads
+        Threads that share the tiles.
+
+    Returns
+    -------
+    ndarray of complex64
+        Field on its own grid, or on `group.part`, where it is 0 outside the tiles.
     """
-    plans: dict[tuple[int, ...], Any] = {}
-    for frame in frames:
-        tile, place = ObjectTile(device, step, frame, plans), frame.group.within(frame.tile)
-        if direction == "forward":
-            tile.add(values[place], result)
-        else:
-            result[place] = tile.collect(values)
+    shape = group.shape_of(direction)
+    parts = np.zeros(shape, np.complex64)
+
+    def one_thread(thread: int) -> NDArray[np.complex64]:
+        # The fields of tiles overlap in the forward direction; their parts of the object do not.
+        result = np.zeros(shape, np.complex64) if direction == "forward" else parts
+        alike: dict[Any, Any] = {}
+        plans: dict[tuple[int, ...], Any] = {}
+        for one in group.tiles[thread::threads]:
+            tile, place = ObjectTile(tile_frame(group, one, alike), plans), group.within(one)
+            if direction == "forward":
+                tile.add(values[place], result)
+            else:
+                result[place] = tile.collect(values)
+        return result
+
+    with one_blas_thread(), ThreadPoolExecutor(threads) as pool:
+        first, *others = pool.map(one_thread, range(threads))
+    for other in others if direction == "forward" else ():
+        first += other
+    return first

@@ -41,7 +41,6 @@ from wavesim.engines.wpm.cost import kept_bytes, passage_cost, setup_cost
 from wavesim.engines.wpm.staircase import Staircase
 from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.propagator import FreeSpacePropagator
-from wavesim.runtime.arrays import in_double
 from wavesim.runtime.memory import COMPLEX128
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
@@ -194,11 +193,11 @@ class WavePropagation(Engine):
 
     def _forward(self, values: Any) -> Any:
         into, inner, out_of = self._prepared
-        return out_of.forward(inner.forward(into.forward(in_double(values))))
+        return out_of.forward(inner.forward(into.forward(np.asarray(values, complex))))
 
     def _adjoint(self, values: Any) -> Any:
         into, inner, out_of = self._prepared
-        return into.adjoint(inner.adjoint(out_of.adjoint(in_double(values))))
+        return into.adjoint(inner.adjoint(out_of.adjoint(np.asarray(values, complex))))
 
     @cached_property
     def _steps_mm(self) -> list[float]:

@@ -15,7 +15,7 @@ from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.whole_field import cost, on_cpu, ray_maps
+from wavesim.engines.whole_field import cost, executors, ray_maps
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.ray_maps import maps_over_object, region_of_object
 from wavesim.engines.whole_field.tiles import tile_frame
@@ -46,7 +46,7 @@ def noise(grid: Grid, seed: int = 1) -> Field:
 def two_threads() -> Iterator[None]:
     """Whatever number of cores there is."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (cost, on_cpu):
+        for module in (cost, executors):
             patch.setattr(module, "THREADS", 2)
         yield
 

@@ -16,6 +16,7 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
+from wavesim.engines.whole_field.carried import CarriedStep
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_cluster import (
     ClusterExecutor,
@@ -27,7 +28,6 @@ from wavesim.engines.whole_field.on_cluster import (
     tiles_in,
     validate_tiled,
 )
-from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -104,8 +104,9 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
     def refuse(*_: Any) -> None:
         raise AssertionError("done here")
 
-    for name in ("carry", "add", "collect"):
-        monkeypatch.setattr(OnCpu, name, refuse)
+    monkeypatch.setattr("wavesim.engines.whole_field.executors.carry_tiles", refuse)
+    for name in ("add", "collect"):
+        monkeypatch.setattr(CarriedStep, name, refuse)
     away = engine_on(scene)
     with tiles_in(cluster.address) as take:
         take(away)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wavesim.runtime.device import Precision, adjoint_of_terms, device_named, sum_of_terms
+from wavesim.runtime.fourier.nonuniform import Precision, adjoint_of_terms, plan_of_terms, sum_of_terms
 from wavesim.runtime.fourier.terms import TermsTransform, axes_for, pieces_of
 
 ROUNDING = 2e-6  # of sums of some thousand values in float32
@@ -104,12 +104,11 @@ def test_weighted_terms_are_those_apart_added_up(terms: int, rows: int, columns:
     for transform in (there, back):
         transform.setpts(*places)
     apart = there.execute(factors * modes).reshape(terms, -1)
-    found = sum_of_terms(there, np, modes, factors, weights)
+    found = sum_of_terms(there, modes, factors, weights)
     assert relative(found, (weights * apart).sum(axis=0)) < ROUNDING
     apart = back.execute(weights.conj() * values).reshape(shape)
     assert (
-        relative(adjoint_of_terms(back, np, values, factors, weights), (factors.conj() * apart).sum(0))
-        < ROUNDING
+        relative(adjoint_of_terms(back, values, factors, weights), (factors.conj() * apart).sum(0)) < ROUNDING
     )
 
 
@@ -164,11 +163,10 @@ def test_finer_errors_take_wider_kernels() -> None:
 
 
 def test_single_precision_on_planes_takes_it_and_all_else_finufft() -> None:
-    plan = device_named("cpu").plan
     single, double = (Precision(np.dtype(kind), 1e-3, 1e-3) for kind in (np.complex64, np.complex128))
-    assert isinstance(plan(2, (4, 20, 20), single), TermsTransform)
-    assert isinstance(plan(2, (4, 20, 20), double), finufft.Plan)
-    assert isinstance(plan(2, (4, 20), single), finufft.Plan)
+    assert isinstance(plan_of_terms(2, (4, 20, 20), single), TermsTransform)
+    assert isinstance(plan_of_terms(2, (4, 20, 20), double), finufft.Plan)
+    assert isinstance(plan_of_terms(2, (4, 20), single), finufft.Plan)
 
 
 @pytest.mark.parametrize("kind", [1, 2])

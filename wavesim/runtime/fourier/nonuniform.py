@@ -1,0 +1,105 @@
+"""Nonuniform Fourier transforms by FINUFFT, or for several terms on a plane in single precision by
+:mod:`wavesim.runtime.fourier.terms`; both have the same methods.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+WORTH_THREADS = 3
+"""Threads of FINUFFT that are as fast as one thread of the transform of terms."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Precision of the computation of a part of a field.
+
+    Attributes
+    ----------
+    dtype : numpy dtype
+        complex64 or complex128.
+    transform_error : float
+        Relative error of the nonuniform Fourier transform.
+    interpolation_error : float
+        Relative error of the interpolation from a coarse grid.
+    """
+
+    dtype: np.dtype[Any]
+    transform_error: float
+    interpolation_error: float
+
+
+def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
+    """Return the fastest transform for a number of threads, as :func:`fourier_plan`."""
+    if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
+        return fourier_plan(kind, shape, precision, threads)
+    from wavesim.runtime.fourier.terms import TermsTransform
+
+    return TermsTransform(kind, shape, precision.transform_error)
+
+
+def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
+    """Return a nonuniform transform of FINUFFT of type 2, or of type 1, its conjugate transpose.
+
+    Parameters
+    ----------
+    kind
+        Type of the transform, 2 or 1.
+    shape
+        Number of transforms, then of modes along each axis.
+    precision
+        Data type and error of the transform.
+    threads
+        Number of threads.
+    """
+    import finufft  # type: ignore[import-untyped]
+
+    return finufft.Plan(
+        kind,
+        shape[1:],
+        shape[0],
+        precision.transform_error,
+        -1 if kind == 2 else 1,
+        dtype=precision.dtype.name,
+        nthreads=threads,
+        upsampfac=1.25 if precision.transform_error > 9e-5 else 2.0,
+        showwarn=0,
+    )
+
+
+def sum_of_terms(plan: Any, values: Any, factors: Any, weights: Any) -> Any:
+    """Terms of a transform of type 2 of the same modes, each with factors of its own, weighted and added up.
+
+    Parameters
+    ----------
+    plan
+        A transform, its points set.
+    values
+        Modes, of the shape of one term.
+    factors
+        Of modes, shape (terms, modes).
+    weights
+        Of points, shape (terms, points).
+    """
+    if hasattr(plan, "weighted"):
+        return plan.weighted(values, factors, weights)
+    modes = np.ascontiguousarray(factors * values)
+    return (weights * plan.execute(modes if len(modes) > 1 else modes[0])).sum(axis=0)
+
+
+def adjoint_of_terms(plan: Any, values: Any, factors: Any, weights: Any) -> Any:
+    """Conjugate transpose of :func:`sum_of_terms`, by a transform of type 1: modes from values at points."""
+    if hasattr(plan, "weighted"):
+        return plan.weighted(values, factors, weights)
+    strength = np.ascontiguousarray(weights.conj() * values)
+    modes = plan.execute(strength if len(strength) > 1 else strength[0]).reshape(factors.shape)
+    return (factors.conj() * modes).sum(axis=0)
+
+
+def folded(angles: Any, dtype: np.dtype[Any]) -> Any:
+    """Angles of points within half a turn; folded in float64, for the sake of single precision."""
+    real = np.float32 if dtype == np.complex64 else np.float64
+    return ((angles + np.pi) % (2.0 * np.pi) - np.pi).astype(real)
