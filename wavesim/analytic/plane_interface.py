@@ -23,7 +23,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
 
 STOP_SPREADS = 5.0
-"""What the scene's stop takes in to both sides of the beam, in units of its spread."""
+"""Largest angle to the beam's axis that the scene's stop transmits, in units of the beam's spread."""
 
 
 def transmitted_te(index_before: float, index_behind: float, angle: Array) -> Array:

@@ -32,7 +32,7 @@ ORACLES: dict[str, str] = {
     "plane": "wavesim.analytic.plane_interface:plane_scene",
     "beam": "wavesim.analytic.plane_interface:beam_scene",
 }
-"""Name to `module:function`, imported where first asked for."""
+"""Location of each solution as `module:function`. A module is imported when it is first requested."""
 
 
 @dataclass(frozen=True, eq=False)

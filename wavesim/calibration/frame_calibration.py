@@ -258,13 +258,15 @@ def calibrate_empty(
             checkpoint_path.unlink(missing_ok=True)
         hint = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
         raise SettingError(
-            f"{{empty}}: a smooth light leaves {over_noise:.1f} times the noise of these frames: "
-            "must be frames without an object, through this lens" + hint * (len(requested) < len(everything))
+            f"{{empty}}: the residuals of a smooth light are {over_noise:.1f} times the noise of these "
+            "frames: must be frames without an object, through this lens"
+            + hint
+            * (len(requested) < len(everything))
         )
     if not found.explained:
         warnings.warn(
-            f"frames without an object: a smooth light leaves {over_noise:.1f} times the noise, which limits "
-            "the accuracy of the light",
+            f"frames without an object: the residuals of a smooth light are {over_noise:.1f} times the "
+            "noise, which limits the accuracy of the light",
             EmptyWarning,
             stacklevel=2,
         )
