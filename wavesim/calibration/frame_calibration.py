@@ -256,12 +256,12 @@ def calibrate_empty(
     if over_noise > OBJECT_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > OBJECT_FRACTION:
         if checkpoint_path is not None:
             checkpoint_path.unlink(missing_ok=True)
-        hint = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
+        hint = ""
+        if len(requested) < len(everything):
+            hint = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
         raise SettingError(
             f"{{empty}}: the residuals of a smooth light are {over_noise:.1f} times the noise of these "
-            "frames: must be frames without an object, through this lens"
-            + hint
-            * (len(requested) < len(everything))
+            f"frames: must be frames without an object, through this lens{hint}"
         )
     if not found.explained:
         warnings.warn(

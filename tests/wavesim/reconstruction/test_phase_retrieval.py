@@ -157,7 +157,7 @@ def test_progress_is_told() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"recorded": []}, "0 plane(s) recorded"),
+        ({"recorded": []}, r"0 plane\(s\) recorded"),
         ({"recorded": [Measurement(1.0, np.ones((3, 3)))] * 2}, "shape"),
         ({"recorded": [Measurement(1.0, np.ones(GRID.shape))] * 2}, "same distance_mm"),
         ({"recorded": [Measurement(d, np.full(GRID.shape, np.nan)) for d in DISTANCES]}, "finite"),

@@ -166,7 +166,7 @@ class GaussNewtonStep:
         return _products(remaining, remaining) + np.diag(self.prior_precision)
 
     def _determined(self, columns: RealArray) -> RealArray:
-        """Return unit mixtures of columns with more than `LEAST_INFORMATION` times the prior's information."""
+        """Return unit mixtures of columns with more than `LEAST_INFORMATION` of the prior's information."""
         unit = 1.0 / np.sqrt(self.prior_precision)
         precision, mixtures = np.linalg.eigh(_products(columns, columns) * np.outer(unit, unit))
         chosen = mixtures[:, precision > LEAST_INFORMATION] * unit[:, None]
