@@ -123,7 +123,7 @@ def _behind_screen(
     # Between the others, so that the pole of 1 / sin is met evenly from both sides.
     comes: Array = step * (np.arange(-most, most, dtype=float) + 0.5)
     lit = _spectrum(beam, comes, distance_mm) * (step / (4j * math.pi))
-    # The pole contributes half of the incident light; the remainder depends on differences and sums of two angles.
+    # The pole gives half of the incident beam. All other terms depend on differences and sums of angles.
     differences = step * (np.arange(-most - count, most + count) + 0.5)
     spectrum = 0.5 * _spectrum(beam, angle, distance_mm)
     spectrum += fftconvolve(1.0 / np.sin(0.5 * differences), lit[::-1], mode="valid")[::-1]

@@ -181,7 +181,7 @@ def _calibrated(
     if known is not None:
         if empty is not None or priors is not None:
             other = "empty" if priors is None else "priors"
-            raise SettingError(f"{{known}}, {{{other}}}: give one of them")
+            raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
         known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
         return _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
     start, checkpoint_path = (
