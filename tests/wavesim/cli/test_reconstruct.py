@@ -100,7 +100,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     monkeypatch.setattr(*step, stopped)
     code, out, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert (code, out) == (130, "")
-    assert "interrupted after 3 of 7 iterations; the same command goes on" in err
+    assert "interrupted after 3 of 7 iterations; run the same command again" in err
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
 
     def counted(*args: Any) -> Any:
