@@ -33,9 +33,9 @@ class Beam:
     wavelength_um : float
         Vacuum wavelength; the beam is in air.
     spread : float
-        s, in radians; at most 0.18.
+        Width s of the angular spectrum in radians, at most 0.18.
     waist_z_mm : float
-        Where its plane waves are in phase.
+        z of the waist, where the plane waves are in phase.
 
     Raises
     ------

@@ -109,8 +109,8 @@ class Cylinder:
         Parameters
         ----------
         p : int
-            Chords inside the cylinder: 0 is what its surface returns, and the shadow that it casts in the
-            incident beam; 1 is what passes once; p - 1 counts the internal reflections.
+            Chords inside the cylinder. 0 is the light that the surface reflects, and the shadow in the
+            incident beam; 1 is the light that passes once; p - 1 is the number of internal reflections.
 
         Raises
         ------
@@ -138,9 +138,9 @@ def matched_orders(
     Parameters
     ----------
     index
-        Of the inside, n; outside it is 1.
+        Refractive index n inside; outside it is 1.
     outside, inside
-        J, J', Y, Y' (or what stands for them) at x = k a and at n x.
+        J, J', Y, Y' (or the functions that correspond to them) at x = k a and at n x.
     wronskians
         n W(x) W(n x), with W that of J + i Y and J - i Y.
 
@@ -181,9 +181,9 @@ def outgoing_field(
     Parameters
     ----------
     cylinder, beam
-        What scatters what.
+        The cylinder and the incident beam.
     coefficients
-        Of the outgoing waves, as the cylinder's methods give them, or a sum of such.
+        Coefficients of the outgoing waves from the cylinder's methods, or a sum of such.
     y_mm, z_mm
         Points from the centre of the cylinder; broadcast together.
 
@@ -237,16 +237,17 @@ def cylinder_scene(
     Parameters
     ----------
     radius_mm
-        From 15 wavelengths on.
+        Radius in mm, from 15 wavelengths on.
     wavelength_um
         Vacuum wavelength.
     spread
-        Of the beam's angular spectrum, in radians; up to 0.13.
+        Width of the beam's angular spectrum in radians; up to 0.13.
 
     Returns
     -------
     AnalyticCase
-        `exact` is what passes once, p = 1. Its uncertainty is the share of the beam outside the stop.
+        `exact` is the light that passes once, p = 1. Its uncertainty is the fraction of the beam outside
+        the stop.
 
     Raises
     ------

@@ -53,15 +53,15 @@ def half_plane_scene(
     Parameters
     ----------
     index, thickness_mm
-        Of the plate; an index of 1 leaves free space.
+        Index and thickness of the plate; an index of 1 means free space.
     distance_mm
-        From the object to the screen.
+        Distance from the object to the screen.
     wavelength_um
         Vacuum wavelength.
     spread
-        Of the beam's angular spectrum, in radians.
+        Width of the beam's angular spectrum in radians.
     screen
-        Of what the stop is: engines know black ones.
+        Material of the stop; engines assume a black one.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _behind_screen(
     # Between the others, so that the pole of 1 / sin is met evenly from both sides.
     comes: Array = step * (np.arange(-most, most, dtype=float) + 0.5)
     lit = _spectrum(beam, comes, distance_mm) * (step / (4j * math.pi))
-    # Half of what comes is what the pole gives; the rest depends on differences and sums of two angles.
+    # The pole gives half of the incident beam. All other terms depend on differences and sums of angles.
     differences = step * (np.arange(-most - count, most + count) + 0.5)
     spectrum = 0.5 * _spectrum(beam, angle, distance_mm)
     spectrum += fftconvolve(1.0 / np.sin(0.5 * differences), lit[::-1], mode="valid")[::-1]

@@ -1,9 +1,9 @@
 """Light of one object sample behind a stop in free space, by Rayleigh-Sommerfeld sums.
 
-Rayleigh's first integral takes the light to the stop; what passes it radiates as the same integral says. On a
+Rayleigh's first integral gives the field in the stop, and again the field that the open stop radiates. On a
 line the stop is a slit and the sum is direct; on a plane it is a round hole about the sample's axis, and the
-sum goes over the plane waves of its radial spectrum. The stop is black: the field in it is what would be
-there without. See M. Born and E. Wolf, "Principles of Optics", section 8.11.
+sum goes over the plane waves of its radial spectrum. The stop is black: the field in its opening is
+that without a stop. See M. Born and E. Wolf, "Principles of Optics", section 8.11.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def slit_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> An
     Parameters
     ----------
     semi_diameter_mm
-        Of the stop; all else is in proportion.
+        Semi-diameter of the stop; all other lengths are in proportion.
     wavelength_um
         Vacuum wavelength.
 
@@ -87,7 +87,7 @@ def _line_source(k: float, across_mm: Array, along_mm: float) -> NDArray[np.comp
     """Rayleigh's kernel of two dimensions, i k cos / 2 times Hankel's function of k r."""
     away = np.hypot(across_mm, along_mm)
     x = k * away
-    # Hankel's expansion: from 300 on, what is left is below 1e-8.
+    # Hankel's expansion: from 300 on, the remainder is below 1e-8.
     series = 1.0 + (0.375j + 0.1171875 / x) / x
     wave = np.sqrt(2.0 / (math.pi * x)) * np.exp(1j * (x - 0.75 * math.pi))
     return np.asarray(0.5j * k * along_mm / away * wave * series)

@@ -1,8 +1,8 @@
 """A beam through plane interfaces, or none: the exact field, in the meridional world, TE.
 
 Each plane wave of the beam keeps its sine times index, takes Fresnel's coefficient at each plane and the
-phase k n d cos(angle) of each layer. What is reflected inside a plate is left out: the field is that of one
-passage.
+phase k n d cos(angle) of each layer. Light that is reflected inside a plate is neglected: the field is that
+of one passage.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
 
 STOP_SPREADS = 5.0
-"""What the scene's stop takes in to both sides of the beam, in units of its spread."""
+"""Largest angle to the beam's axis that the scene's stop transmits, in units of the beam's spread."""
 
 
 def transmitted_te(index_before: float, index_behind: float, angle: Array) -> Array:
@@ -45,13 +45,13 @@ def plate_scene(
     Parameters
     ----------
     incidence_deg
-        Of the beam's axis, to the normal.
+        Angle of the beam's axis to the normal.
     index, thickness_mm
-        Of the plate; an index of 1 leaves free space.
+        Index and thickness of the plate; an index of 1 means free space.
     wavelength_um
         Vacuum wavelength.
     spread
-        Of the beam's angular spectrum, in radians.
+        Width of the beam's angular spectrum in radians.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _scene(
     wavelength_um: float,
     spread: float,
 ) -> AnalyticCase:
-    """A scene of planes, each with the index and the thickness of what follows it."""
+    """A scene of planes, each with the index and the thickness of the medium behind it."""
     beam, tilt = Beam(wavelength_um, spread), math.radians(incidence_deg)
     layers = [(1.0, distance_mm), *surfaces]
     for index, thickness in layers:
@@ -168,7 +168,7 @@ def _field(
 def _lens(
     title: str, layers: Sequence[tuple[float, float]], heights: Array, wavelength_um: float, rim: float
 ) -> Lens:
-    """Plane surfaces that take in the rays of the beam's middle from the axis to the rim of the stop."""
+    """Plane surfaces wide enough for the rays of the beam's middle from the axis to the rim of the stop."""
     stop = float(heights[0, 1] - heights[0, 0])
     planes = []
     for i, (index, thickness) in enumerate(layers[1:]):

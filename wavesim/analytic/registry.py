@@ -32,7 +32,7 @@ ORACLES: dict[str, str] = {
     "plane": "wavesim.analytic.plane_interface:plane_scene",
     "beam": "wavesim.analytic.plane_interface:beam_scene",
 }
-"""Name to `module:function`, imported where first asked for."""
+"""Location of each solution as `module:function`. A module is imported when it is first requested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +42,14 @@ class AnalyticCase:
     Attributes
     ----------
     scene : Scene
-        What is carried where.
+        Lens, object grid and exit grid.
     object_field : Field
-        On the scene's object grid.
+        Field on the scene's object grid.
     exact : Field
-        What one passage through the lens makes of it, on the scene's exit grid.
+        Field on the scene's exit grid after one passage through the lens.
     uncertainty : float
-        Relative L2 error that `exact` itself may have: what its closed form, or the scene's aperture, leaves
-        out.
+        Relative L2 error of `exact` itself, due to terms that its closed form neglects, or to the scene's
+        aperture.
     """
 
     scene: Scene
@@ -66,12 +66,12 @@ def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
     name
         One of `ORACLES`.
     **arguments
-        Of the function that makes it.
+        Arguments of the function that creates it.
 
     Raises
     ------
     InputError
-        If there is no such oracle, or it does not know an argument or refuses its value.
+        If there is no such oracle, or an argument is unknown or has an invalid value.
     """
     if name not in ORACLES:
         raise InputError(

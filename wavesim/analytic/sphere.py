@@ -120,17 +120,17 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
     Parameters
     ----------
     radius_mm
-        From 15 to 400 wavelengths.
+        Radius in mm, from 15 to 400 wavelengths.
     wavelength_um
         Vacuum wavelength.
     spread
-        Of the beam's angular spectrum, in radians; from 0.05 to 0.13.
+        Width of the beam's angular spectrum in radians; from 0.05 to 0.13.
 
     Returns
     -------
     AnalyticCase
-        On whole planes, with ideal coatings. `exact` is what passes once, p = 1. Its uncertainty is the share
-        of the beam outside the stop.
+        Scene of whole planes, with ideal coatings. `exact` is the light that passes once, p = 1. Its
+        uncertainty is the fraction of the beam outside the stop.
 
     Raises
     ------

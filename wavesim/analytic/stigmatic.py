@@ -63,7 +63,7 @@ def stigmatic_scene(semi_diameter_mm: float = 8.25, wavelength_um: float = 0.532
     Parameters
     ----------
     semi_diameter_mm
-        Of the lens; all else is in proportion.
+        Semi-diameter of the lens; all other lengths are in proportion.
     wavelength_um
         Vacuum wavelength.
 

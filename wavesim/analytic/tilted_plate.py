@@ -38,11 +38,11 @@ def tilted_plate_scene(
     incidence_deg
         Tilt of the plate, up to 50 degrees either way.
     index, thickness_mm
-        Of the plate.
+        Index and thickness of the plate.
     wavelength_um
         Vacuum wavelength.
     spread
-        Of the beam's angular spectrum, in radians.
+        Width of the beam's angular spectrum in radians.
 
     Raises
     ------

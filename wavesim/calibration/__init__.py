@@ -1,4 +1,4 @@
-"""What a bench does not tell, found from its frames: how the lens is mounted."""
+"""Calibration of a bench from its frames: light, lens, mounting and camera."""
 
 import lazy_loader
 

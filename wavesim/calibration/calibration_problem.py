@@ -152,7 +152,9 @@ class CalibrationProblem:
         try:
             chosen = chosen_parameters(requested, allowed)
         except InputError as error:
-            hint = "; with a complex object no light is sought: use {kind} amplitude" * (not light_order)
+            hint = "; the light of a complex object is not calibrated: use {kind} amplitude" * (
+                not light_order
+            )
             raise SettingError(f"{{parameters}} = {requested!r}: {error}{hint}") from None
         return with_priors(chosen, self.priors, all_names(self.lens))
 
@@ -234,7 +236,9 @@ def search_bench(
             found = search.run(run.initial_state())
     except KeyboardInterrupt:
         outcome = (
-            "the same command goes on from there" if run.saved and checkpoint_path else "nothing was written"
+            "run the same command again to continue"
+            if run.saved and checkpoint_path
+            else "nothing was written"
         )
         raise KeyboardInterrupt(f"interrupted after {run.saved} mountings; {outcome}") from None
     return Calibrated(

@@ -181,7 +181,7 @@ def _calibrated(
     if known is not None:
         if empty is not None or priors is not None:
             other = "empty" if priors is None else "priors"
-            raise SettingError(f"{{known}}, {{{other}}}: give one of them")
+            raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
         known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
         return _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
     start, checkpoint_path = (
@@ -256,15 +256,17 @@ def calibrate_empty(
     if over_noise > OBJECT_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > OBJECT_FRACTION:
         if checkpoint_path is not None:
             checkpoint_path.unlink(missing_ok=True)
-        hint = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
+        hint = ""
+        if len(requested) < len(everything):
+            hint = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
         raise SettingError(
-            f"{{empty}}: a smooth light leaves {over_noise:.1f} times the noise of these frames: "
-            "must be frames without an object, through this lens" + hint * (len(requested) < len(everything))
+            f"{{empty}}: the residuals of a smooth light are {over_noise:.1f} times the noise of these "
+            f"frames: must be frames without an object, through this lens{hint}"
         )
     if not found.explained:
         warnings.warn(
-            f"frames without an object: a smooth light leaves {over_noise:.1f} times the noise, which limits "
-            "the accuracy of the light",
+            f"frames without an object: the residuals of a smooth light are {over_noise:.1f} times the "
+            "noise, which limits the accuracy of the light",
             EmptyWarning,
             stacklevel=2,
         )

@@ -189,7 +189,8 @@ class GaussNewton:
         opt.add_inequality_mconstraint(constraints, np.full(2 * len(descent) + 1, tolerance))
         opt.set_xtol_abs(1e-7)
         opt.set_maxeval(500)
-        with suppress(nlopt.RoundoffLimited):  # which loses the point
+        # After a rounding error NLopt returns no point; `best` holds the best one.
+        with suppress(nlopt.RoundoffLimited):
             opt.optimize(best[0][1])
         return best[0][1]
 

@@ -240,13 +240,13 @@ class Plans:
             for name, strength in self.strengths.items()
         )
         lines = [
-            f"Objects of kind {chosen.kind}: {objects}. A weaker object correlates less.",
+            f"Objects of kind {chosen.kind}: {objects}. A weaker object has a lower correlation.",
             f"Sensor: full well {chosen.full_well_electrons:g} electrons, read noise "
             f"{chosen.read_noise_electrons:g} electrons, {chosen.bits} bits; one draw of the noise. "
             "Where the correlation is below 0.9, another draw may change it by 0.03.",
             "Bench: planes, mounting, light and sensor are exactly as designed; the light is coherent.",
             f"Engine: the same one makes the frames and reconstructs. Its own error (at most "
-            f"{self.engine_error:.2g}) comes on top.",
+            f"{self.engine_error:.2g}) is not included.",
             f"Reconstruction: at most {ITERATIONS['object']} iterations, which end at the noise.",
         ]
         if self.twin.scale < 1.0:
@@ -303,7 +303,7 @@ class Plans:
             (
                 "correlation",
                 f"{best.correlation:.4f} to {best.highest_correlation:.4f}"
-                f"{'' if self.enough else ', less than asked for'}",
+                f"{'' if self.enough else ', below the requested correlation'}",
             ),
         ]
 
@@ -418,7 +418,8 @@ def _range(lens: Lens, settings: PlanSettings) -> tuple[float, float]:
     planes = settings.planes_mm or lens.sensor.plane_distances_mm
     if settings.most_planes > 1 and min(planes) == max(planes):
         raise InputError(
-            f"planes_mm: the design has one plane, at {planes[0]:g} mm: give the nearest and the farthest"
+            f"planes_mm: the design has one plane, at {planes[0]:g} mm: "
+            "give the nearest and the farthest distance"
         )
     return min(planes), max(planes)
 

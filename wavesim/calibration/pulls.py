@@ -8,12 +8,12 @@ right on average over true values that are drawn from the prior.
 
 Let the frames have the precision :math:`F`, and the prior the precision 1, in units of the prior's standard
 deviations. The stated covariance is :math:`C = (F + 1)^{-1}`, and the estimate is :math:`m = C F d`, where
-:math:`d` is what the frames alone say. Where :math:`C` has the eigenvalue :math:`v`, the frames have the
-precision :math:`(1 - v) / v`. So :math:`d = m / (1 - v)`, with the standard deviation
+:math:`d` is the estimate from the frames alone. Where :math:`C` has the eigenvalue :math:`v`, the frames have
+the precision :math:`(1 - v) / v`. So :math:`d = m / (1 - v)`, with the standard deviation
 :math:`\\sqrt{v / (1 - v)}`. For a nominal true value the error :math:`m` has the variance :math:`v (1 - v)`,
-and not :math:`v`: its pull is small by construction where the frames say little. The pull of :math:`d` has
-variance 1 for every true value. Directions in which the frames say less than the prior are left out, for the
-division by :math:`1 - v` would magnify errors of the numerics.
+and not :math:`v`: its pull is small by construction where the frames contain little information. The pull of
+:math:`d` has variance 1 for every true value. Directions in which the frames are less precise than the prior
+are excluded, because the division by :math:`1 - v` would magnify numerical errors.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def independent_pulls(
     """
     true = np.zeros(len(estimates)) if true_values is None else true_values
     variances, directions = np.linalg.eigh(covariance / np.outer(prior_deviations, prior_deviations))
-    # Posterior over prior variance, up to which the frames say more than the prior.
+    # Posterior over prior variance, up to which the frames are more precise than the prior.
     largest_variance = 0.5
     determined = (variances > 0.0) & (variances <= largest_variance)
     variances, directions = variances[determined], directions[:, determined]

@@ -313,7 +313,9 @@ def _chosen(
     acceptable = [p for p in considered if limits.fault(p) is None]
     if not acceptable:
         listed = "; ".join(f"{p.label}: {limits.fault(p)}" for p in considered)
-        raise SamplingError(f"no engine carries this scene to a relative error of {error:g}. {listed}")
+        raise SamplingError(
+            f"no engine reaches a relative error of {error:g} for this scene within the limits. {listed}"
+        )
     best = min(acceptable, key=lambda p: p.total_seconds(runs))
     return Choice(best, considered, _reason(best, considered, limits))
 

@@ -145,7 +145,7 @@ class ChartResolution:
     def limit_in_words(self) -> str:
         """Return the limit of the finest element in words."""
         if not self.contrasts and self.limits == ("region",):
-            return "no element of the chart lies within what is shown"
+            return "no element of the chart lies within the displayed part"
         lines = "" if self.next_um is None else f" ({self.next_um:.3g} um)"
         which = "the next finer lines" if self.finest is not None else "even the coarsest lines shown"
         says = {
@@ -153,10 +153,10 @@ class ChartResolution:
             "aperture": f"the aperture passes none finer than {self.passed_um:.3g} um (wavelength / 2 NA)",
             "sampling": f"samples of {self.sample_um:.3g} um hardly show the next finer lines{lines}",
             "chart": "the chart has no finer lines",
-            "region": f"the next finer lines{lines} lie outside what is shown",
+            "region": f"the next finer lines{lines} lie outside the displayed part",
         }
         words = "; ".join(says[limit] for limit in self.limits)
-        return words if "result" in self.limits else f"{words}: this is no limit of the reconstruction"
+        return words if "result" in self.limits else f"{words}: the reconstruction is not the limit"
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

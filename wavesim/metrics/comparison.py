@@ -183,9 +183,7 @@ def _measure(name: str, case: AnalyticCase, variant: Variant, most_seconds: floa
         cost = engine_for(case.scene, engine, **settings).cost()
         seconds = cost.setup_seconds + cost.seconds
         if seconds > most_seconds:
-            return Measured(
-                name, family, label, *nothing, said=f"left out: predicted to take {seconds:.3g} s"
-            )
+            return Measured(name, family, label, *nothing, said=f"skipped: predicted to take {seconds:.3g} s")
         found = compare_with_exact(case, engine, settings)
     except (InputError, SamplingError) as problem:
         return Measured(name, family, label, *nothing, said=str(problem))

@@ -105,7 +105,7 @@ def ghost_in_residuals(planes: Sequence[GhostPlane]) -> FoundGhost:
         squares += float(residual @ residual)
         count += len(residual)
     if count < 3 or not np.linalg.det(normal) > 0.0:
-        raise InputError("no pixel with light tells of a ghost: it falls beside the modelled light")
+        raise InputError("a ghost cannot be measured: it does not overlap the modelled light of any pixel")
     inverse = np.linalg.inv(normal)
     found = inverse @ right
     left = max(squares - float(found @ right), 0.0)

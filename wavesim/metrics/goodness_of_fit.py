@@ -403,7 +403,7 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
             others = [
                 t.told for t in trials if t.cause in blurs and t.cause != best.cause and t.gain > LEAST_GAIN
             ]
-            also = f"helps, too: {others[0]}; " if others else ""
+            also = f"also helps: {others[0]}; " if others else ""
             evidence = f"{evidence}; {also}not tried: {not_tried}"
         return best.cause, evidence
     if wants_iterations(curve, excess):

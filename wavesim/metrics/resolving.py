@@ -290,7 +290,9 @@ def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: 
             f"diameter of {lens.object.field_diameter_mm:g} mm"
         )
     if bars < 5:
-        raise InputError(f"bars = {bars}: must be at least 5, else false contrast goes unseen")
+        raise InputError(
+            f"bars = {bars}: must be at least 5, because fewer bars do not reveal false contrast"
+        )
 
 
 def _line_contrast(truth: Engine, tested: Engine, line_width_um: float, bars: int) -> LineContrast:

@@ -84,7 +84,9 @@ def transmitted_directions(scene: Scene, about: Grid | None = None) -> Transmitt
     """
     grid = about or scene.object_grid
     if grid.is_line:
-        raise InputError("open directions: of a plane; on a line an engine tells what a lens passes")
+        raise InputError(
+            "open directions: the object must be a plane; for a line, propagate a field with an engine"
+        )
     y, x = grid.centre_mm[1], grid.centre_mm[0]
     radius = min(math.hypot(*grid.half_widths_mm), scene.lens.half_field_mm + math.hypot(y, x))
     region = Region((y, x), np.full(2, radius), True)
@@ -92,13 +94,15 @@ def transmitted_directions(scene: Scene, about: Grid | None = None) -> Transmitt
     for node in nodes:
         try:
             pupil = open_pupil(scene, (node[1], node[0]), z_mm, ARMS)
-        except InputError:  # beyond what the lens sees there is nothing to tell
+        except InputError:  # no light of this point passes the lens
             continue
         seen.append(node)
         borders.append(trace_bundle(scene, node[::-1], pupil.rim, z_mm).cosines)
     terms = object_terms(region.scaled(np.array(seen).reshape(-1, 2)), ORDER)
     if len(terms) < terms.shape[1]:
-        raise InputError(f"open directions: the lens sees {len(seen)} of {len(nodes)} points of the object")
+        raise InputError(
+            f"open directions: light of only {len(seen)} of {len(nodes)} object points passes the lens"
+        )
     coefficients = solve(terms, np.reshape(borders, (len(seen), -1))).reshape(-1, ARMS, 2)
     zone_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(scene.object_grid.z_mm))
     return TransmittedDirections(region, coefficients, BLOCK_ZONES * zone_mm)

@@ -315,7 +315,9 @@ class PupilSampler:
         place, wavelength = placed(placement), self.grid.wavelength_um
         system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
-            raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
+            raise InputError(
+                f"the perturbation has {system.trials} trials: a pupil needs that of a single lens"
+            )
         aimed = self._map.aim(system, place)
         scale = wavelength / (place.wavelength_um or wavelength)
         return ReconstructionPupil(self.grid, scale * aimed.path_mm - self.nominal.path_mm, aimed.arrived)

@@ -226,7 +226,7 @@ class Meridian:
         passed = rays.ok
         if np.count_nonzero(passed) < 8:
             raise InputError(
-                f"field_mm = {tuple(self.field_mm)!r}: hardly a ray of a line of {self.length_mm:g} mm gets "
+                f"field_mm = {tuple(self.field_mm)!r}: too few rays of a line of {self.length_mm:g} mm get "
                 "through the lens: choose a field point that the lens sees, or a shorter line"
             )
         places, behind = (part[passed, :2] @ self.direction for part in (rays.position, rays.direction))

@@ -118,9 +118,9 @@ class PatchChain:
         grid = rays.base.grid
         if grid.samples < needed:
             raise SamplingError(
-                f"samples = {self.samples}: what comes back repeats after {grid.window_um:.4g} um, but must "
-                f"not before {least_window:g} times the patch of {self.patch_um:g} um: raise samples to at "
-                f"least {needed}, or take a smaller patch"
+                f"samples = {self.samples}: the reconstruction repeats with a period of {grid.window_um:.4g} "
+                f"um, which must be at least {least_window:g} times the patch of {self.patch_um:g} um: raise "
+                f"samples to at least {needed}, or use a smaller patch"
             )
         return rays
 
@@ -182,7 +182,7 @@ class PatchChain:
         wavelength = base.grid.wavelength_um
         system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
-            raise InputError(f"a trial is that of one lens: the perturbation holds {system.trials} trials")
+            raise InputError(f"the perturbation has {system.trials} trials: must be that of a single lens")
         aimed = self.rays.aimed(system, place)
         if place.wavelength_um is not None:
             # What counts is path and direction in waves.

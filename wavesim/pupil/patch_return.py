@@ -207,7 +207,9 @@ class PerturbedPatch:
         """Return circular complex noise, averaged over the pixels that a sample represents."""
         validate_positive("electrons", electrons)
         if rng is None:
-            raise InputError("electrons are given: noise needs an rng, as of numpy.random.default_rng(seed)")
+            raise InputError(
+                f"electrons = {electrons:g}: noise needs rng, such as numpy.random.default_rng(seed)"
+            )
         side_mm = self.rays.base.grid.spacing / self.pixel_mm
         pixels = side_mm ** len(self.rays.axes) * np.abs(self.rays.spread)
         spread = 0.5 * np.max(np.abs(light)) / np.sqrt(electrons * pixels) * self.aimed.valid
@@ -297,8 +299,8 @@ class ReturnedPatch:
         total, cosines = float(power.sum()), grid.cosines[:, axis]
         if total == 0.0:
             raise InputError(
-                f"no light of direction cosines below {cosine_limit:.3g} comes back: choose a field point "
-                "nearer to the axis"
+                f"no light of direction cosines below {cosine_limit:.3g} passes the pupil: choose a "
+                "field point nearer to the axis"
             )
         offset = cosines - (power @ cosines) / total
         spread = power @ offset**2

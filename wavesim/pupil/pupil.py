@@ -193,8 +193,8 @@ class ReconstructionPupil:
         step = max(self._largest_step(axis) for axis in (0, 1))
         if step > 0.5:
             raise SamplingError(
-                f"the pupil's phase changes by up to {step:.3g} waves between neighbouring samples; at most "
-                f"0.5 can be held: remove the shift, refocus, or raise samples = {self.grid.samples}"
+                f"the pupil's phase changes by up to {step:.3g} waves between neighbouring samples "
+                f"(allowed: 0.5): remove the shift, refocus, or raise samples = {self.grid.samples}"
             )
         return self._on_grid(self.phasor)
 
@@ -471,7 +471,7 @@ def validate_pupil_width(grid: PupilGrid, width_um: float, what: str) -> None:
         needed = int(np.ceil(grid.samples * width_um / grid.window_um))
         raise SamplingError(
             f"{what} is {width_um:.4g} um wide, but a pupil of {grid.samples} samples repeats after "
-            f"{grid.window_um:.4g} um: raise samples to at least {needed} or take it narrower"
+            f"{grid.window_um:.4g} um: raise samples to at least {needed} or make it narrower"
         )
 
 

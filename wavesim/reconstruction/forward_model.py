@@ -1,4 +1,4 @@
-"""Forward model: from an object's transmission to the amplitudes on the sensor planes, and the step back.
+"""Forward model: from an object's transmission to the amplitudes on the sensor planes, and the adjoint step.
 
 Amplitudes with standard deviations s have the weight (s of a plane's brightest pixel / s)^2, at most 1
 (:func:`wavesim.sensor.measurement.weights_of`). A pixel with infinite s has no influence.
@@ -115,7 +115,7 @@ class ForwardModel:
 
         A single iteration gives the negative gradient. With more inner iterations the field behind the lens
         descends the misfit by itself, each time by a step of this length, and the sum of its changes is
-        taken back to the object. Planes cost little, and the propagation through the lens costs much.
+        propagated back to the object. Planes cost little, and the propagation through the lens costs much.
         """
         if self.modes:
             return self._step_with_modes(transmission, inner_iterations, length)
@@ -154,7 +154,7 @@ class ForwardModel:
             If a plane has no standard deviations.
         """
         if any(p.sigma is None for p in self.recorded):
-            raise InputError("the weight of the total variation by the noise: needs sigma on every plane")
+            raise InputError("tv_weight = 'auto': needs sigma on every plane; state sigma, or give a number")
         on_object, light = self._noise_on_object(), self.illumination.values
         total, count = 0.0, 0
         for start in range(0, len(on_object), ROWS):

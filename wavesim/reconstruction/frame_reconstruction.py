@@ -247,7 +247,7 @@ def _prepared_engine(
 
 def _resume_hint(case: ReconstructionProblem) -> str:
     saved = case.checkpoint is not None and case.checkpoint.kept
-    return "the same command continues from the last saved iteration" if saved else ""
+    return "run the same command again to continue from the last saved iteration" if saved else ""
 
 
 def _run(

@@ -33,8 +33,9 @@ computation.
 """
 
 REFOCUSED_BYTES, CARRIED_BYTES, PSNR_BYTES, PRODUCT_BYTES, SIMILARITY_BYTES = 330, 85, 12, 64, 160
-"""Measured bytes per sample: of which the sharpness is computed; that is propagated; of the PSNR. Then bytes
-per sample of a block of rows: of the transmitted band, and of the structural similarity.
+"""Measured bytes per sample for refocusing: of the measure of sharpness, and of a propagated field. Measured
+bytes per sample for comparisons: of the PSNR and, in a block of rows, of the transmitted band and of the
+structural similarity.
 """
 
 PICTURE_BYTES, SCREEN_BYTES, SCREEN, DRAWN_BYTES, PLANE_BYTES = 60_000_000, 100, 4_000_000, 12, 9

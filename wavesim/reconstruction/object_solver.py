@@ -48,8 +48,8 @@ Array = NDArray[np.inexact[Any]]
 Stop = Literal["noise", "rest", "iterations"]
 
 STOPPED: dict[Stop, str] = {
-    "noise": ", where the misfit came to the noise",
-    "rest": ", where the misfit fell no more",
+    "noise": "; stopped because the misfit reached the noise",
+    "rest": "; stopped because the misfit converged",
     "iterations": "",
 }
 """Text that describes each reason for the end of the iterations."""
@@ -498,9 +498,9 @@ def validate_measurements(
     if illumination.grid != grids.object_grid:
         raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
     if not np.any(np.abs(illumination.values) > 0.0):
-        raise InputError("illumination: is all dark")
+        raise InputError("illumination: is 0 everywhere")
     if not recorded:
-        raise InputError("recorded: must be one plane at least")
+        raise InputError("recorded: needs at least one plane")
     shape = grids.exit_grid.shape
     if rows:
         shape = (shape[0] // len(rows), *shape[1:])

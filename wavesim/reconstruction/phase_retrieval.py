@@ -332,7 +332,7 @@ def agreement(fields: Sequence[Field]) -> float:
     1.0
     """
     if len(fields) < 2:
-        raise InputError(f"agreement of {len(fields)} field(s): must be of two at least")
+        raise InputError(f"agreement of {len(fields)} field(s): needs at least two")
     values = [np.ravel(f.values) / np.linalg.norm(f.values) for f in fields]
     return min(float(abs(np.vdot(u, v))) for i, u in enumerate(values) for v in values[:i])
 
@@ -374,7 +374,7 @@ def validate_planes(recorded: Sequence[Measurement], shape: tuple[int, ...], own
         if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
             raise InputError(f"plane {plane_index}: amplitudes must be finite and not negative")
         if not np.any(plane.amplitude > 0.0):
-            raise InputError(f"plane {plane_index}: is all dark")
+            raise InputError(f"plane {plane_index}: all amplitudes are 0")
         if plane.sigma is not None:
             if plane.sigma.shape != shape or not np.all(plane.sigma > 0.0):
                 raise InputError(f"plane {plane_index}: sigma must be above 0, of the shape {shape}")
@@ -390,7 +390,7 @@ def _validate(
     tv_step: float,
 ) -> None:
     if len(recorded) < 2:
-        raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
+        raise InputError(f"{len(recorded)} plane(s) recorded: needs at least two")
     validate_planes(recorded, grid.shape, "the grid's")
     for plane_index, plane in enumerate(recorded, start=1):
         if any(plane.shift_mm) or plane.background is not None:

@@ -189,7 +189,7 @@ def reconstruction_problem(
     patch, light = framed.patch, framed.light
     if settings.method == "paper" and len(framed.planes_mm) < 2:
         raise SettingError(
-            "{method} paper: needs frames of two planes or more; {method} object can do with one"
+            "{method} paper: needs frames of at least two planes; with one plane use {method} object"
         )
     shown, inside = _shown_part(patch, settings.region_mm)
     true = None if truth is None else _true_object(truth, patch)
@@ -438,7 +438,7 @@ def patch_of_frames(
         If the frames contain less information than they could.
     """
     if not frames:
-        raise InputError("frames: must be one at least")
+        raise InputError("frames: needs at least one frame")
     validate_same_pitch(frames, lens)
     by_plane = frames_by_plane(frames)
     patch, light = lit_patch(lens, settings, frames[0].settings.wavelength_um)

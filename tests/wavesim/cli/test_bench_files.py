@@ -138,7 +138,7 @@ def test_an_interrupted_search_of_the_light_goes_on(
     for _ in range(2):
         code, _, err = run(*command)
         assert code == 130
-        assert "the same command goes on from there" in " ".join(err.split())
+        assert "run the same command again" in " ".join(err.split())
     assert began[0] == 0 < began[1]
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint_empty.npz"]
 
@@ -148,7 +148,8 @@ def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_pa
     quick = "--parameters", "light", "--most-mountings", 6
     code, _, err = run("calibrate", "--empty", bench / "star", *quick, "-o", tmp_path)
     assert code == 2
-    assert "--empty: a smooth light leaves" in err
+    assert "--empty: " in err
+    assert "must be frames without an object" in " ".join(err.split())
     assert [path.read_text() for path in tmp_path.iterdir()] == ["kept"]
 
 
@@ -159,7 +160,7 @@ def test_more_than_memory_holds_is_refused(
     light = "--parameters", "light"
     code, _, err = run("calibrate", *light, "-o", tmp_path / "out")
     assert code == 2
-    assert "no light is sought: use --kind amplitude" in err
+    assert "use --kind amplitude" in err
     code, _, err = run("calibrate", *light, "--kind", "amplitude", "-o", tmp_path / "out")
     assert code == 2
     assert "10 parameters in 39200 pixels needs 0.00784 GB, and 0.002 GB are" in " ".join(err.split())

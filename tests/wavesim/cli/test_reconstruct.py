@@ -100,7 +100,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     monkeypatch.setattr(*step, stopped)
     code, out, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert (code, out) == (130, "")
-    assert "interrupted after 3 of 7 iterations; the same command goes on" in err
+    assert "interrupted after 3 of 7 iterations; run the same command again" in err
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
 
     def counted(*args: Any) -> Any:
@@ -220,7 +220,7 @@ def test_one_frame_does_for_an_amplitude_object_but_not_for_the_paper_s_way(
     one = (data / "frame_1.tif", *usual(data)[2:])
     code, _, err = run(monkeypatch, capsys, *one, "--method", "paper", "-o", tmp_path / "paper")
     assert code == 2
-    assert "--method paper: needs frames of two planes" in err
+    assert "--method paper: needs frames of at least two planes" in err
     code, _, err = run(
         monkeypatch, capsys, *one, "--kind", "amplitude", "--iterations", 4, "-o", tmp_path / "object"
     )
@@ -282,7 +282,7 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     assert [one["group"] for one in beside["elements"]] == [9, 9]
     code, _, err = run(monkeypatch, capsys, *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
     assert code == 2
-    assert "--method paper: needs frames of two planes" in err
+    assert "--method paper: needs frames of at least two planes" in err
 
 
 def test_frames_of_swapped_planes_end_with_status_1_and_say_so(

@@ -55,5 +55,5 @@ def test_refused() -> None:
     one = plane(0.0, np.random.default_rng(6))
     with pytest.raises(InputError, match="product must have one shape"):
         ghost_in_residuals([one._replace(sigma=one.sigma[1:])])
-    with pytest.raises(InputError, match="no pixel with light"):
+    with pytest.raises(InputError, match="a ghost cannot be measured"):
         ghost_in_residuals([one._replace(product=0.0 * one.product)])

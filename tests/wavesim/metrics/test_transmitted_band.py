@@ -103,5 +103,5 @@ def test_a_line_is_for_engines() -> None:
     line = Scene(
         LENS, Grid((64,), 4.2e-4, LENS.object_z_mm), Grid((64,), 3.2e-3, SCENE.exit_grid.z_mm), WAVELENGTH
     )
-    with pytest.raises(InputError, match="on a line an engine tells"):
+    with pytest.raises(InputError, match="must be a plane"):
         transmitted_directions(line)

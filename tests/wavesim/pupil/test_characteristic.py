@@ -294,7 +294,7 @@ def test_aiming_that_does_not_settle_is_refused(sampler: PupilSampler) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: s.pupil(Pose(decenter_x_mm=np.array([0.0, 0.1]))), "holds 2 trials"),
+        (lambda s: s.pupil(Pose(decenter_x_mm=np.array([0.0, 0.1]))), "2 trials"),
         (lambda s: s.pupil(Placement(object_shift_mm=(0.0, 1.0))), "object_shift_mm"),
         (lambda s: s.pupil(Placement(sensor_shift_mm=(0.0, 1.0, np.nan))), "sensor_shift_mm"),
         (lambda s: s.pupil(Placement(sensor_tilt_deg=(0.0, 1.0, 2.0))), "sensor_tilt_deg"),

@@ -70,5 +70,5 @@ def test_the_path_at_the_middle_is_that_of_the_reconstruction_pupil(twin, along_
 
 
 def test_a_line_that_the_lens_does_not_see_is_refused(twin):
-    with pytest.raises(InputError, match="ray of a line"):
+    with pytest.raises(InputError, match="rays of a line"):
         _ = Meridian(twin, (0.0, 5.0), 0.03).planes

@@ -298,7 +298,7 @@ def test_folds_and_lost_rays_are_refused(line: PatchChain) -> None:
         (lambda c: PatchChain(PAPER, samples=7.5), "samples"),
         (lambda c: PatchChain(PAPER, (0.1, 0.0), line=True), "lies at x = 0"),
         (lambda c: c.perturbed(Pose(tilt_y_deg=0.1)), "leave the plane x = 0"),
-        (lambda c: c.perturbed(Pose(tilt_x_deg=np.zeros(2))), "holds 2 trials"),
+        (lambda c: c.perturbed(Pose(tilt_x_deg=np.zeros(2))), "2 trials"),
         (lambda c: c.perturbed(Placement(object_shift_mm=(0.0, 1.0))), "object_shift_mm"),
         (lambda c: c.perturbed(Placement(sensor_shift_mm=(0.0, 0.0, np.nan))), "sensor_shift_mm"),
         (lambda c: c.bars(0.775, "x"), "'y' only"),
@@ -308,7 +308,7 @@ def test_folds_and_lost_rays_are_refused(line: PatchChain) -> None:
         (lambda c: c.carried(np.ones(3)), "shape"),
         (lambda c: c.carried(np.full(c.patch.shape, np.nan)), "finite"),
         (lambda c: c.perturbed().returned(c.bars(1.0), "both"), "registration"),
-        (lambda c: c.perturbed().returned(c.bars(1.0), electrons=1e4), "needs an rng"),
+        (lambda c: c.perturbed().returned(c.bars(1.0), electrons=1e4), "needs rng"),
         (
             lambda c: c.perturbed().returned(c.bars(1.0), electrons=0.0, rng=np.random.default_rng(1)),
             "electrons",

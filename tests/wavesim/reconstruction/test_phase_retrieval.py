@@ -157,7 +157,7 @@ def test_progress_is_told() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"recorded": []}, "two at least"),
+        ({"recorded": []}, r"0 plane\(s\) recorded"),
         ({"recorded": [Measurement(1.0, np.ones((3, 3)))] * 2}, "shape"),
         ({"recorded": [Measurement(1.0, np.ones(GRID.shape))] * 2}, "same distance_mm"),
         ({"recorded": [Measurement(d, np.full(GRID.shape, np.nan)) for d in DISTANCES]}, "finite"),
@@ -166,7 +166,7 @@ def test_progress_is_told() -> None:
             {"recorded": [Measurement(d, np.ones(GRID.shape), shift_mm=(0.0, d)) for d in DISTANCES]},
             "Appendix A supports neither shifts nor backgrounds",
         ),
-        ({"recorded": [Measurement(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "all dark"),
+        ({"recorded": [Measurement(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "amplitudes are 0"),
         ({"recorded": [Measurement(d, np.ones(GRID.shape)) for d in (1.0, np.inf)]}, "distance_mm = inf"),
         ({"iterations": 0}, "iterations = 0"),
         ({"tv_step": -1.0}, "tv_step = -1.0"),

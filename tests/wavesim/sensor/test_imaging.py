@@ -170,5 +170,5 @@ def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> Non
 
 
 def test_a_ghost_that_an_engine_cannot_carry() -> None:
-    with pytest.raises(InputError, match="engine hierarchical carries none"):
+    with pytest.raises(InputError, match="ghost: engine hierarchical"):
         seen(ghost=0.01, engine="hierarchical")

@@ -139,7 +139,7 @@ def test_the_command_ends_plainly_where_a_disk_is_full_and_goes_on(
         patched.setattr(tile_store.np, "save", full)
         code, _, err = run_wavesim(monkeypatch, capsys, *command)
     assert code == 2
-    assert "the disk is full. 2 parts are kept" in err
+    assert "the disk is full. Parts stored so far: 2." in err
     code, out, err = run_wavesim(monkeypatch, capsys, *command)
     assert code == 0
     assert err.startswith("memory: about ")

@@ -195,7 +195,7 @@ def reconstruct_free_space(
         raise InputError(f"numerical_aperture = {aperture!r}: must be above 0, and 1 at most")
     plane_frames = planes_of_frames(frames)
     if not plane_frames:
-        raise InputError("frames: must be two at least")
+        raise InputError("frames: needs frames of at least two planes")
     progress = progress or (lambda what, done, count: None)
     frame_settings = frames[0].settings
     recorded = [
@@ -219,9 +219,9 @@ def reconstruct_free_space(
     )
     if misfit[-1] > LARGEST_NOISE_RATIO * stack.noise:
         warnings.warn(
-            f"the frames are not explained within their noise: the misfit of {misfit[-1]:.3g} is "
-            f"{misfit[-1] / stack.noise:.2g} times what it would leave; leave out one plane and predict it "
-            "to see how far the field holds",
+            f"the frames are not explained within their noise: the misfit is {misfit[-1]:.3g}, "
+            f"{misfit[-1] / stack.noise:.2g} times that of noise alone; to test the field, omit the frames "
+            "of one plane and compare them with its prediction",
             NotExplainedWarning,
             stacklevel=2,
         )

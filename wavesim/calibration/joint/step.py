@@ -139,8 +139,8 @@ class GaussNewtonStep:
         Parameters
         ----------
         most_iterations
-            Iterations at most. Each of them carries as many fields forward and back as there are parameters.
-            With 0 of them the object stays as it is.
+            Largest number of iterations. Each of them applies the forward and the adjoint operator once per
+            parameter. With 0 iterations the object stays fixed.
 
         References
         ----------
@@ -166,7 +166,7 @@ class GaussNewtonStep:
         return _products(remaining, remaining) + np.diag(self.prior_precision)
 
     def _determined(self, columns: RealArray) -> RealArray:
-        """Return unit mixtures of columns that the frames determine better than `LEAST_TOLD` of the prior."""
+        """Return unit mixtures of columns with more than `LEAST_INFORMATION` of the prior's information."""
         unit = 1.0 / np.sqrt(self.prior_precision)
         precision, mixtures = np.linalg.eigh(_products(columns, columns) * np.outer(unit, unit))
         chosen = mixtures[:, precision > LEAST_INFORMATION] * unit[:, None]

@@ -208,7 +208,7 @@ class AnnularSlices(Engine):
             ErrorTerm("borders of slices", self._border_error()),
             ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
             ErrorTerm(
-                "light that the rim turns beyond the grid's band",
+                "light that the rim diffracts beyond the grid's band",
                 math.sqrt(self.light.diffracted),
                 at_rim=True,
             ),

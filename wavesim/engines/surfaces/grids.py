@@ -332,7 +332,7 @@ def _bands(scene: Scene, sines: Array, zones: float) -> tuple[list[float], list[
     if np.max(sines) > steepest_sine:
         raise SamplingError(
             f"light at {math.degrees(math.asin(np.max(sines))):.3g} degrees to the axis: at most "
-            f"{math.degrees(math.asin(steepest_sine)):.3g} degrees can be carried from plane to plane"
+            f"{math.degrees(math.asin(steepest_sine)):.3g} degrees can be propagated between planes"
         )
     band = np.minimum(k * sines * BAND_MARGIN + zones * zone, steepest_sine * k)
     return list(band), list(band / np.sqrt(k * k - band * band))

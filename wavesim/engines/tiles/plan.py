@@ -142,7 +142,7 @@ def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mappe
                 return found
         if all(c == n for c, n in zip(counts, grid.shape, strict=True)):
             why = "" if problem is None else f": {problem}"
-            message = f"error = {error:g}: not even tiles of one object sample keep to it{why}"
+            message = f"error = {error:g}: even tiles of one object sample exceed it{why}"
             raise SamplingError(message) from problem
         parts = max(math.ceil(parts * min(1.02 * grow, 4.0)), parts + 1.0)
 

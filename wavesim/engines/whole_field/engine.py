@@ -130,7 +130,7 @@ class WholeFieldEngine(Tiled):
     ) -> None:
         super().__init__(scene)
         if scene.object_grid.is_line:
-            raise InputError("engine hierarchical carries planes; use engine eikonal on a line")
+            raise InputError("engine hierarchical does not support a line as object; use engine eikonal")
         if tile_width_mm is not None:
             validate_positive("tile_width_mm", tile_width_mm)
         if not 1 <= tiles_across <= 100:
@@ -310,7 +310,7 @@ class WholeFieldEngine(Tiled):
                 f"{len(settings.factors.tile_nodes)} terms in each of {len(tiles)} tiles",
                 settings.factors.relative_error,
             ),
-            ErrorTerm("rays between those that were traced", maps),
+            ErrorTerm("interpolation between traced rays", maps),
             ErrorTerm("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_FRACTION * self._error),
             *self._neglected_at_rim(),
         )
@@ -324,7 +324,7 @@ class WholeFieldEngine(Tiled):
         if carrier.resolves_edge:
             what = f"diffraction at the aperture's edge, soft over {100.0 * rise:.2g} % of the footprint"
             error = soft_edge_error(carrier, settings.factors.spans_mm, rise)
-            yield ErrorTerm(f"{what} and the same all over a tile", error, at_rim=True)
+            yield ErrorTerm(f"{what} and equal for all points of a tile", error, at_rim=True)
         else:
             moved, diffracted = edge_error(self.scene, tiles[len(tiles) // 2][0], carrier)
             yield ErrorTerm("movement of the aperture's edge over a tile", moved, at_rim=True)
@@ -333,7 +333,7 @@ class WholeFieldEngine(Tiled):
             )
             placed_mm += TAPER * TAPER_LOSS * float(np.max(widest))
         place = math.sqrt(rim_fraction_per_mm(carrier.rim_mm) * placed_mm)
-        yield ErrorTerm("place of the aperture's edge", min(1.0, place), at_rim=True)
+        yield ErrorTerm("position of the aperture's edge", min(1.0, place), at_rim=True)
 
     def edge_illumination(self, light: Light) -> float:
         tiles = [tile for tile, _ in self._prepared[1]]

@@ -2,7 +2,7 @@
 adjoint.
 
 Carriers exp(2 pi i phase) of a whole field are too large to be stored. Their phase, in turns, and the edge of
-the aperture are smooth. Both are source on coarse grids of their own, from which four samples along each axis
+the aperture are smooth. Both are given on coarse grids of their own, from which four samples along each axis
 interpolate the values in between. Between four rows, the phase is that of one row, reduced in float64, plus
 weighted differences to the other rows, a few turns, in float32. Fields are interpolated as in
 :mod:`wavesim.fields.resampling_kernel`.
@@ -150,7 +150,7 @@ def _more_rows(
 
 @_jit
 def _light_between(ends: NDArray, at: int, weights: NDArray) -> int:
-    """Return the light of a row between four rows with source least and largest edges."""
+    """Return the light of a row between four rows whose least and largest edges are given."""
     least, most, negative = ends[0, at], ends[1, at], -min(weights[0], 0.0)
     for k in range(1, _SMOOTH):
         least, most = min(least, ends[0, at + k]), max(most, ends[1, at + k])

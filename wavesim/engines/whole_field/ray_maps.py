@@ -171,8 +171,8 @@ class MapsOverObject:
     errors : (path, amplitude, direction)
         Largest differences from rays that were not fitted: waves, relative, waves over the reach of a tile.
     edge_error_mm : float
-        Mean distance of the aperture's edge from where rays not seen put it, in the worst point looked at:
-        large where the open part of the stop has corners.
+        Mean distance of the modelled edge of the aperture from that of rays that were not fitted, at the
+        worst of the checked object points. It is large where the open part of the stop has corners.
     """
 
     carriers: OverObject
@@ -203,7 +203,7 @@ def maps_over_object(
     reach_mm
         Largest distance of a tile's points from its centre.
     tolerance
-        Waves of path, and relative error of the amplitude, that rays not seen may show.
+        Allowed path error in waves, and relative error of the amplitude, at rays that were not fitted.
 
     Raises
     ------

@@ -60,8 +60,9 @@ class TileStore(MutableMapping[int, NDArray]):
             full = error.errno in (errno.ENOSPC, errno.EDQUOT)
             why = "the disk is full" if full else error.strerror or str(error)
             raise InputError(
-                f"cannot keep a part of the field ({values.nbytes / 1e6:.3g} MB) in {self.folder}: {why}. "
-                f"{len(self)} parts are kept: with more room, the same command goes on from there"
+                f"cannot store a part of the field ({values.nbytes / 1e6:.3g} MB) in {self.folder}: {why}. "
+                f"Parts stored so far: {len(self)}. Free some disk space and run the same command again to "
+                "continue"
             ) from error
 
     def __delitem__(self, number: int) -> None:

@@ -1,1 +1,1 @@
-"""Wave propagation method, a check."""
+"""Wave propagation method: an independent check of the other engines."""

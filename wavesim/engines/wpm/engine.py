@@ -158,7 +158,9 @@ class WavePropagation(Engine):
             ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
         ]
         diffracted = math.sqrt(self.working.diffracted)
-        found.append(ErrorTerm("light that the rim turns beyond the grid's band", diffracted, at_rim=True))
+        found.append(
+            ErrorTerm("light that the rim diffracts beyond the grid's band", diffracted, at_rim=True)
+        )
         if self.interface == "substep":
             error = interpolation_error(max(self._phases()))
             found.append(ErrorTerm("interpolation between planes", error))

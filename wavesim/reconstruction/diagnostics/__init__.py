@@ -1,1 +1,1 @@
-"""What tells whether a result is right: pixels that were held out, and what else is tried."""
+"""Tests of a result: held-out pixels, trials of possible causes, a score test, and a bootstrap."""

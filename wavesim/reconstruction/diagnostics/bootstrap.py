@@ -207,7 +207,7 @@ def _noise_ratio(planes: Sequence[Measurement], modelled: Sequence[RealArray], s
     ratio = math.sqrt(squared_misfit / noise)
     if ratio > LARGEST_NOISE_RATIO:
         raise UndeterminedError(
-            f"uncertainty: the result leaves {ratio:.3g} times the noise of {source}: object, lens, light or "
+            f"uncertainty: the residuals are {ratio:.3g} times the noise of {source}: object, lens, light or "
             "camera differ from the model; use more planes or iterations or another start, or calibrate"
         )
     return ratio
@@ -234,15 +234,16 @@ def _equivalent_objects(
         return []
     if own_misfit > EQUIVALENT_RATIO * other_misfit:
         raise UndeterminedError(
-            f"uncertainty: another start leaves a misfit of {other_misfit:.4g}, the result {own_misfit:.4g}: "
-            "it is not the object that fits best; use another start, more iterations or more planes"
+            f"uncertainty: the misfit of the result is {own_misfit:.4g}, that of another start "
+            f"{other_misfit:.4g}: the result is not the object that fits best; use another start, "
+            "more iterations or more planes"
         )
     values, aligned = found.transmission.values, other.transmission.values
     aligned = _in_phase(aligned, values, lit)
     difference = float(np.linalg.norm((values - aligned)[lit]) / np.linalg.norm(values[lit]))
     if difference > LARGEST_DIFFERENCE:
         raise UndeterminedError(
-            "uncertainty: another start fits as well by an object that differs by "
+            "uncertainty: another start gives an object that fits equally well, but differs by "
             f"{100.0 * difference:.3g} %: the frames do not determine it; use more planes, more "
             "iterations or more total variation"
         )

@@ -220,7 +220,7 @@ class CauseTrials:
             for plane, (_, level) in zip(self.recorded, found, strict=True)
         ]
         yield self._trial(
-            self._change("background", f"backgrounds of {description} taken out", recorded=planes)
+            self._change("background", f"backgrounds of {description} subtracted", recorded=planes)
         )
 
     def _blurs(self) -> Iterator[Trial]:

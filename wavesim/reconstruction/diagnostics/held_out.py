@@ -75,8 +75,8 @@ def hold_out(
     """
     if whole_plane is not None and not (1 <= whole_plane <= len(recorded) and len(recorded) > 1):
         raise SettingError(
-            f"{{hold_out_plane}} = {whole_plane}: must be from 1 to {len(recorded)}, and one of two planes "
-            "at least"
+            f"{{hold_out_plane}} = {whole_plane}: must be the number of a plane, from 1 to "
+            f"{len(recorded)}, and there must be at least two planes"
         )
     random = np.random.default_rng(7)  # all runs choose the same pixels
     planes, held_out = [], []

@@ -1,1 +1,1 @@
-"""Planes behind a lens: what they recorded, what the model sees there, and what that changes."""
+"""Measured planes behind a lens: modelled intensities of their pixels, and the resulting changes."""

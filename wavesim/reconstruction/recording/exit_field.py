@@ -1,5 +1,5 @@
-"""The field behind the lens on the exit grid, measured data of planes, and the changes that planes ask
-for.
+"""The field behind the lens on the exit grid, measured data of planes, and the changes that planes
+require.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class PlaneRecord:
 
 
 class ExitField:
-    """The field on the exit grid, and the changes that planes ask for, processed plane by plane.
+    """The field on the exit grid, and the changes that planes require, processed plane by plane.
 
     Parameters
     ----------

@@ -178,7 +178,7 @@ def test_settings_that_cannot_be_are_refused(paper_lens: Lens) -> None:
         with pytest.raises(InputError, match=next(iter(wrong))):
             WholeFieldEngine(scene, **wrong)  # type: ignore[arg-type]
     line = Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), WAVELENGTH_UM)
-    with pytest.raises(InputError, match="eikonal on a line"):
+    with pytest.raises(InputError, match="use engine eikonal"):
         WholeFieldEngine(line)
 
 

@@ -64,7 +64,7 @@ def test_a_full_disk_keeps_what_was_kept(tmp_path: Path, monkeypatch: pytest.Mon
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(tile_store.np, "save", full)
-    with pytest.raises(InputError, match=r"full\. 1 parts are kept"):
+    with pytest.raises(InputError, match=r"full\. Parts stored so far: 1\."):
         kept[1] = values(1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["00000.npy", "key.txt"]
     assert np.array_equal(kept[0], values(0))
