@@ -15,7 +15,7 @@ from pathlib import Path
 class TransferLensError(Exception):
     """Base class of the exceptions that the toolkit raises on purpose.
 
-    Catch it to handle every such error; any other exception is a defect of the toolkit or of a library.
+    Catch it to handle all of them at once.
 
     Examples
     --------

@@ -117,8 +117,8 @@ class OptimizationResult:
     spreads
         Spread at each wavelength.
     feasible, violations
-        Whether the lens, with the digits that a design file holds, meets all constraints, and a sentence for
-        each violation. A constraint that could not be checked in time counts as violated.
+        Whether `lens` meets all constraints, and a sentence for each violation. A constraint that could not
+        be checked, for lack of time or after an interrupt, counts as violated.
     check
         Check of the lens against the specification by :func:`lensdesign.optimization.check_against`.
     binding
