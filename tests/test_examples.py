@@ -1,4 +1,4 @@
-"""The examples of the public names, run as doctests, as pasted into a session beside the designs."""
+"""The examples of the public names: each runs when pasted into a new Python session beside the designs."""
 
 from __future__ import annotations
 
@@ -30,9 +30,7 @@ def test_example_runs(
     public = getattr(importlib.import_module(package), name)
     documented = public if inspect.isclass(public) or inspect.isroutine(public) else type(public)
     text = inspect.cleandoc(documented.__doc__ or "")
-    example = doctest.DocTestParser().get_doctest(
-        text, {"folder": tmp_path}, f"{package}.{name}", inspect.getsourcefile(documented), 0
-    )
+    example = doctest.DocTestParser().get_doctest(text, {"folder": tmp_path}, f"{package}.{name}", None, None)
     assert example.examples, f"{package}.{name} has no example"
     assert not any(doctest.SKIP in step.options for step in example.examples)
     monkeypatch.chdir(session_folder)
