@@ -198,8 +198,8 @@ def _starts(cosines: Array, offset: Array, alive: Flags) -> tuple[NDArray[np.int
 def _newton(
     system: CompiledSystem, origins: Array, cosines: Array, target: Array, plane_z_mm: float
 ) -> Array:
-    """Return launch cosines of rays that land on the target; steps that do not reduce the error are "
-    "halved."""
+    """Return launch cosines of rays that land on the target; steps that do not reduce the error are
+    halved."""
 
     def residual(cosines: Array) -> Array:
         rays = trace_compiled(system, origins, _unit(cosines), plane_z_mm, clip=False)

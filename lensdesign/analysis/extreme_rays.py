@@ -65,8 +65,8 @@ def with_extreme_rays(
 
 
 def _rotated(point: Array, field_mm: Array, height_mm: float) -> tuple[Array, Array]:
-    """Return a stop point of a field point on the y axis, and its mirror image, rotated to another "
-    "azimuth."""
+    """Return a stop point of a field point on the y axis, and its mirror image, rotated to another
+    azimuth."""
     along = field_mm / height_mm if height_mm > 0.0 else np.array([0.0, 1.0])
     across = np.array([along[1], -along[0]])
     return point[1] * along + point[0] * across, point[1] * along - point[0] * across
@@ -80,8 +80,8 @@ class _ExtremeSearch:
         self.planes_mm = tuple(plane_distances_mm)
 
     def values(self, field_mm: Array, points: Array) -> Array:
-        """Return the sine of the angle, and the distance from the axis on each plane; shape (1 + planes, "
-        "n)."""
+        """Return the sine of the angle, and the distance from the axis on each plane; shape (1 + planes,
+        n)."""
         lens = self.lens
         origins, directions = launch_pairs(
             self.system,
@@ -108,8 +108,8 @@ class _ExtremeSearch:
         return found
 
     def _maximize(self, field_mm: Array, quantity: int, point: Array) -> tuple[float, Array]:
-        """Return the largest value near a stop point and its position, by grids that shrink around the "
-        "best."""
+        """Return the largest value near a stop point and its position, by grids that shrink around the
+        best."""
         steps = np.linspace(-1.0, 1.0, 7)
         offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         half_width = 0.15

@@ -36,8 +36,8 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with some values replaced without validation; cached properties are computed "
-        "again."""
+        """Return a copy with some values replaced without validation; cached properties are computed
+        again."""
         copied = super().model_copy(update=update, deep=deep)
         if update:
             for own in type(self).__mro__:

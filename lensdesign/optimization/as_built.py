@@ -244,8 +244,8 @@ class AsBuilt(Protocol):
         """Return the study with all tolerances multiplied."""
 
     def priced(self, costs: Path | None, cost: float | None) -> AsBuilt:
-        """Return the study with a table of costs, and with tolerances multiplied to a cost if one is "
-        "given."""
+        """Return the study with a table of costs, and with tolerances multiplied to a cost if one is
+        given."""
 
     def cost(self, lens: Lens) -> float:
         """Return the cost of a lens and its tolerances; raise an InputError if a price is missing."""

@@ -290,8 +290,8 @@ def _stationary(what: Callable[[Array], Evaluation], point: Array) -> bool:
 
 
 def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
-    """Yield start points in the unit box; random ones only if goals and constraints can be evaluated "
-    "there."""
+    """Yield start points in the unit box; random ones only if goals and constraints can be evaluated
+    there."""
     settings = problem.specification.optimize
     rng = np.random.default_rng(seed)
     rays = problem.sample_rays(3, 9, 4)

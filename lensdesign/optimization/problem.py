@@ -53,8 +53,8 @@ class Rays:
         return Rays(kept[:, :2], kept[:, 2:])
 
     def all_round(self) -> Rays:
-        """Return these rays and their mirror images at x = 0, in eight azimuths, for lenses without "
-        "symmetry."""
+        """Return these rays and their mirror images at x = 0, in eight azimuths, for lenses without
+        symmetry."""
         mirrored = Rays(self.fields_mm * [-1.0, 1.0], self.pupil * [-1.0, 1.0])
         both, result = self.with_rays(mirrored), self
         for azimuth in 0.25 * math.pi * np.arange(8):
@@ -140,8 +140,8 @@ class DesignProblem:
         return None, tuple(others)
 
     def sample_rays(self, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()) -> Rays:
-        """Return the rays of :func:`sample_rays`, at all azimuths if the lens is not rotationally "
-        "symmetric."""
+        """Return the rays of :func:`sample_rays`, at all azimuths if the lens is not rotationally
+        symmetric."""
         rays = sample_rays(self.base.half_field_mm, fields, fan, skew, heights)
         return rays if self.rotational else rays.all_round()
 

@@ -34,8 +34,8 @@ BINDING = 1e-4
 """A constraint is active if the absolute value of its scaled value is smaller than this."""
 
 AGREE = 1e-3
-"""Starts agree if their goals (or, without a feasible lens, largest violations) differ by at most this "
-"fraction."""
+"""Starts agree if their goals (or, without a feasible lens, largest violations) differ by at most this
+fraction."""
 
 INTERRUPT = "interrupt"
 """Limit of a search that the user has stopped."""

@@ -91,8 +91,8 @@ class CompiledSystem:
         return not (moved or any(self.figures)) and all(shape.ROTATIONAL for shape in self.shapes)
 
     def figure(self, surface: int) -> Figure | None:
-        """Return a function for the sag error of a surface in its own frame, first trial; None without "
-        "one."""
+        """Return a function for the sag error of a surface in its own frame, first trial; None without
+        one."""
         figures = [figure.trial(0) for figure in self.figures[surface]]
         if not figures:
             return None

@@ -54,8 +54,8 @@ def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike
 
 
 def _to_edge(start: Array, end: Array, radius: float) -> Array:
-    """Return the intersection of the line from `start` to `end` with the edge cylinder, or `end` inside "
-    "it."""
+    """Return the intersection of the line from `start` to `end` with the edge cylinder, or `end` inside
+    it."""
     step = end - start
     a, b = step[:2] @ step[:2], start[:2] @ step[:2]
     c = start[:2] @ start[:2] - radius**2

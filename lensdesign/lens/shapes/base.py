@@ -100,8 +100,8 @@ class Shape(ABC):
 
     @classmethod
     def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
-        """Return the keys besides radius_mm and conic for a Zemax surface; None if the type does not "
-        "match."""
+        """Return the keys besides radius_mm and conic for a Zemax surface; None if the type does not
+        match."""
         return None
 
     def codev(self) -> tuple[str, dict[str, float]]:

@@ -12,8 +12,8 @@ SHAPES = {
     "even asphere": "lensdesign.lens.shapes.even_asphere:EvenAsphere",
     "biconic": "lensdesign.lens.shapes.biconic:Biconic",
 }
-"""Class of each shape by its name in design files. Rays intersect the first one, the conic, in closed "
-"form."""
+"""Class of each shape by its name in design files. Rays intersect the first one, the conic, in closed
+form."""
 
 
 @cache

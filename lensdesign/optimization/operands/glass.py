@@ -134,8 +134,8 @@ def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: flo
 def _gap_row(
     name: str, state: State, i: int, heights: tuple[Height, Height], least: float, scale: float
 ) -> Operand:
-    """Return the operand of the space between a height on its front and one on its back, in each "
-    "direction."""
+    """Return the operand of the space between a height on its front and one on its back, in each
+    direction."""
     shapes = [s.shape for s in state.lens.surfaces[i : i + 2]]
     ux, uy = directions(*shapes)
     thickness, by = _thickness(state, i)
@@ -200,8 +200,8 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
 
 
 def _by(state: State, i: int, derivative: Callable[[str], Array]) -> Array:
-    """Return derivatives by all variables of a quantity that depends on one surface's shape, shape (..., "
-    "v)."""
+    """Return derivatives by all variables of a quantity that depends on one surface's shape, shape (...,
+    v)."""
     own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.is_shape_term and v.surface == i}
     found = np.zeros((len(next(iter(own.values()), np.zeros(1))), len(state.variables)))
     for j, values in own.items():

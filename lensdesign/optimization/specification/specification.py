@@ -169,8 +169,8 @@ class Specification(Lens):
         return math.sin(math.radians(float(limit)))
 
     def footprint_limits(self) -> tuple[float, ...]:
-        """Return the largest allowed distance from the axis on each sensor plane in mm; inf without a "
-        "limit."""
+        """Return the largest allowed distance from the axis on each sensor plane in mm; inf without a
+        limit."""
         limit = self.constraints.max_footprint_radius_mm
         planes = len(self.sensor.plane_distances_mm)
         if limit in ("none", "sensor rectangle"):
