@@ -15,10 +15,16 @@ from pathlib import Path
 class TransferLensError(Exception):
     """Base class of the exceptions that the toolkit raises on purpose.
 
+    Catch it to handle all of them at once.
+
     Examples
     --------
-    >>> issubclass(InputError, TransferLensError)
-    True
+    >>> from lensdesign import TransferLensError, load_design
+    >>> try:
+    ...     load_design("missing.toml")
+    ... except TransferLensError as error:
+    ...     print(error)
+    cannot read missing.toml: No such file or directory
     """
 
 
@@ -29,21 +35,26 @@ class InputError(TransferLensError, ValueError):
 
     Examples
     --------
+    >>> from lensdesign import InputError, Pose
     >>> try:
-    ...     validate_positive("radius_mm", -1.0)
+    ...     Pose(tilt_x_deg=float("inf"))
     ... except InputError as error:
     ...     print(error)
-    radius_mm = -1.0: must be finite and above 0
+    Pose.tilt_x_deg = inf: must be a finite number or a 1-D array of finite numbers
     """
 
 
 class DesignError(InputError):
-    """Invalid design or specification.
+    """Invalid design, specification or tolerance study.
 
     Examples
     --------
-    >>> issubclass(DesignError, InputError)
-    True
+    >>> from lensdesign import DesignError, load_design, scaled
+    >>> try:
+    ...     scaled(load_design("designs/paper_singlet.toml"), 0.0)
+    ... except DesignError as error:
+    ...     print(error)
+    scale factor = 0.0: must be finite and greater than 0
     """
 
 
@@ -52,7 +63,7 @@ class MaterialError(InputError):
 
     Examples
     --------
-    >>> from lensdesign import get_material
+    >>> from lensdesign import MaterialError, get_material
     >>> try:
     ...     get_material("N-BK7").index(20.0)
     ... except MaterialError as error:

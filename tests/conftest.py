@@ -38,6 +38,7 @@ LONG = (
     "wavesim/engines/whole_field/",
     "wavesim/reconstruction/",
     "test_gallery.py",
+    "test_examples.py",
     "test_documentation.py",
     "test_site.py",
     "lensdesign/optimization/test_search.py",

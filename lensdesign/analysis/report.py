@@ -80,7 +80,8 @@ class WorstRay:
 class CheckReport:
     """Result of the check of a lens against its constraints.
 
-    Each value is that of the wavelength at which it is worst; `wavelengths` has the values of all.
+    Each value is given at the wavelength where it is worst; `wavelengths` holds the values at every
+    wavelength. Eqs. 1 and 2 are those of the paper that :func:`check_design` cites.
 
     Attributes
     ----------
@@ -91,30 +92,32 @@ class CheckReport:
     violations
         A sentence for each violated constraint, with value, limit and excess.
     constraints
-        All constraints.
+        All constraints, met or not, each with its value and limit.
     sbp_object, sbp_sensor
-        Space-bandwidth products (Eq. 1).
+        Space-bandwidth products of the object and of the sensor (Eq. 1).
     spread_limit_deg, max_spread_deg
-        Spread-angle limit, and largest angle over field, stop and wavelengths (Eq. 2); both at the
-        wavelength of `worst_ray`.
+        Largest angle to the axis that the pixels can sample, and largest angle of all rays behind the lens
+        (Eq. 2); both at the wavelength of `worst_ray`.
     spread_heights_mm, spread_per_field_deg
-        Field heights, and the largest angle at each of them at the same wavelength.
+        Field heights, and the largest angle of the rays from each of them, at the same wavelength.
     worst_ray
-        The ray with the angle `max_spread_deg`.
+        The ray whose angle is `max_spread_deg`.
     highest_frequency_lp_per_mm
-        Highest frequency that the pixels resolve.
+        Highest spatial frequency that the pixels resolve, 1 / (2 pitch).
     resolution_um
-        wavelength / (2 NA).
+        Resolution in the object, wavelength / (2 NA).
     numerical_aperture
-        Sine of the angle of the ray from the axis through the rim of the stop.
+        Sine of the angle between the axis and the ray from the axial object point to the rim of the stop.
     plane_distances_mm, footprint_radius_mm
-        Distances of the sensor planes, and the radius of the light of the whole field on each.
+        Distances of the sensor planes from the exit vertex, and radius on each plane of the circle that holds
+        the light of the whole field.
     sensor_half_side_mm
         Half of the sensor's shorter side.
     spot_heights_mm, rms_spot_diameter_mm, spot_plane_mm
-        Field heights and RMS diameters of the spots, and distance of their plane from the exit vertex.
+        Field heights and root mean square diameters of the spots, and distance of their plane from the exit
+        vertex.
     throughput
-        Smallest fraction of the uniformly filled stop that passes from a field point.
+        Fraction of the rays through the stop that leave the lens, at the worst field point (0 to 1).
     edge_thickness_mm
         Length of the shortest edge cylinder of a glass element; None without glass.
     drawn_edge
@@ -122,17 +125,24 @@ class CheckReport:
     efl_mm, bfl_mm
         Effective and back focal length at the first wavelength; inf for an afocal lens.
     exit_beam_diameter_mm, smallest_exit_beam_diameter_mm
-        Beam in the plane of the exit vertex, and the narrowest that the etendue bound allows at the spread
-        limit.
+        Diameter of the beam in the plane of the exit vertex, and smallest diameter for which etendue allows
+        the spread limit.
     etendue_share
-        FOV NA / (exit beam diameter x sine of the spread) at the wavelength of `worst_ray`: the fraction of
-        the phase space of its exit beam that the lens uses, at most 1.
-    wavelengths, figures
-        Results at each wavelength, and form error of each measured surface.
+        Fraction of the phase space of the exit beam that the light fills, at most 1: field diameter x NA /
+        (exit beam diameter x sine of the spread), at the wavelength of `worst_ray`.
+    wavelengths
+        Results at each wavelength.
+    figures
+        Form error of each measured surface; empty without measured surfaces.
 
     Examples
     --------
-    See :func:`lensdesign.check_design`.
+    >>> from lensdesign import check_design
+    >>> report = check_design("designs/paper_singlet.toml")
+    >>> report.feasible, round(report.max_spread_deg, 2), round(report.spread_limit_deg, 2)
+    (False, 4.81, 4.77)
+    >>> [constraint.name for constraint in report.constraints if not constraint.met]
+    ['largest spread angle (Eq. 2)']
     """
 
     title: str

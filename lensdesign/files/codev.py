@@ -90,6 +90,14 @@ def read_seq(
         surface.
     MaterialError
         If a glass is unknown.
+
+    Examples
+    --------
+    >>> from lensdesign import Pose, load_design, read_seq, write_seq
+    >>> write_seq(load_design("designs/paper_singlet.toml"), "decentered.seq", Pose(decenter_y_mm=0.1))
+    >>> imported = read_seq("decentered.seq")
+    >>> imported.pose.decenter_y_mm, imported.dropped, round(imported.first_order.efl_mm, 3)
+    (0.1, (), 19.166)
     """
     supplement = supplement or Supplement()
     reader = FileReader(Draft(source=str(path)))
@@ -657,6 +665,14 @@ def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
         file cannot be written. An existing file then stays unchanged.
     MaterialError
         If a glass is unknown, or its index is unknown at one of the wavelengths.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, read_seq, write_seq
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> write_seq(lens, "lens.seq")
+    >>> read_seq("lens.seq").lens == lens
+    True
     """
     target = Path(path)
     check_writable(lens, pose, lambda shape: shape.codev(), "a .seq file")

@@ -28,9 +28,9 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     Parameters
     ----------
     path
-        A TOML file. Paths of glass catalogues and measured figures in it are relative to its own folder.
-        They must stay inside this folder, unless :func:`lensdesign.common.input_files.files_from` allows
-        another one.
+        A TOML file. Its paths of glass catalogues and measured figures are relative to its folder. They must
+        not lead out of this folder, unless :func:`lensdesign.common.input_files.files_from` allows another
+        one.
 
     Returns
     -------
@@ -50,7 +50,13 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     Warns
     -----
     LongRadiusWarning
-        If a radius is unusually long, and a thousandth of it would be usual.
+        If a radius is unusually long and a thousandth of it would be usual; it may be given in um.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design
+    >>> load_design("designs/paper_singlet.toml")
+    <Lens 'Spatial information transfer lens, Table 1': 2 surfaces, N-BK7, field 3 mm, NA 0.5>
     """
     path = Path(path)
     return lens_of(read_toml(path), path)
@@ -232,6 +238,15 @@ def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
     ------
     InputError
         If the file cannot be written. An existing file then stays unchanged.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, save_design
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> thicker = lens.with_surface(0, thickness_mm=10.0)
+    >>> save_design(thicker, "thicker.toml")
+    >>> load_design("thicker.toml") == thicker
+    True
     """
     path = Path(path)
     with atomic_path(path) as temporary:

@@ -88,10 +88,11 @@ def read_zmx(
 
     Examples
     --------
-    >>> from lensdesign.files import Supplement, read_zmx
-    >>> sensor = Supplement(working_distance_mm=100.0, pixel_pitch_um=3.2, pixels=(4000, 3000))
-    >>> imported = read_zmx("objective.zmx", sensor, lossy=True)  # doctest: +SKIP
-    >>> print(imported.dropped)  # doctest: +SKIP
+    >>> from lensdesign import Pose, load_design, read_zmx, write_zmx
+    >>> write_zmx(load_design("designs/paper_singlet.toml"), "decentered.zmx", Pose(decenter_y_mm=0.1))
+    >>> imported = read_zmx("decentered.zmx")
+    >>> imported.pose.decenter_y_mm, imported.dropped, round(imported.first_order.efl_mm, 3)
+    (0.1, (), 19.166)
     """
     supplement = supplement or Supplement()
     reader = FileReader(Draft(source=str(path)))
@@ -662,6 +663,14 @@ def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
         the file cannot be written. An existing file then stays unchanged.
     MaterialError
         If a glass is unknown.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, read_zmx, write_zmx
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> write_zmx(lens, "lens.zmx")
+    >>> read_zmx("lens.zmx").lens == lens
+    True
     """
     target = Path(path)
     check_writable(lens, pose, lambda shape: shape.zemax(), "a .zmx file")

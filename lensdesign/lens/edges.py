@@ -24,11 +24,18 @@ class Flange(Section):
     thickness_mm
         Distance between the two faces of the ring.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
+    >>> from lensdesign import Edge, Flange
     >>> flange = Flange(semi_diameter_mm=6.0, distance_mm=1.0, thickness_mm=1.5)
-    >>> Edge(semi_diameter_mm=5.0, flange=flange).flange.semi_diameter_mm
-    6.0
+    >>> Edge(semi_diameter_mm=5.0, flange=flange).flange.thickness_mm
+    1.5
     """
 
     semi_diameter_mm: Positive
@@ -52,9 +59,16 @@ class Edge(Section):
     flange
         Ring around the edge cylinder; None means no flange.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
-    >>> Edge(semi_diameter_mm=5.0, front_bevel_mm=0.2).sides()
+    >>> from lensdesign import Edge
+    >>> Edge(semi_diameter_mm=5.0, front_bevel_mm=0.2).sides()  # flat and bevel in front, and behind
     ((None, 0.2), (None, 0.0))
     """
 

@@ -25,13 +25,21 @@ class FigureSource(Section):
     file
         Path of a grid file; see :mod:`lensdesign.files.figures`.
     zernike_um, zernike_waves_633nm
-        Pairs of an OSA/ANSI index and the root mean square sag error of that polynomial, in um or in waves of
-        `TEST_WAVELENGTH_UM`; see :mod:`lensdesign.lens.zernikes`. The design file gives them as a table.
+        Coefficients of Zernike polynomials by OSA/ANSI index, given as a mapping and kept as pairs. Each
+        coefficient is the root mean square sag error of its polynomial, in um or in waves of 632.8 nm; see
+        :mod:`lensdesign.lens.zernikes`.
     semi_diameter_mm
         Semi-diameter of the disc over which the Zernike polynomials are normalized; None with a grid file.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
+    >>> from lensdesign import FigureSource
     >>> source = FigureSource(zernike_um={4: 0.1, 12: -0.02}, semi_diameter_mm=5.0)
     >>> source.coefficients_um
     {4: 0.1, 12: -0.02}

@@ -159,6 +159,7 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     Returns
     -------
     Material
+        The material; its method `index` returns the refractive index at a vacuum wavelength in um.
 
     Raises
     ------
@@ -174,6 +175,7 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
 
     Examples
     --------
+    >>> from lensdesign import get_material
     >>> glass = get_material("N-BK7")
     >>> glass.catalog, round(glass.index(0.5875618), 4)
     ('Schott', 1.5168)

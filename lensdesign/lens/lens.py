@@ -39,10 +39,17 @@ class ObjectSpace(Section):
     working_distance_mm
         Distance from the object plane to the front vertex.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
-    >>> ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=10.0).field_diameter_mm
-    2.0
+    >>> from lensdesign import ObjectSpace
+    >>> ObjectSpace(field_diameter_mm=3.0, numerical_aperture=0.5, working_distance_mm=13.5)
+    ObjectSpace(field_diameter_mm=3.0, numerical_aperture=0.5, working_distance_mm=13.5)
     """
 
     field_diameter_mm: Positive
@@ -62,10 +69,19 @@ class Sensor(Section):
     plane_distances_mm
         Distances of the recording planes H1, H2, ... from the exit vertex, increasing.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
-    >>> Sensor(pixel_pitch_um=3.5, pixels=(1000, 800), plane_distances_mm=(20.0, 22.0)).size_mm
-    (3.5, 2.8000000000000003)
+    >>> from lensdesign import Sensor
+    >>> sensor = Sensor(pixel_pitch_um=3.2, pixels=(9344, 7000), plane_distances_mm=(2.0, 22.0))
+    >>> width, height = sensor.size_mm
+    >>> round(width, 1), round(height, 1)
+    (29.9, 22.4)
     """
 
     pixel_pitch_um: Positive
@@ -98,7 +114,7 @@ class Lens(Section):
     title
         Title of the design.
     wavelengths_um
-        Vacuum wavelengths of the design (air has the index 1).
+        Vacuum wavelengths of the design; air has the index 1.
     glass_catalogs
         Paths of glass catalogue files (AGF).
     object
@@ -110,9 +126,15 @@ class Lens(Section):
     edges
         One edge for each glass element, front to back, or none at all.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
-    >>> from lensdesign import ObjectSpace, Sensor, Surface
+    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
     >>> lens = Lens(
     ...     wavelengths_um=(0.55,),
     ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
@@ -124,6 +146,8 @@ class Lens(Section):
     ... )
     >>> lens.track_mm
     43.0
+    >>> lens.with_surface(0, thickness_mm=4.0).track_mm
+    44.0
     """
 
     title: str = ""

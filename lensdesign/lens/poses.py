@@ -19,10 +19,10 @@ Value = float | NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pose:
-    """A decenter, then a right-handed rotation about a pivot that moves with the decenter.
+    """Pose of a lens: a shift, and a right-handed rotation about a pivot that moves with the shift.
 
-    Each value is a deviation from nominal. Any value may be an array of shape (trials,). All arrays of a
-    pose have the same length, and a trace with such a pose returns a leading trial axis.
+    Each value is a deviation from nominal. Any value may be an array of shape (trials,); all arrays of a pose
+    have the same length. A trace with such a pose returns arrays with a leading trial axis.
 
     Parameters
     ----------
@@ -43,8 +43,9 @@ class Pose:
 
     Examples
     --------
-    >>> rotation, shift = Pose(decenter_x_mm=0.1).transform()
-    >>> rotation.shape, shift[0].tolist()
+    >>> from lensdesign import Pose
+    >>> rotation, shift_mm = Pose(decenter_x_mm=0.1).transform()
+    >>> rotation.shape, shift_mm[0].tolist()
     ((1, 3, 3), [0.1, 0.0, 0.0])
     """
 
@@ -90,7 +91,7 @@ class SurfacePerturbation:
     index
         Change of the refractive index of the medium behind the surface.
     shape
-        Changes of further shape parameters such as radius_x_mm, by the shape's `PARAMETERS`.
+        Changes of further parameters of the shape, by their names, such as ``radius_x_mm``.
     figure
         Sag error that is added to the surface's own: one figure, or one for each trial.
 
@@ -101,8 +102,10 @@ class SurfacePerturbation:
 
     Examples
     --------
-    >>> SurfacePerturbation(radius_mm=0.01).shape_deltas()
-    {'radius_mm': 0.01}
+    >>> from lensdesign import SurfacePerturbation
+    >>> perturbation = SurfacePerturbation(radius_mm=0.01, tilt_x_deg=0.02)
+    >>> perturbation.shape_deltas(), perturbation.pose().tilt_x_deg
+    ({'radius_mm': 0.01}, 0.02)
     """
 
     decenter_x_mm: Value = 0.0

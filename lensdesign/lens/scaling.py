@@ -16,7 +16,8 @@ def scaled(lens: Lens, factor: float) -> Lens:
 
     Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay. The largest spread angle and
     the resolution therefore stay too. The number of pixels and the space-bandwidth product scale with the
-    areas. A figure given by Zernike coefficients scales in size and in sag error; one in a grid file cannot.
+    areas. A figure given by Zernike coefficients scales in size and in sag error; a figure in a grid file
+    cannot be scaled.
 
     Parameters
     ----------
@@ -28,6 +29,7 @@ def scaled(lens: Lens, factor: float) -> Lens:
     Returns
     -------
     Lens
+        The scaled lens.
 
     Raises
     ------
@@ -37,15 +39,11 @@ def scaled(lens: Lens, factor: float) -> Lens:
 
     Examples
     --------
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(Surface(semi_diameter_mm=4.0),),
-    ... )
-    >>> scaled(lens, 0.125).track_mm
-    5.0
+    >>> from lensdesign import load_design, scaled
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> twin = scaled(lens, 1 / 32)
+    >>> twin.object.field_diameter_mm, twin.sensor.pixels, twin.sensor.pixel_pitch_um
+    (0.09375, (292, 219), 3.2)
     """
     if not (math.isfinite(factor) and factor > 0.0):
         raise DesignError(f"scale factor = {factor!r}: must be finite and greater than 0")

@@ -26,10 +26,10 @@ class Surface(Section):
     conic
         Conic constant.
     asphere
-        Coefficients of an even asphere: of r^4, r^6, ... in mm^-3, mm^-5, ...
+        Coefficients of r^4, r^6, ... of an even asphere, in mm^-3, mm^-5, ...
     shape_type
-        Name of the shape in :mod:`lensdesign.lens.shapes.registry`, `shape` in a file. None means an even
-        asphere if `asphere` is given, else a conic.
+        Name of the shape in :mod:`lensdesign.lens.shapes.registry`; its key in a file is `shape`. None means
+        an even asphere if `asphere` is given, else a conic.
     radius_x_mm, conic_x
         Radius and conic constant of a biconic along x; `radius_mm` and `conic` are those along y.
     thickness_mm
@@ -41,10 +41,17 @@ class Surface(Section):
     stop
         Whether this surface is the aperture stop.
     figure
-        Measured departure of the made surface from this shape; None is no departure.
+        Measured sag error of the made surface; None means no error.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
 
     Examples
     --------
+    >>> from lensdesign import Surface
     >>> surface = Surface(radius_mm=10.0, thickness_mm=3.0, material="N-BK7", semi_diameter_mm=4.0)
     >>> surface.kind, round(float(surface.sag_mm(4.0)), 4)
     ('sphere', 0.8348)

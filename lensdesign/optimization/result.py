@@ -105,37 +105,42 @@ class OptimizationResult:
     variables
         Value of each variable by name, in the unit of its name.
     goal, goal_value, goal_unit
-        Minimized (or maximized) quantity, its value, and its unit: ``deg``, ``mm``, ``waves``, or ``%``. The
-        smallest spread of several wavelengths is given in % of their limits.
+        Name, value and unit of the optimized quantity. The unit is ``deg``, ``mm``, ``waves`` or ``%``. With
+        several wavelengths, the smallest spread is given in % of the limit of each.
     spreads
         Spread at each wavelength.
     feasible, violations
-        Whether the lens, as it would be saved, passes `check`, and a sentence for each violation. Constraints
-        that could not be checked, for lack of time or because of an interrupt, count as violated.
+        Whether `lens` meets all constraints, and a sentence for each violation. A constraint that could not
+        be checked, for lack of time or after an interrupt, counts as violated.
     check
         Check of the lens against the specification by :func:`lensdesign.optimization.check_against`.
     binding
-        Active constraints and bounds, which prevent a better lens; without violated ones.
+        Active constraints and bounds, which prevent a better lens. Violated constraints are not among them.
     unfinished
-        A sentence for each step that a limit has shortened; empty if the search ended by itself.
+        A sentence for each step that a limit of time or evaluations has shortened; empty if there is none.
     not_tried
-        Choices of glasses without any start.
+        Choices of glasses that no start has tried.
     as_built
-        Independent Monte Carlo trials of the start, of the lens of the tolerance study and of the result;
-        None if neither goal nor constraints concern lenses as built.
+        Independent Monte Carlo trials of the start, of the tolerance study's lens and of the result. None if
+        neither goal nor constraints concern lenses as built.
     reach
         Largest feasible field and aperture, if the specification could not be met; else None.
     evaluations, seconds
-        Number of evaluations of a lens, and time.
+        Number of evaluated lenses, and wall-clock time (s).
     algorithm, stopped_because
         Algorithm of the starts, and the reason why they ended: ``agreement``, or a limit.
     glasses, starts, starts_at_best
-        Choice of glasses, number of its starts, and number of starts that led to the best goal (within 0.1
-        %).
+        Best choice of glasses, number of its starts, and number of these starts whose goal is within 0.1 % of
+        the best.
 
     Examples
     --------
-    See :func:`lensdesign.optimize`.
+    >>> from lensdesign import load_specification, optimize
+    >>> result = optimize(load_specification("designs/feasible_singlet_spec.toml"))
+    >>> result.goal, round(result.goal_value, 2), result.goal_unit
+    ('smallest spread', 4.64, 'deg')
+    >>> result.feasible, result.stopped_because
+    (True, 'agreement')
     """
 
     lens: Lens

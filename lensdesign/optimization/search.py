@@ -37,13 +37,13 @@ class SearchInterrupted(KeyboardInterrupt):
 def optimize(specification: Specification, report: Report | None = None, seed: int = 0) -> OptimizationResult:
     """Optimize a lens to a specification.
 
-    Every start is a local search over a working set of rays. The worst rays of a dense check are added to the
-    set until no ray is worse (an exchange method). Each choice of glasses is searched from several starts
-    until enough of them agree, and has its own fraction of every limit. Finally, the result is checked
-    against the specification independently of the search.
+    Every start is a local search over a working set of rays. A dense check then adds its worst rays to the
+    set, until no ray is worse than those of the set (an exchange method). Each choice of glasses is searched
+    from several starts until enough of them agree. Limits of time and evaluations are divided among the
+    choices. Finally, the result is checked against the specification independently of the search.
 
-    A time limit covers the search, the check of the result, the trials of lenses as built and the search for
-    the feasibility limit of an infeasible specification. The result lists the steps for which no time was
+    A time limit also covers the check of the result, the trials of lenses as built, and, for an infeasible
+    specification, the search for its feasibility limit. The result lists the steps for which no time was
     left.
 
     Parameters
@@ -58,6 +58,7 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     Returns
     -------
     OptimizationResult
+        The best lens, its check, and how the search ended.
 
     Raises
     ------
@@ -69,10 +70,10 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
 
     Examples
     --------
-    >>> from lensdesign import load_specification
-    >>> result = optimize(load_specification("designs/thinnest_singlet_spec.toml"))  # doctest: +SKIP
-    >>> result.feasible  # doctest: +SKIP
-    True
+    >>> from lensdesign import load_specification, optimize
+    >>> result = optimize(load_specification("designs/feasible_singlet_spec.toml"))
+    >>> result.feasible, round(result.lens.surfaces[1].radius_mm, 1)
+    (True, -11.9)
     """
     validate_possible(specification)
     settings = specification.optimize

@@ -27,7 +27,7 @@ Faces = NDArray[np.int64]
 
 
 def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Write glass, stop ring, object disc, sensor planes and rays of three fields as a GLB scene in metres.
+    """Write a lens with its object, sensor planes and rays as a 3D scene (GLB, in metres, as glTF requires).
 
     Parameters
     ----------
@@ -40,12 +40,20 @@ def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     -------
     tuple of str
         Names of the nodes: ``element_1_N-BK7``, ..., ``stop_ring``, ``object_disc``, ``sensor_plane_1``, ...,
-        ``rays_0_mm``, ... by field height. Sensor planes have the size of the sensor; rays end on the last.
+        and ``rays_0_mm``, ... for three field heights. Sensor planes have the size of the sensor. Rays end on
+        the last plane.
 
     Raises
     ------
     InputError
         If the suffix is not .glb, an element does not close, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, write_scene
+    >>> nodes = write_scene(load_design("designs/paper_singlet.toml"), "scene.glb")
+    >>> nodes[:3]
+    ('element_1_N-BK7', 'stop_ring', 'object_disc')
     """
     import trimesh
 

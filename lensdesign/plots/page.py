@@ -48,7 +48,7 @@ class PageSummary:
 
 
 def write_view(lens: Lens, path: str | os.PathLike[str]) -> PageSummary:
-    """Write a self-contained HTML page that shows the lens in 3D and rotates it.
+    """Write a self-contained HTML page with a 3D view of a lens that the reader can rotate.
 
     Parameters
     ----------
@@ -60,13 +60,20 @@ def write_view(lens: Lens, path: str | os.PathLike[str]) -> PageSummary:
     Returns
     -------
     PageSummary
-        Contents and size of the page.
+        Number of bodies, rays and triangles, and size of the file.
 
     Raises
     ------
     InputError
         If the suffix is not .html, an element does not close, no light passes, or the file cannot be
         written.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, write_view
+    >>> page = write_view(load_design("designs/paper_singlet.toml"), "lens.html")
+    >>> page.bodies, page.rays
+    (1, 57)
     """
     if Path(path).suffix.lower() != ".html":
         raise InputError(f"cannot write {path}: the name of a view must end in .html")

@@ -43,7 +43,7 @@ def draw_all(
     formats: Sequence[str] = ("png",),
     warn: Callable[[str], None] = warnings.warn,
 ) -> list[Path]:
-    """Write every picture of a lens: layout, spots, incidence, spread, measured figures, and a 3D view.
+    """Write all pictures of a lens: layout, spots, incidence, spread, measured figures, and a 3D view.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def draw_all(
     folder
         Folder of the files; created if necessary.
     formats
-        "png" (default), "svg" or both; the 3D view is always PNG.
+        "png", "svg" or both (default: "png"). The 3D view is always PNG.
     warn
         Called with one sentence if the 3D view is omitted, because rendering is not available or an element
         does not close (default: a Python warning).
@@ -66,6 +66,13 @@ def draw_all(
     ------
     InputError
         If a format is unknown, a file cannot be written, or no light passes the lens.
+
+    Examples
+    --------
+    >>> from lensdesign import draw_all, load_design
+    >>> files = draw_all(load_design("designs/paper_singlet.toml"), "pictures")
+    >>> [file.name for file in files[:4]]
+    ['layout.png', 'spots.png', 'incidence.png', 'spread.png']
     """
     unknown = [f for f in formats if f not in PICTURE_FORMATS]
     if unknown or not formats:

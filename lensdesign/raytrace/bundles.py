@@ -68,15 +68,22 @@ def pupil_fan(rays: int) -> PupilSamples:
 
 
 def pupil_hexapolar(rings: int = 6) -> PupilSamples:
-    """Return the centre and rings of 6, 12, 18, ... points: the uniform filling of spot diagrams.
+    """Return the centre and rings of 6, 12, 18, ... points, which fill the stop uniformly.
 
     Parameters
     ----------
     rings
         Number of rings around the centre.
 
+    Returns
+    -------
+    PupilSamples
+        Points relative to the semi-diameter of the stop, shape (1 + 3 rings (rings + 1), 2), and equal
+        weights.
+
     Examples
     --------
+    >>> from lensdesign import pupil_hexapolar
     >>> pupil_hexapolar(2).points.shape
     (19, 2)
     """
@@ -98,6 +105,9 @@ def launch(
 ) -> tuple[Array, Array]:
     """Return rays from object points through points of the stop.
 
+    Each ray is aimed at the stop itself, not at an entrance pupil. The stop of a perturbed lens is therefore
+    filled correctly.
+
     Parameters
     ----------
     lens
@@ -116,8 +126,8 @@ def launch(
     Returns
     -------
     origins, directions : ndarray, shape (fields * points, 3) or (trials, fields * points, 3)
-        Origins in mm and direction cosines, field by field. A ray that cannot reach its stop point is aimed
-        as closely as possible.
+        Origins in mm and direction cosines: all rays of the first object point, then those of the second, and
+        so on. A ray that cannot reach its stop point is aimed as closely as possible.
 
     Raises
     ------
@@ -126,16 +136,13 @@ def launch(
 
     Examples
     --------
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(Surface(semi_diameter_mm=4.0),),
-    ... )
-    >>> origins, directions = launch(lens, [(0.0, 1.0)], [(0.0, 0.0), (0.0, 1.0)], 0.55)
-    >>> origins.shape, [round(float(y), 4) for y in directions[:, 1]]
-    ((2, 3), [-0.0499, 0.1483])
+    >>> from lensdesign import launch, load_design
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> origins, directions = launch(lens, [(0.0, 1.5)], [(0.0, 0.0), (0.0, 1.0)], wavelength_um=0.532)
+    >>> origins.tolist()
+    [[0.0, 1.5, -13.5], [0.0, 1.5, -13.5]]
+    >>> directions[:, 1].round(3).tolist()
+    [-0.11, 0.427]
     """
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     return launch_compiled(

@@ -31,12 +31,12 @@ class RayTrace:
     Attributes
     ----------
     position, direction : ndarray, shape (n, 3)
-        Final positions in mm and direction cosines of the rays, in the fixed frame. A failed ray has the
-        last position that it reached.
+        Final positions in mm and direction cosines of the rays, in the fixed frame of :func:`trace`. A failed
+        ray has the last position that it reached.
     opl : ndarray, shape (n,)
         Optical path length in mm from the origin to `position`.
     status : ndarray of int8, shape (n,)
-        :class:`lensdesign.raytrace.status.Status` of each ray.
+        :class:`lensdesign.raytrace.status.Status` of each ray; 0 means that it arrived.
     failed_surface : ndarray of int16, shape (n,)
         Index of the surface at which a ray failed; -1 if it did not fail; the number of surfaces if it
         could not reach the final plane.
@@ -45,7 +45,13 @@ class RayTrace:
 
     Examples
     --------
-    See :func:`trace`.
+    >>> import numpy as np
+    >>> from lensdesign import launch, load_design, trace
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> origins, directions = launch(lens, [(0.0, 1.5)], [(0.0, -1.0), (0.0, 0.0), (0.0, 1.0)], 0.532)
+    >>> rays = trace(lens, origins, directions, 0.532)
+    >>> rays.throughput, np.degrees(np.arccos(rays.direction[:, 2])).round(2).tolist()
+    (1.0, [3.16, 4.59, 4.8])
     """
 
     position: Array
@@ -92,9 +98,9 @@ def trace(
     wavelength_um
         Vacuum wavelength.
     pose
-        Pose of the whole lens (default: nominal). Object, rays and final plane do not move with it.
+        Pose of the whole lens (default: nominal). The rays and the final plane do not move with it.
     plane_z_mm
-        z of the plane on which rays end, in the fixed frame (default: rays end on the last surface).
+        z of the plane on which the rays end, in the fixed frame (default: the rays end on the last surface).
     surface_perturbations
         Perturbations of single surfaces by index from 0 (default: none).
     clip
@@ -110,6 +116,7 @@ def trace(
     Returns
     -------
     RayTrace
+        Final positions and directions, optical path lengths and status of the rays.
 
     Raises
     ------
@@ -118,20 +125,12 @@ def trace(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(
-    ...         Surface(radius_mm=10.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=4.0),
-    ...         Surface(radius_mm=-10.0, semi_diameter_mm=4.0),
-    ...     ),
-    ... )
-    >>> rays = trace(lens, [(0.0, 0.5, -20.0)], [(0.0, 0.0, 1.0)], 0.55, plane_z_mm=23.0)
-    >>> rays.throughput, np.round(rays.position, 3).tolist()
-    (1.0, [[0.0, -0.503, 23.0]])
+    >>> from lensdesign import Pose, load_design, trace
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> axial_ray = [(0.0, 0.0, -13.5)], [(0.0, 0.0, 1.0)]
+    >>> rays = trace(lens, *axial_ray, 0.532, Pose(decenter_y_mm=0.1), plane_z_mm=lens.sensor_z_mm[0])
+    >>> rays.position[:, 1].round(4).tolist()
+    [0.0183]
     """
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     return trace_compiled(

@@ -37,25 +37,36 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class StudyBudget:
-    """A budget with the yield that trials of the lens itself give for it.
+    """A tolerance budget, and its yield in trials of the lens itself.
 
     Attributes
     ----------
     budget
-        Scales found on the score model and corrected by trials of the lens.
+        Scales of the tolerances, found on a model of the scores and corrected by trials of the lens.
     cost, cost_before, uniform_cost
-        Costs of the new tolerances, of the study's tolerances, and of the best common scale (None if there is
-        none). A cost is the sum of weight / scale, plus the cost of the parts without tolerances.
+        Costs of the new tolerances, of the study's tolerances, and of the largest common scale that meets the
+        yield (None if there is none). A cost is the sum of weight / scale, plus the cost of the parts without
+        tolerances.
     verified
-        Yield in independent random trials with the tolerances rounded as in the written study; None if the
-        budget was interrupted before a trial was scored.
+        Yield in new random trials with the tolerances rounded as in :func:`scaled_study`; None if the search
+        was interrupted before a trial was scored.
     seed
-        Seed of these trials. A run of the written study with this seed has the same trials.
+        Seed of these trials. A run of the scaled study with this seed has the same trials.
     estimated_yield, estimated_yield_error
-        The same yield and its standard error with the model's yield as a control variate, which is several
-        times more precise; None if not all trials were scored.
+        More precise estimate of the same yield, with the model's yield as a control variate, and its standard
+        error; None if not all trials were scored.
     required
         The required yield.
+
+    Examples
+    --------
+    >>> from tolerancing import budget, load_study, open_store, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     found = budget(store, required=0.9, fresh=100)
+    >>> round(found.cost), round(found.uniform_cost), found.agrees
+    (13, 20, True)
     """
 
     budget: Budget
@@ -108,33 +119,52 @@ def budget(
     fresh: int = 500,
     progress: Progress | None = None,
 ) -> StudyBudget:
-    """Find the tolerances of least cost that meet a yield, from the trials of a store.
+    """Find the tolerances of least cost that meet a yield, starting from the trials of a store.
+
+    A search on a model of the scores finds the scales of the tolerances. New trials of the lens verify and
+    correct them; :func:`tolerancing.budgets.budget_of_study` explains the steps.
 
     :func:`scaled_study` returns the study with these tolerances.
 
     Parameters
     ----------
     store
-        An open store.
+        Open store with enough trials for the model; the error message names the number.
     required
         Required yield, above 0 and below 1.
     weights
-        Cost of each perturbation's tolerance at scale 1, by column; default: 1.
+        Cost of each tolerance at scale 1, by the column of its perturbation; default: 1.
     fixed
-        Columns whose tolerances stay unchanged, at no cost.
+        Columns of the perturbations whose tolerances stay unchanged, at no cost.
     base_cost
-        Cost of the parts without tolerances, which every cost of the result includes.
+        Cost of the parts without tolerances; every cost of the result includes it.
     fresh
         Number of new trials of the lens in each round.
     progress
         Progress callback: `progress(completed, most)`, in trials of the lens.
 
+    Returns
+    -------
+    StudyBudget
+        Scales of the tolerances, their cost, and their verified yield.
+
     Raises
     ------
     InputError
-        If the request is invalid or the yield cannot be met; see :func:`budget_of_study`.
+        If a weight names no perturbation, a distribution has no width to scale, there are too few trials, or
+        the yield cannot be met.
     BudgetInterrupted
-        If the search is interrupted.
+        If the search is interrupted; its `found` is the best budget so far.
+
+    Examples
+    --------
+    >>> from tolerancing import budget, load_study, open_store, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     found = budget(store, required=0.9, weights={"lens_tilt_x_deg": 2.0}, fresh=100)
+    >>> len(found.budget.scales), found.verified.low < 0.9 < found.verified.high
+    (12, True)
     """
     loaded, trials = store.loaded, store.trials()
     return budget_of_study(
@@ -464,19 +494,35 @@ def scaled_perturbations(study: Study, scales: Array) -> tuple[Perturbation, ...
 
 
 def scaled_study(loaded: LoadedStudy, scales: Array) -> Study:
-    """Return the study of a file with scaled distributions of its perturbations, rounded to four digits.
+    """Return a study with scaled tolerances.
+
+    The widths of the distributions are multiplied by the scales and rounded to four digits.
 
     Parameters
     ----------
     loaded
-        The study.
+        Study with its lens.
     scales : ndarray, shape (perturbations,)
-        Factors of the widths of the distributions.
+        Factors of the widths of the distributions, such as those of a :class:`StudyBudget`.
+
+    Returns
+    -------
+    Study
+        The scaled study; :func:`save_study` writes it to a file.
 
     Raises
     ------
     InputError
         If a distribution has no width to scale.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tolerancing import load_study, scaled_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> tighter = scaled_study(loaded, np.full(len(loaded.study.perturbations), 0.5))
+    >>> loaded.study.perturbations[0].tolerance, tighter.perturbations[0].tolerance
+    (0.016, 0.008)
     """
     study = study_from_tables(tomllib.loads(loaded.study_text), loaded.name)
     return study.model_copy(update={"perturbations": scaled_perturbations(study, scales)})

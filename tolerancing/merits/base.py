@@ -26,6 +26,8 @@ LARGEST_SCORE = 1e100
 class Merit(Section):
     """A figure of merit and its limit.
 
+    This is the base class; :data:`tolerancing.merits.MERITS` lists the merits by kind.
+
     Attributes
     ----------
     kind
@@ -33,20 +35,27 @@ class Merit(Section):
     name
         Lower-case letters, digits and underscores; default: the kind.
     at_least, at_most
-        Limit of a good lens; exactly one of the two.
+        Limit that a good lens meets, in the unit of the merit; exactly one of the two is given.
     wavelength_um
-        Vacuum wavelength; default: the lens's first wavelength.
+        Vacuum wavelength; default: the first wavelength of the lens.
     level
         Model that computes the score: ``ray`` for traced rays, ``pupil`` for the reconstruction pupil,
         ``wave`` for waves that propagate through the perturbed lens and back through the nominal lens.
-        ``auto`` selects the fastest level that agrees with the most accurate level in a few trials.
+        ``auto`` compares the levels in a few trials and selects the fastest that agrees with the most
+        accurate one.
     predicted_by
         Name of a low-fidelity merit that scores all trials. This merit then scores only the trials that the
         study's `fidelity` selects.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
-    >>> from tolerancing.merits.pupil import RmsWaves
+    >>> from tolerancing.merits import RmsWaves
     >>> merit = RmsWaves(kind="rms_waves", at_most=0.07)
     >>> merit.limit_text, merit.passed([0.05, 0.1]).tolist()
     ('at most 0.07', [True, False])

@@ -30,23 +30,30 @@ LATERAL = ("decenter_x_mm", "decenter_y_mm")
 
 @dataclass(frozen=True, eq=False)
 class PerturbationBatch:
-    """Sampled deltas of several trials.
+    """Sampled deviations of several trials, from :func:`sample_perturbations`.
 
     Attributes
     ----------
     parameters : tuple of PerturbedParameter
         Perturbed parameters, one for each column of `values`. Columns of the same parameter add up.
     values : ndarray, shape (trials, parameters)
-        Deltas from nominal, in the units of the parameters.
+        Deviations from nominal, in the units of the parameters.
     pivot_z_mm
-        Position on the axis about which the whole lens tilts, from its front vertex.
+        Position on the axis about which the whole lens tilts, in mm from its front vertex.
     shapes : mapping of int to ndarray
-        For each column of an irregularity the figures of the trials, shape (trials, terms), as drawn by
-        :func:`irregularity.draw_shape`.
+        Random sag errors of the trials for each column of an irregularity: Zernike coefficients of shape
+        (trials, terms).
     trial_numbers : tuple of int
         Numbers of the trials in their study; empty if the trials have no numbers.
     origin : tuple of PerturbationBatch and int, or None
-        The batch that a batch of one trial was selected from, and the index of the trial in it.
+        For a batch of one trial, the batch from which it was selected and its index there.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, sample_perturbations
+    >>> batch = sample_perturbations(load_study("designs/as_built_tolerances.toml").study, [0, 1])
+    >>> len(batch), batch.parameters[0].column, batch.poses().decenter_x_mm.round(4).tolist()
+    (2, 'lens_decenter_x_mm', [0.0046, -0.0192])
     """
 
     parameters: tuple[PerturbedParameter, ...]

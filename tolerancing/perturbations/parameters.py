@@ -272,10 +272,38 @@ class Perturbation(PerturbedParameter):
 
     Attributes
     ----------
+    name
+        Lower-case letters, digits and underscores; default: target and parameter.
+    target
+        ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor``, ``light``,
+        ``environment`` or ``reconstruction``.
+    parameter
+        One of the target's parameters in :data:`tolerancing.perturbations.PARAMETERS`. Values are deviations
+        from nominal, in the unit of the parameter's suffix.
+    seat
+        Pivot of an element's tilt or roll; see :class:`tolerancing.perturbations.PerturbedParameter`.
+    mount_expansion_per_k
+        Coefficient of linear expansion of the mount in 1/K, for target ``environment``; default: aluminium.
     group
         Name of a group. Perturbations of one group share the same draw.
     distribution
         Distribution of the deviations.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
+    Examples
+    --------
+    >>> from tolerancing import Perturbation
+    >>> from tolerancing.perturbations.distributions import Uniform
+    >>> thickness = Perturbation(
+    ...     target="surface 1", parameter="thickness_mm", distribution=Uniform(half_width=0.02)
+    ... )
+    >>> thickness.column, thickness.tolerance
+    ('surface_1_thickness_mm', 0.02)
     """
 
     group: Name | None = None

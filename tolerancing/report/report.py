@@ -44,9 +44,9 @@ def write_report(
     folder
         Folder for ``report.html``, ``report.pdf``, ``trials.csv`` and ``steps.csv``. It is created if needed.
     beside
-        Open store of the original lens, to compare this lens with.
+        Open store of the original lens, with which the report compares this lens.
     front
-        Output folder of `lensdesign explore`, to compare this lens with those on the front.
+        Output folder of `lensdesign explore`. The report compares this lens with the lenses on the front.
 
     Returns
     -------
@@ -56,13 +56,17 @@ def write_report(
     Raises
     ------
     InputError
-        If the store cannot be read or a file cannot be written. Existing files stay unchanged then.
+        If the store cannot be read or a file cannot be written. Existing files then stay unchanged.
 
     Examples
     --------
-    >>> from tolerancing import open_store, write_report
-    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    >>> from tolerancing import load_study, open_store, run_study, write_report
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
     ...     files = write_report(store, "report")
+    >>> files.html.name, files.pdf.name
+    ('report.html', 'report.pdf')
     """
     from tolerancing.report.html import html_page
     from tolerancing.report.pdf import write_pdf

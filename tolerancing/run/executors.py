@@ -36,7 +36,19 @@ TASKS_IN_FLIGHT = 3
 
 
 class RunError(TransferLensError):
-    """A run stopped before its end. Its store holds all results that were finished."""
+    """A run stopped before its end.
+
+    The store holds all finished results; another run continues from them.
+
+    Examples
+    --------
+    >>> from tolerancing import RunError, load_study, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> try:
+    ...     outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    ... except RunError as error:
+    ...     print(f"run the study again: {error}")
+    """
 
 
 @contextmanager

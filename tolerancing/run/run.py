@@ -38,17 +38,26 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Result of a run.
+    """Amount of work of a run, and the time that it took.
 
     Attributes
     ----------
     trials_run, steps_run, high_fidelity_run
-        Number of trials, of steps of series, and of trials for the high-fidelity merits that this run has
-        scored. Those that the store held already are not counted.
+        Number of trials, of steps of series, and of trials with high-fidelity merits that this run has
+        scored. Results that the store already held are not counted.
     workers
-        Number of worker processes; 0 for a cluster.
+        Number of worker processes; 0 if a cluster did the work.
     seconds
         Wall-clock time (s).
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> first = run_study(loaded, "outcome.db", trials=10, workers=1, fresh=True)
+    >>> second = run_study(loaded, "outcome.db", trials=15, workers=1)
+    >>> first.trials_run, second.trials_run
+    (10, 5)
     """
 
     trials_run: int
@@ -90,7 +99,7 @@ def run_study(
     progress: Progress | None = None,
     on_estimate: Callable[[RunEstimate], None] | None = None,
 ) -> RunOutcome:
-    """Score all trials and steps of a study that a store still lacks.
+    """Run a study: score all trials and steps that its store still lacks.
 
     The rows of the store depend on the study alone, not on the number of workers or on interruptions. A run
     that is killed loses only the tasks that its workers were performing. Several runs may share one store
@@ -110,9 +119,9 @@ def run_study(
         Number of worker processes. Default: the number of processors. There are never more workers than
         trials, nor more than four for each processor. With 1, the calling process does the work.
     trials
-        Number of trials that the store is to hold in the end. Default: the number in the study.
+        Number of trials that the store holds after the run. Default: the number in the study.
     fresh
-        Whether an existing store is replaced.
+        Whether an existing store is replaced instead of continued.
     cluster
         Address of a Dask scheduler whose workers do the work instead of processes on this machine.
     progress
@@ -136,10 +145,11 @@ def run_study(
 
     Examples
     --------
-    >>> from tolerancing import load_study, open_store, run_study
-    >>> outcome = run_study(load_study("study.toml"), "study.db", workers=1)  # doctest: +SKIP
-    >>> outcome.trials_run  # doctest: +SKIP
-    500
+    >>> from tolerancing import load_study, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "run.db", trials=20, workers=1, fresh=True)
+    >>> outcome.trials_run, outcome.steps_run
+    (20, 48)
     """
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials

@@ -130,16 +130,26 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class StudySensitivity:
-    """Sensitivities of a stored study, and the comparison of their prediction with the trials.
+    """Sensitivities of a stored study, and comparison of the yield that they predict with the trials.
 
     Attributes
     ----------
     study
         The study.
     found
-        Sensitivities of its merits to its perturbations, each alone.
+        Effect of each perturbation, varied alone, on each merit.
     compared
-        Root-sum-square prediction and trial results of each merit.
+        Root-sum-square prediction for each merit, and the result of its trials.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study, sensitivity
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     comparison = sensitivity(store).compared[0]
+    >>> round(comparison.predicted_yield, 2), comparison.good.fraction
+    (0.44, 0.52)
     """
 
     study: Study
@@ -169,7 +179,10 @@ class StudySensitivity:
 
 
 def sensitivity(store: Store) -> StudySensitivity:
-    """Return the effect of each perturbation of a stored study alone, and the yield predicted from it.
+    """Return the effect of each single perturbation of a stored study, and the yield that follows from them.
+
+    The prediction models each merit as a parabola of each perturbation, and adds their effects as a root sum
+    of squares.
 
     Parameters
     ----------
@@ -179,7 +192,7 @@ def sensitivity(store: Store) -> StudySensitivity:
     Returns
     -------
     StudySensitivity
-        Sensitivities, and their prediction beside the trials.
+        Sensitivities, and their prediction together with the results of the trials.
 
     Raises
     ------
@@ -188,10 +201,13 @@ def sensitivity(store: Store) -> StudySensitivity:
 
     Examples
     --------
-    >>> from tolerancing import open_store, sensitivity
-    >>> with open_store("study.db") as store:  # doctest: +SKIP
-    ...     sensitivity(store).as_dict()["strehl"][0]["perturbation"]
-    'lens_decenter_y_mm'
+    >>> from tolerancing import load_study, open_store, run_study, sensitivity
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     worst = sensitivity(store).as_dict()["wavefront"][0]
+    >>> worst["perturbation"], worst["tolerance"], round(worst["change_at_plus_tolerance"], 2)
+    ('lens_tilt_x_deg', 0.06, 0.15)
     """
     study = store.study
     found = study_sensitivities(study, store.nominal(), store.steps())

@@ -55,22 +55,32 @@ class MeritSummary:
 
 @dataclass(frozen=True, repr=False)
 class Summary:
-    """Summary of a store.
+    """Summary of a store: yields with their confidence intervals, and statistics of the merits.
 
     Attributes
     ----------
     record, study
-        Record of the run, and its study.
+        Record of the run, and the study.
     trials
         Number of trials in the store.
     failed
-        Number of trials that could not be scored; they count as bad.
+        Number of trials that could not be scored; they count as bad lenses.
     good
-        Yield over all limits; None if there are no trials.
+        Yield: fraction of the trials that meet all limits; None without trials.
     merits
         Summary of each merit.
     steps, planned_steps
-        Number of steps of series in the store, and in the study.
+        Number of steps of series in the store, and number in the study.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study, summarize
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     merit = summarize(store).merits[0]
+    >>> merit.merit.label, round(merit.percentiles[50], 3)
+    ('wavefront', 0.116)
     """
 
     record: StudyRecord
@@ -124,14 +134,32 @@ class Summary:
 
 
 def summarize(store: Store) -> Summary:
-    """Return the summary of an open store.
+    """Return yields and statistics of the trials of an open store.
+
+    Parameters
+    ----------
+    store
+        Open store; its run need not be finished.
+
+    Returns
+    -------
+    Summary
+        Yields with their confidence intervals, and statistics of each merit.
+
+    Raises
+    ------
+    InputError
+        If the store cannot be read.
 
     Examples
     --------
-    >>> from tolerancing import open_store, summarize
-    >>> with open_store("study.db") as store:  # doctest: +SKIP
-    ...     summarize(store).good.fraction
-    0.874
+    >>> from tolerancing import load_study, open_store, run_study, summarize
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     good = summarize(store).good
+    >>> good.passed, good.total, round(good.low, 2), round(good.high, 2)
+    (26, 50, 0.39, 0.65)
     """
     record, steps = store.record(), len(store.finished_steps())
     return summary_of(record, store.study, store.nominal(), store.trials(), steps)

@@ -18,22 +18,33 @@ from tolerancing.study.study import Study
 
 @dataclass(frozen=True, eq=False)
 class SingleTrial:
-    """A trial as it is stored, and as it is scored again.
+    """A trial as it is stored, and as it was scored again.
 
     Attributes
     ----------
     number
         Number of the trial, from 0.
     study
-        Study of the trial.
+        The study to which the trial belongs.
     context, batch
-        Nominal lens with its cached analyses, and the trial's perturbations.
+        Nominal lens with its cached analyses, and perturbations of the trial.
     again : TrialResults
-        Results computed now.
+        Results of the new calculation.
     stored : TrialResults or None
         Results in the store; None if the run has not scored this trial yet.
     high_fidelity : dict of str to float
-        Scores of the high-fidelity merits computed now; empty if they were not requested.
+        New scores of the high-fidelity merits; empty if they were not requested.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study, single_trial
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     trial = single_trial(store, 7)
+    >>> row = trial.as_dict()
+    >>> round(row["deviations"]["lens_tilt_x_deg"], 4), round(row["scores"]["wavefront"], 3)
+    (-0.003, 0.074)
     """
 
     number: int
@@ -82,7 +93,7 @@ class SingleTrial:
 
 
 def single_trial(store: Store, number: int, *, high_fidelity: bool = False) -> SingleTrial:
-    """Draw, trace and score one trial again, and return it with the stored results.
+    """Draw, trace and score one trial of a store again, and return it with the stored results.
 
     Parameters
     ----------
@@ -105,10 +116,13 @@ def single_trial(store: Store, number: int, *, high_fidelity: bool = False) -> S
 
     Examples
     --------
-    >>> from tolerancing import open_store, single_trial
-    >>> with open_store("study.db") as store:  # doctest: +SKIP
-    ...     single_trial(store, 7).same
-    True
+    >>> from tolerancing import load_study, open_store, run_study, single_trial
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     trial = single_trial(store, 7)
+    >>> trial.same, bool(trial.again.passed[0])
+    (True, True)
     """
     loaded, planned = store.loaded, store.record().planned_trials
     if not 0 <= number < planned:

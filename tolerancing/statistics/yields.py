@@ -26,16 +26,29 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Yield:
-    """Fraction of good lenses, with its confidence interval.
+    """Fraction of good lenses, with its confidence interval (Wilson's, for independent trials).
 
     Attributes
     ----------
     passed, total
-        Number of good trials, and of all trials.
+        Number of good trials, and number of all trials.
     fraction
-        Ratio of the two numbers.
+        `passed` / `total` (0 to 1).
     low, high
         Ends of the 95 % confidence interval.
+
+    References
+    ----------
+    E. B. Wilson, "Probable inference, the law of succession, and statistical inference", J. Am. Stat. Assoc.
+    22, 209 (1927). For trials that are not independent see :mod:`tolerancing.statistics.yields`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tolerancing.statistics import yield_of
+    >>> found = yield_of(np.array([True] * 45 + [False] * 5))
+    >>> found.fraction, round(found.low, 2), round(found.high, 2)
+    (0.9, 0.79, 0.96)
     """
 
     passed: int

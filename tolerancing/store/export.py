@@ -21,7 +21,7 @@ Write = Callable[[Rows], None]
 
 
 def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
-    """Write all trials of a store as a table, with the high-fidelity scores of those that have them.
+    """Write all trials of a store as a table, with their deviations and scores.
 
     Parameters
     ----------
@@ -35,13 +35,18 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     ------
     InputError
         If the name has another ending, the file cannot be written, ``pyarrow`` is not installed for Parquet,
-        or the store has invalid cells. An existing file stays in these cases.
+        or the store has invalid cells. An existing file then stays unchanged.
 
     Examples
     --------
-    >>> from tolerancing import open_store, write_trials
-    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    >>> from tolerancing import load_study, open_store, run_study, write_trials
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
     ...     write_trials(store, "trials.csv")
+    >>> import pandas
+    >>> int(pandas.read_csv("trials.csv").passed.sum())
+    26
     """
     study = store.study
     columns: Columns = {"trial": "integer", "status": "text", "message": "text"}
@@ -60,9 +65,10 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
 
 
 def write_steps(store: Store, path: str | os.PathLike[str]) -> None:
-    """Write all steps of sweeps, grids, slice counts and sensitivities, with one row for each merit.
+    """Write all steps of a store as a table: sweeps, grids, slice counts and sensitivities.
 
-    Each quantity that is varied has a column; it is empty for steps of series that do not vary it.
+    Each step has one row for each merit. Each varied quantity has a column, which is empty in rows of series
+    that do not vary it.
 
     Parameters
     ----------
@@ -75,7 +81,18 @@ def write_steps(store: Store, path: str | os.PathLike[str]) -> None:
     ------
     InputError
         If the name has another ending, the file cannot be written, ``pyarrow`` is not installed for Parquet,
-        or the store has invalid cells. An existing file stays in these cases.
+        or the store has invalid cells. An existing file then stays unchanged.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study, write_steps
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     write_steps(store, "steps.csv")
+    >>> import pandas
+    >>> pandas.read_csv("steps.csv").perturbation.nunique()
+    12
     """
     steps = store.steps()
     varied: Columns = {}

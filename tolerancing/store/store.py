@@ -73,9 +73,9 @@ def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
     path
         Path of the store.
     trust
-        Whether Python merits that the store holds may be executed when lenses are scored again. Without it, a
-        Python merit is executed only if the user's own copy of the file lies beside the store. Stored results
-        can be read in any case.
+        Whether the code of Python merits in the store may be executed when lenses are scored again. If False,
+        such code is executed only if the same file also lies in the folder of the store. Stored results can
+        always be read.
 
     Returns
     -------
@@ -90,10 +90,12 @@ def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
 
     Examples
     --------
-    >>> from tolerancing import open_store
-    >>> with open_store("study.db") as store:  # doctest: +SKIP
+    >>> from tolerancing import load_study, open_store, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
     ...     store.trials().scores.shape
-    (500, 2)
+    (50, 1)
     """
     path = Path(path)
     check_is_store(path)
@@ -107,14 +109,41 @@ def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
 
 
 class Store:
-    """An open store; use it as a context manager.
+    """The results of a study in an open SQLite file; use it as a context manager.
+
+    :func:`run_study` creates the file, and :func:`open_store` checks and opens it.
 
     Parameters
     ----------
     path
-        Path of a file made by :func:`create_store`. :func:`open_store` checks this first.
+        Path of the file.
     trust
-        Whether Python merits that the store holds may be executed; see :func:`open_store`.
+        Whether the code of Python merits in the store may be executed; see :func:`open_store`.
+
+    Attributes
+    ----------
+    path
+        Path of the file.
+    loaded
+        The study with its lens, read from the store's own copies of the files.
+    study
+        The study; the levels of its merits are those of the run.
+
+    Raises
+    ------
+    InputError
+        By every method, if the file cannot be read or its contents are damaged.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     print(store)
+    ...     len(store.trials()), len(store.steps())
+    Store('study.db', 50 of 50 trials)
+    (50, 48)
     """
 
     def __init__(self, path: Path, trust: bool = False) -> None:

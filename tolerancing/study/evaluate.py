@@ -80,7 +80,7 @@ def check_trial_memory(study: Study, trials: int) -> None:
 
 
 def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBatch:
-    """Draw the deltas of the given trials.
+    """Draw the deviations of the given trials from nominal.
 
     The values of a trial depend only on its number and on the study: the perturbations and their order, the
     seed, the sampling method and, except for random draws, the number of trials of the study.
@@ -88,14 +88,14 @@ def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBat
     Parameters
     ----------
     study
-        Study with the perturbations, their distributions and dependences.
+        Study with its perturbations, their distributions and correlations.
     trials
         Numbers of the trials, from 0.
 
     Returns
     -------
     PerturbationBatch
-        Deltas of the trials.
+        Deviations of the trials, one column for each perturbation.
 
     Raises
     ------
@@ -104,10 +104,10 @@ def sample_perturbations(study: Study, trials: Sequence[int]) -> PerturbationBat
 
     Examples
     --------
-    >>> from tolerancing.study.files import load_study
-    >>> study = load_study("designs/paper_tolerances.toml").study
-    >>> sample_perturbations(study, [0, 1]).values.shape == (2, len(study.perturbations))
-    True
+    >>> from tolerancing import load_study, sample_perturbations
+    >>> study = load_study("designs/as_built_tolerances.toml").study
+    >>> sample_perturbations(study, range(100)).values.shape
+    (100, 12)
     """
     perturbations = study.perturbations
     check_trial_memory(study, len(trials))

@@ -37,7 +37,7 @@ class Checked(Protocol):
 
 @dataclass(frozen=True)
 class LoadedStudy:
-    """A study together with its lens and the files that both came from.
+    """A study together with its lens and the files from which both were read.
 
     Attributes
     ----------
@@ -46,10 +46,17 @@ class LoadedStudy:
     lens : Lens
         The nominal lens.
     name : str
-        Path of the study file among `files`.
+        Key of the study file in `files`.
     files : mapping of str to bytes
-        Contents of all files that scores depend on, by paths relative to one folder: study, design, glass
-        catalogues, measured surfaces, measured deviations, user-defined merits.
+        Contents of all files on which scores depend: study, design, glass catalogues, measured surfaces,
+        measured deviations, user-defined merits. The keys are paths relative to their common folder.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> loaded.lens.half_field_mm, sorted(loaded.files)
+    (1.5, ['as_built_tolerances.toml', 'paper_singlet.toml'])
     """
 
     study: Study
@@ -81,7 +88,7 @@ class LoadedStudy:
 
 
 def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
-    """Read a study file, its design, and the other files that both name.
+    """Read a study file, its design, and the other files to which both refer.
 
     Parameters
     ----------
@@ -101,8 +108,10 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
 
     Examples
     --------
-    >>> load_study("designs/paper_tolerances.toml").study.draws
-    'random'
+    >>> from tolerancing import load_study
+    >>> study = load_study("designs/paper_tolerances.toml").study
+    >>> study.trials, [merit.label for merit in study.merits]
+    (500, ['contrast_0p775um', 'contrast_1p55um', 'strehl', 'largest_spread_deg'])
     """
     path = Path(path)
     study = study_from_tables(read_toml(path), str(path), path.parent)
@@ -121,7 +130,8 @@ def save_study(study: Study, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     study
-        The study. Its design and other files are named relative to the folder of `path`.
+        The study. Its paths of the design and other files are written unchanged and are read relative to the
+        folder of `path`.
     path
         File to write (TOML).
 
@@ -129,6 +139,14 @@ def save_study(study: Study, path: str | os.PathLike[str]) -> None:
     ------
     InputError
         If the file cannot be written. An existing file then stays as it is.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, save_study
+    >>> quick = load_study("designs/as_built_tolerances.toml").study.replaced(trials=100, sensitivity=False)
+    >>> save_study(quick, "designs/quick_tolerances.toml")
+    >>> load_study("designs/quick_tolerances.toml").study == quick
+    True
     """
     import tomli_w
 
@@ -283,7 +301,7 @@ def _with_its_file(item: Section, folder: Path, source: str, location: str) -> S
 def start_study(
     design: str | os.PathLike[str], path: str | os.PathLike[str], grade: str = "precision"
 ) -> None:
-    """Write a study of a design with the usual tolerances of a manufacturing grade, to be edited.
+    """Write a study of a design with the usual tolerances of a manufacturing grade, as a file to edit.
 
     Parameters
     ----------
@@ -292,13 +310,22 @@ def start_study(
     path
         The study file to write; an existing file is replaced. It names the design relative to its folder.
     grade
-        One of :data:`tolerancing.perturbations.grades.GRADES`.
+        ``commercial``, ``precision``, ``high_precision``, or ``iso10110`` for the general tolerances of
+        ISO 10110-11, which depend on the size of a part.
 
     Raises
     ------
     InputError
         If a file cannot be read or written, if the grade is unknown, or if a part is larger than the table of
         the standard covers.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, start_study
+    >>> start_study("designs/paper_singlet.toml", "shop.toml", grade="commercial")
+    >>> study = load_study("shop.toml").study
+    >>> study.title, study.perturbations[0].tolerance
+    ('Spatial information transfer lens, Table 1: commercial grade', 0.1)
     """
     from tolerancing.perturbations.grades import starting_study
 

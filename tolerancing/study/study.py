@@ -51,7 +51,9 @@ class Fidelity(Section):
 
 
 class Study(Section):
-    """A tolerance study, with the contents of a study file.
+    """A tolerance study: the contents of a study file.
+
+    The names in brackets below are the tables of the file. :meth:`replaced` returns a changed study.
 
     Attributes
     ----------
@@ -64,7 +66,7 @@ class Study(Section):
     seed
         Seed of all random numbers.
     pivot_z_mm
-        Position on the axis about which the whole lens tilts, from its front vertex.
+        Position on the axis about which the whole lens tilts, in mm from its front vertex.
     sampling
         Sampling of rays and pupils.
     draws
@@ -72,17 +74,33 @@ class Study(Section):
     sensitivity
         Whether each perturbation is also varied alone, to fractions of its tolerance.
     fidelity
-        Selection of levels, and of trials for the high-fidelity merits.
+        Rules that select the levels of merits, and the trials that high-fidelity merits score.
     perturbations
-        Perturbed parameters with distributions; the ``[[perturbation]]`` tables.
+        Perturbed parameters with their distributions (``[[perturbation]]``).
     correlations
-        Correlations of perturbations; the ``[[correlation]]`` tables.
+        Correlations of perturbations (``[[correlation]]``).
     compensators
-        Parameters that the reconstruction's model adapts; the ``[[compensator]]`` tables.
+        Parameters that the model of the reconstruction adapts to each lens (``[[compensator]]``).
     all_merits
-        Merits with their limits; the ``[[merit]]`` tables.
+        Merits with their limits (``[[merit]]``).
     sweeps, grids, slice_counts
-        Series of steps; the ``[[sweep]]``, ``[[grid]]`` and ``[[slice_count]]`` tables.
+        Series of steps that vary one parameter, two parameters, or the number of slices (``[[sweep]]``,
+        ``[[grid]]``, ``[[slice_count]]``).
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study
+    >>> study = load_study("designs/as_built_tolerances.toml").study
+    >>> study.trials, len(study.perturbations), [merit.label for merit in study.merits]
+    (1000, 12, ['wavefront'])
+    >>> study.replaced(draws="sobol").draws
+    'sobol'
     """
 
     title: str = ""

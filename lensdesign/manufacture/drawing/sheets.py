@@ -64,12 +64,12 @@ class DrawingOptions(Section):
 
 
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
-    """Draw every glass element of a lens as designed; measured figures are omitted.
+    """Draw every glass element of a lens with its nominal values, without measured figures.
 
     Each sheet has a section view to scale, the table of ISO 10110-10, formula and sags of conics and aspheres
-    (ISO 10110-12), and a title block. The left surface is the one that light meets first. The datum axis A,
-    to which 4/ refers, is the axis of the ground edge at the mechanical semi-diameter of the lens. For
-    rounded values and chosen edges see :func:`drawing_as_stated`.
+    (ISO 10110-12), and a title block. The left surface is the one that light meets first. The datum axis A of
+    the centring tolerances (4/) is the axis of the ground edge at the mechanical semi-diameter of the lens.
+    :func:`drawing_as_stated` rounds the values and chooses the edges.
 
     Parameters
     ----------
@@ -91,6 +91,18 @@ def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
         the lens has.
     MaterialError
         If a glass is unknown.
+
+    References
+    ----------
+    ISO 10110, "Optics and photonics: Preparation of drawings for optical elements and systems", parts 10
+    (table representing data of optical elements), 11 (non-toleranced data) and 12 (aspheric surfaces).
+
+    Examples
+    --------
+    >>> from lensdesign import lens_drawing, load_design
+    >>> drawing = lens_drawing(load_design("designs/paper_singlet.toml"))
+    >>> drawing.title, len(drawing.sheets)
+    ('Spatial information transfer lens, Table 1', 1)
     """
     options = options or DrawingOptions()
     elements = closed_elements(lens)
@@ -100,19 +112,26 @@ def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
 
 
 def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
-    """Write a drawing as .pdf with a page for each sheet, or as .svg with the sheets below each other.
+    """Write a drawing as PDF or SVG.
+
+    A PDF file has one page for each sheet. An SVG file has the sheets below each other.
 
     Parameters
     ----------
     drawing
-        The drawing.
+        The drawing, from :func:`lens_drawing`.
     path
-        File to write; its suffix selects the format.
+        File to write; its suffix, .pdf or .svg, selects the format.
 
     Raises
     ------
     InputError
         If the suffix is not allowed, or the file cannot be written. An existing file then stays unchanged.
+
+    Examples
+    --------
+    >>> from lensdesign import lens_drawing, load_design, write_drawing
+    >>> write_drawing(lens_drawing(load_design("designs/paper_singlet.toml")), "lens.pdf")
     """
     from lensdesign.manufacture.drawing.writers import write_pdf, write_svg
 

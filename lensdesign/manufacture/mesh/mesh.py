@@ -99,8 +99,8 @@ def write_mesh(
 ) -> LensMesh:
     """Write the glass of a lens to a mesh file.
 
-    The bodies have the edges of the given lens. :func:`lensdesign.analysis.outline.drawn_outline` returns the
-    lens with the edges of its drawing.
+    The bodies have the edges that `lens` defines. :func:`lensdesign.analysis.outline.drawn_outline` returns
+    the lens with the edges of its drawing.
 
     Parameters
     ----------
@@ -110,8 +110,11 @@ def write_mesh(
         File to write. Its suffix selects the format: .stl (binary), .ply, .obj or .3mf (with units and
         glasses) in mm, or .glb in metres, as glTF requires. All elements are written to one file: as
         separate bodies in .glb and .3mf, as one mesh in the other formats.
-    chord_error_um, surface_perturbations, pose, measured
-        See :func:`lens_mesh`.
+    chord_error_um
+        Largest allowed distance between a facet of an optical surface and the glass in um.
+    surface_perturbations, pose, measured
+        Perturbations of surfaces, pose of the lens, and whether measured figures replace the nominal shapes;
+        see :func:`lens_mesh`.
     warn
         Called with one sentence for each surface whose measured figure is omitted (default: a Python
         warning).
@@ -129,6 +132,13 @@ def write_mesh(
     InputError
         If :func:`lens_mesh` rejects the lens or the chord error, the suffix is unknown, or the file cannot
         be written. An existing file then stays unchanged.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, write_mesh
+    >>> mesh = write_mesh(load_design("designs/paper_singlet.toml"), "lens.stl", chord_error_um=5.0)
+    >>> round(mesh.volume_mm3, 1), mesh.chord_error_um < 5.0
+    (2197.5, True)
     """
     suffix = Path(path).suffix.lower()
     if suffix not in MESH_SUFFIXES:

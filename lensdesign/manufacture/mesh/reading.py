@@ -76,6 +76,14 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     InputError
         If the suffix is unknown, or the file is not a regular file, is too large, truncated or malformed, or
         holds no triangle. The message names the file.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, read_mesh, write_mesh
+    >>> written = write_mesh(load_design("designs/paper_singlet.toml"), "lens.ply", chord_error_um=5.0)
+    >>> mesh = read_mesh("lens.ply")
+    >>> len(mesh.faces) == written.triangles, mesh.vertices_mm.shape[1]
+    (True, 3)
     """
     readers: dict[str, Callable[[bytes], Triangles]] = {
         ".stl": _stl_triangles,

@@ -99,8 +99,8 @@ def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> 
     """Compare a mesh with the nominal shape of a lens.
 
     Each facet is assigned to the nearest optical surface or segment of the edge whose normal is within about
-    45 degrees of the facet's normal. A point is assigned to an optical surface if all facets that meet in it
-    are; points of the rim are therefore not assigned.
+    45 degrees of the facet's normal. A vertex is assigned to an optical surface if all its facets are, so
+    that vertices of the rim are not assigned.
 
     Parameters
     ----------
@@ -114,12 +114,21 @@ def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> 
     Returns
     -------
     MeshReport
-        Measured quantities and violated conditions.
+        Measured distances and volume; its `faults` has a sentence for each violated condition.
 
     Raises
     ------
     InputError
         If an element does not close, or the allowed distance is not above 0.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design, read_mesh, verify_mesh, write_mesh
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> mesh = write_mesh(lens, "lens.stl", chord_error_um=5.0)
+    >>> report = verify_mesh(lens, read_mesh("lens.stl"), chord_error_um=5.0)
+    >>> report.closed, report.bodies, report.faults
+    (True, 1, ())
     """
     if not 0.0 < chord_error_um < np.inf:
         raise InputError(f"chord_error_um = {chord_error_um:g}: must be above 0 and finite")

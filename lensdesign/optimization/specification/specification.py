@@ -35,34 +35,35 @@ from lensdesign.optimization.specification.variables import VariableRange
 class Specification(Lens):
     """A start lens with the variables, goal and constraints of its optimization.
 
+    :func:`load_specification` reads it from a file. The attributes of :class:`Lens` describe the start.
+
     Attributes
     ----------
     optimize
-        Settings of the search.
+        Goal, start, algorithm and limits of the search.
     constraints
         Constraints on the lens.
     tolerances
         Manufacturing tolerances; None if neither goal nor constraints concern lenses as built.
     environment
-        Temperatures besides that of the design; None for the design temperature alone.
+        Further temperatures at which the constraints hold; None means the design temperature alone.
     variables
         Variables with their bounds or choices.
 
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
+
     Examples
     --------
-    >>> from lensdesign import ObjectSpace, Sensor, Surface
-    >>> specification = Specification(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.05, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(4000, 4000), plane_distances_mm=(5.0,)),
-    ...     surfaces=(
-    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=1.1),
-    ...         Surface(radius_mm=-20.0),
-    ...     ),
-    ...     variables=(VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=5.0),),
-    ... )
-    >>> round(specification.spread_limit(0.55), 4)
-    0.0786
+    >>> from lensdesign import load_specification
+    >>> specification = load_specification("designs/thinnest_singlet_spec.toml")
+    >>> specification.optimize.goal, len(specification.variables)
+    ('thinnest lens', 4)
+    >>> round(specification.spread_limit(0.532), 4)
+    0.0831
     """
 
     optimize: Settings = Settings()
@@ -184,22 +185,26 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
     Parameters
     ----------
     path
-        Path of the file.
+        A TOML file: a design file with the tables ``[optimize]``, ``[constraints]`` and ``[[variable]]``.
 
     Returns
     -------
     Specification
+        The validated specification.
 
     Raises
     ------
     DesignError
-        If the file cannot be read or is not valid, or the etendue bound excludes the specification.
+        If the file cannot be read or is not valid, or if etendue excludes every lens of the specification.
     MaterialError
-        If the index of a glass, including all choices, is not known at a wavelength.
+        If the index of a glass is not known at a wavelength; all choices of glasses are checked.
 
     Examples
     --------
+    >>> from lensdesign import load_specification
     >>> specification = load_specification("designs/thinnest_singlet_spec.toml")
+    >>> [variable.name for variable in specification.variables]
+    ['surface 1 radius_mm', 'surface 2 radius_mm', 'surface 2 conic', 'surface 1 thickness_mm']
     """
     path = Path(path)
     data = read_toml(path)

@@ -17,18 +17,28 @@ from lensdesign.errors import InputError
 
 
 class Distribution(Section):
-    """A distribution about `mean`. All values are in the unit of the perturbed parameter.
+    """Base class of the distributions of a perturbation's deviations.
+
+    All values are in the unit of the perturbed parameter. :data:`tolerancing.perturbations.DISTRIBUTIONS`
+    lists the distributions.
 
     Attributes
     ----------
     mean
-        Systematic deviation from nominal.
+        Systematic deviation from nominal, about which the parts scatter.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a value is missing or not allowed. Methods that change an existing object raise DesignError
+        instead.
 
     Examples
     --------
-    >>> from tolerancing.perturbations.distributions.bounded import Uniform
-    >>> Uniform(half_width=0.2).quantile(0.75)
-    0.1
+    >>> from tolerancing.perturbations.distributions import Uniform
+    >>> thickness = Uniform(half_width=0.02)
+    >>> thickness.quantile(0.75), round(thickness.standard_deviation, 4)
+    (0.01, 0.0115)
     """
 
     kind: ClassVar[str]

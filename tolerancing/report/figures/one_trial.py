@@ -61,19 +61,30 @@ def trial_figure(trial: SingleTrial) -> Figure:
 
 
 def write_trial_figure(trial: SingleTrial, path: str | os.PathLike[str]) -> None:
-    """Write :func:`trial_figure` to a file.
+    """Write a figure of one trial to a file.
+
+    For each field point of the study, the figure shows the path difference over the reconstruction pupil, the
+    point spread function, and an image of line pairs.
 
     Parameters
     ----------
     trial
-        The trial, from :func:`tolerancing.statistics.trial.single_trial`.
+        The trial, from :func:`tolerancing.single_trial`.
     path
-        Path of the file; its suffix selects the format (png, svg or pdf).
+        File to write; its suffix selects the format (png, svg or pdf).
 
     Raises
     ------
     InputError
         If the suffix is unknown, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from tolerancing import load_study, open_store, run_study, single_trial, write_trial_figure
+    >>> loaded = load_study("designs/as_built_tolerances.toml")
+    >>> outcome = run_study(loaded, "study.db", trials=50, workers=1)
+    >>> with open_store("study.db") as store:
+    ...     write_trial_figure(single_trial(store, 7), "trial_7.png")
     """
     figure_format(path)
     write_figure(trial_figure(trial), path)
