@@ -168,5 +168,5 @@ def test_more_than_memory_holds_is_refused(
 
 def test_priors_need_a_package_that_reads_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wavesim.cli.bench_files.PRIORS", "nobody.gives.this")
-    with pytest.raises(InputError, match="no package that reads a study is installed"):
+    with pytest.raises(InputError, match="priors: .*wavesim.priors"):
         read_priors(Path("study.toml"), load_design("designs/paper_singlet.toml"))

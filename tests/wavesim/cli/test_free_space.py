@@ -44,12 +44,12 @@ def test_planes_are_predicted_and_written(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((*FRAMES,), "--design: must be given"),
-        ((*FRAMES, "--predict-mm", "0.05", *AT), "--predict-mm: means nothing without --free-space"),
+        ((*FRAMES,), "--design: missing"),
+        ((*FRAMES, "--predict-mm", "0.05", *AT), "--predict-mm: requires --free-space"),
         ((*FRAMES, *LIGHT, "--plane-distance-mm", "0.01,0.03"), "--plane-distance-mm = '0.01,0.03'"),
-        ((*FRAMES, *LIGHT[:3], *AT), "does not say how it was recorded; to be given: --wavelength-um"),
-        ((*FRAMES, *LIGHT, *AT, "--method", "paper"), "--method: means nothing with --free-space"),
-        ((*FRAMES, *LIGHT, *AT, "--design", "lens.toml"), "--design: means nothing with --free-space"),
+        ((*FRAMES, *LIGHT[:3], *AT), "does not state how it was recorded; give --wavelength-um"),
+        ((*FRAMES, *LIGHT, *AT, "--method", "paper"), "--method: cannot be used with --free-space"),
+        ((*FRAMES, *LIGHT, *AT, "--design", "lens.toml"), "--design: cannot be used with --free-space"),
         ((*FRAMES[:2], "{small}", *LIGHT, *AT), "must have the same size"),
         ((*FRAMES[:2], SERIES / "README.md", *LIGHT, *AT), "no TIFF or PNG picture"),
         ((FRAMES[0], *LIGHT, "--plane-distance-mm", "0.01"), "two planes or more"),

@@ -68,7 +68,7 @@ def test_where_a_field_lies_must_be_told_in_numbers_and_truth_be_about_the_axis(
     assert read_centre_um(path) == (500.0, -250.0)
     code, _, err = run("--engine", "eikonal", "--truth", path, "-o", tmp_path / "out")
     assert code == 2
-    assert "is a region about 0.5, -0.25 mm; give a field about the axis" in err
+    assert "is centred at 0.5, -0.25 mm" in err
 
 
 def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path, data: Path) -> None:
