@@ -82,7 +82,7 @@ def _draw_psf(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> None:
         coordinates, coordinates, decades, cmap="inferno", vmin=-psf_decades, vmax=0.0, rasterized=True
     )
     _colour_bar(figure, picture, axes, "log10 of the intensity (0: peak of a perfect lens)")
-    axes.set_title(f"Point spread function: Strehl ratio {strehl(pupil):.4f}")
+    axes.set_title(f"PSF: Strehl ratio {strehl(pupil):.4f}")
     axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
 

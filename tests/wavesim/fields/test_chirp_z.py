@@ -60,7 +60,7 @@ def test_long_chirp_z_is_the_direct_sum_along_any_axis() -> None:
 
 
 def test_wrong_number_of_values_is_refused() -> None:
-    with pytest.raises(InputError, match="5 samples along axis 0, not 4"):
+    with pytest.raises(InputError, match="5 samples along axis 0: must be 4"):
         chirp_z_transform(_random((5,)), Samples(0.0, 1.0, 4), Samples(0.0, 0.1, 3))
 
 

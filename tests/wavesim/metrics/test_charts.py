@@ -177,7 +177,7 @@ def test_samples_outside_the_field_stop_do_not_matter() -> None:
 
 
 def test_refused() -> None:
-    with pytest.raises(InputError, match="at least one element"):
+    with pytest.raises(InputError, match="needs one element"):
         chart_resolution(chart(), [], "bright", 0.5)
     with pytest.raises(InputError, match="threshold"):
         chart_resolution(chart(), SHOWN, "bright", 0.5, threshold=1.5)
