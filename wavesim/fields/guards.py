@@ -249,7 +249,7 @@ def check_propagation(
     critical = critical_distance_mm(source, field.wavelength_um, field.index, None if pad == "auto" else pad)
     report_loss(
         found.wrapped,
-        f"wraps around or is cut over {abs(distance_mm):.4g} mm with pad = {_sides(pad)} (the transfer "
+        f"wraps around or is cut over {abs(distance_mm):.4g} mm with {_sides(pad)} samples (the transfer "
         f"function is sampled correctly up to {critical:.4g} mm)",
         f"pad to {_sides(counts)} samples or more (pad='auto'), and leave the band limit on",
     )

@@ -95,7 +95,7 @@ def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: P
         ),
         (("--empty", "empty/frame_1.tif"), "--empty: planes at 0.0416667 mm; the object's frames have"),
         (("--empty", "twin.toml"), "twin.toml"),
-        (("--empty", "."), "holds no frame_*.tif"),
+        (("--empty", "."), "contains no frame_*.tif"),
         (("--calibrate", "--priors", DESIGNS / "paper_tolerances.toml"), "is a study of another design"),
         (("--priors", DESIGNS / "paper_tolerances.toml"), "--priors: requires --calibrate"),
     ],

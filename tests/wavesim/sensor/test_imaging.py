@@ -142,7 +142,7 @@ def test_an_engine_is_chosen_for_each_wavelength_of_a_band(nominal: Imaged) -> N
 
 
 def test_tiles_of_a_whole_field_record_on_upright_planes_alone() -> None:
-    with pytest.raises(InputError, match="sensor_tilt_deg: engine hierarchical"):
+    with pytest.raises(InputError, match="sensor_tilt_deg: must be 0 with engine hierarchical"):
         seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="hierarchical")
 
 
