@@ -47,7 +47,7 @@ def test_a_tilted_wave_has_its_direction(tilt_x: float, tilt_y: float, index: fl
 def test_a_tilt_beyond_the_grid_is_refused() -> None:
     limit = math.degrees(math.asin(0.5 * WAVELENGTH_UM))
     plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=0.99 * limit)
-    with pytest.raises(SamplingError, match="tilt_x_deg = .* use one below"):
+    with pytest.raises(SamplingError, match=r"tilt_x_deg = .* use one below"):
         plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=1.01 * limit)
     for bad in (90.0, math.nan):
         with pytest.raises(InputError, match="tilt_y_deg"):
@@ -77,7 +77,7 @@ def test_a_gaussian_beam_agrees_with_propagation_from_its_waist(shape: tuple[int
 
 
 def test_a_beam_too_narrow_is_refused() -> None:
-    with pytest.raises(InputError, match="waist_radius_mm = 0.001: must be"):
+    with pytest.raises(InputError, match=r"waist_radius_mm = 0.001: must be"):
         gaussian_beam(GRID, WAVELENGTH_UM, 1e-3)
     with pytest.raises(SamplingError, match="a Gaussian waist"):
         gaussian_beam(Grid((50, 50), 5e-3, -1.0), WAVELENGTH_UM, 8e-3)
@@ -105,7 +105,7 @@ def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: 
     rng = np.random.default_rng(2)
     rough = rng.normal(size=(64, 64)) + 1j * rng.normal(size=(64, 64))
     np.save(tmp_path / "rough.npy", rough)
-    with pytest.raises(SamplingError, match="lies above .* pitch of"):
+    with pytest.raises(SamplingError, match=r"lies above .* pitch of"):
         measured_field(tmp_path / "rough.npy", Grid((40, 40), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
     kept = measured_field(tmp_path / "rough.npy", Grid((64, 64), 1e-3, -1.0), WAVELENGTH_UM, 1.0)
     np.testing.assert_array_equal(kept.values, rough)

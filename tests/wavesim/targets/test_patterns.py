@@ -253,7 +253,7 @@ def test_a_band_limit_leaves_only_the_aperture_and_is_a_projection() -> None:
     np.testing.assert_allclose(band_limit(limited, grid, 0.532, 0.3), limited, atol=1e-12)
     lost = np.sum(abs(chart) ** 2) - np.sum(abs(limited) ** 2)
     assert lost == pytest.approx(np.sum(abs(chart - limited) ** 2))
-    with pytest.raises(SamplingError, match="numerical_aperture = 0.7: .*0.38 um"):
+    with pytest.raises(SamplingError, match=r"numerical_aperture = 0.7: .*0.38 um"):
         band_limit(chart, grid, 0.532, 0.7)
 
 
