@@ -168,5 +168,5 @@ def test_more_than_memory_holds_is_refused(
 
 def test_priors_need_a_package_that_reads_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wavesim.cli.bench_files.PRIORS", "nobody.gives.this")
-    with pytest.raises(InputError, match=r"priors: .*wavesim.priors"):
+    with pytest.raises(InputError, match=r"priors: .*entry point nobody\.gives\.this"):
         read_priors(Path("study.toml"), load_design("designs/paper_singlet.toml"))

@@ -51,7 +51,7 @@ def test_planes_are_predicted_and_written(
         ((*FRAMES, *LIGHT, *AT, "--method", "paper"), "--method: cannot be used with --free-space"),
         ((*FRAMES, *LIGHT, *AT, "--design", "lens.toml"), "--design: cannot be used with --free-space"),
         ((*FRAMES[:2], "{small}", *LIGHT, *AT), "must have the same size"),
-        ((*FRAMES[:2], SERIES / "README.md", *LIGHT, *AT), "no TIFF or PNG picture"),
+        ((*FRAMES[:2], SERIES / "README.md", *LIGHT, *AT), "not a TIFF or PNG picture"),
         ((FRAMES[0], *LIGHT, "--plane-distance-mm", "0.01"), "two planes or more"),
         ((*FRAMES, *LIGHT, *AT, "--numerical-aperture", "2"), "numerical_aperture = 2"),
     ],
