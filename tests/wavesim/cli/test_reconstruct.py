@@ -271,7 +271,7 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     code, out, err = run(monkeypatch, capsys, *both, *usual, "-o", merged)
     assert code in ENDED, err
     assert re.fullmatch(r"memory: about 0\.4\d GB of [\d.]+ GB allowed", err.strip())
-    assert "at 0.036, 0 mm resolved down to group 9, element 2" in out.replace("\n", " ")
+    assert "chart at 0.036, 0 mm: resolved down to group 9, element 2" in out.replace("\n", " ")
     code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
     assert code in ENDED
     told = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]

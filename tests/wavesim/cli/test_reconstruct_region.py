@@ -44,7 +44,7 @@ def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path:
     assert told["region_mm"][:2] == pytest.approx([0.0083, 0.0085], abs=4e-4)
     assert told["truth"]["object_correlation"] > 0.97
     assert told["usaf"]["smallest_resolved"]["element"] == 2
-    assert "of the object 0.01" in out
+    assert "region of the object: 0.01" in out
     # A view tells true coordinates, of a part of the region too.
     layer = _field(tmp_path / "part" / "reconstruction.npz", "", None)[0]
     assert layer.centre_um == pytest.approx((8.3, 8.5), abs=0.4)

@@ -1,7 +1,5 @@
 """Scenes of a design."""
 
-import re
-
 import numpy as np
 import pytest
 
