@@ -34,7 +34,7 @@ def read_empty(
     for path in paths:
         inside = sorted(path.glob(pattern)) if path.is_dir() else [path]
         if not inside:
-            raise SettingError(f"{{empty}}: {path}: holds no {pattern}")
+            raise SettingError(f"{{empty}}: {path}: contains no {pattern}")
         files += inside
     return read_frames(files, of_frames, lens=lens)
 
@@ -47,12 +47,14 @@ def read_priors(path: Path | None, lens: Lens) -> dict[str, float] | None:
         return None
     readers = tuple(entry_points(group=PRIORS, name="study"))
     if not readers:
-        raise SettingError(f"{{priors}}: no package that reads a study is installed (entry point {PRIORS})")
+        raise SettingError(
+            f"{{priors}}: no package that reads tolerance studies is installed (entry point {PRIORS})"
+        )
     found = readers[0].load()(path, lens)
     if found.not_sought:
         warnings.warn(
-            f"{path}: no calibration seeks {', '.join(found.not_sought)}: where they differ, it does not "
-            "find them",
+            f"{path}: {', '.join(found.not_sought)}: a calibration cannot estimate these parameters; their "
+            "errors remain",
             PriorsWarning,
             stacklevel=2,
         )

@@ -31,7 +31,7 @@ def calibrate(
     settings: CalibrationSettings,
     of_frames: FrameSetSettings,
     known: Annotated[
-        Path | None, typer.Option(help="The object, if it is known: a file (.npz), or its folder.")
+        Path | None, typer.Option(help="True object, if it is known: a file (.npz), or its folder.")
     ] = None,
     empty: Empty = None,
     priors: Priors = None,
@@ -42,7 +42,7 @@ def calibrate(
     The result is the bench with which frames and reconstruction agree best. Parameters that the frames do not
     need keep their nominal values. `wavesim reconstruct --calibration` reads the written file.
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
-    within their noise, and 1 if they are not. The same command continues an interrupted run.
+    within their noise, and 1 if they are not. After an interrupt, repeat the command to continue.
     """
     from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.plots.result_files import remove_unfinished
@@ -109,25 +109,27 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     rows = []
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
-        notes = ["at the border of the search"] * (name in found.at_reach)
+        notes = ["at the limit of the search range"] * (name in found.at_reach)
         notes += ["undetermined"] * (name in found.poorly_determined)
-        notes += ["not needed, nominal"] * (name in found.nominal)
-        notes += [f"goes with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
+        notes += ["not needed, kept nominal"] * (name in found.nominal)
+        notes += [f"correlated with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
     heads = "estimate", "standard deviation"
-    print_table(("bench as it is, from the design",), heads, rows, notes="")
+    print_table(("deviation from the design",), heads, rows, notes="")
     if found.undetermined:
         print(
-            "undetermined, at nominal: " + ", ".join(found.undetermined) + ": a complex object takes on what "
-            "smooth light does (an object that is an amplitude does not: --kind amplitude)"
+            "undetermined, kept nominal: "
+            + ", ".join(found.undetermined)
+            + ": a complex object can have the "
+            "same effect as these errors of the light; for an object without phase, use --kind amplitude"
         )
     noise = summary["misfit_of_noise"]
     if found.field_stop_mm is not None:
         stop_text = stop_words(found.field_stop_mm, found.field_stop_at_mm)
         print(f"{stop_text}, {STOP_ORIGINS[found.field_stop_from]}")
     print(
-        f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as calibrated"
-        + ("" if noise is None else f"; {noise:.4f} would be noise alone")
+        f"misfit {summary['misfit_before']:.4f} before calibration, {summary['misfit']:.4f} after"
+        + ("" if noise is None else f" (expected from noise alone: {noise:.4f})")
     )
     print(
         f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {FILE} and "

@@ -26,21 +26,30 @@ def choose(
     design: Design,
     settings: ChoiceSettings,
     object_: Annotated[
-        str, typer.Option("--object", help="usaf, star, phase, tissue, FILE, or even: light everywhere.")
+        str,
+        typer.Option(
+            "--object",
+            help="usaf, star, phase, tissue, FILE, or even (a patch that sends light in all directions).",
+        ),
     ] = "usaf",
-    error: Annotated[float, typer.Option(help="Relative L2 error of the exit field.")] = DEFAULT_ERROR,
+    error: Annotated[
+        float, typer.Option(help="Allowed relative L2 error of the exit field.")
+    ] = DEFAULT_ERROR,
     field_mm: Annotated[float, typer.Option(help="Height of the field point along y.")] = 0.0,
     plane_distance_mm: PlaneDistanceMm = 2.0,
-    meridional: Annotated[bool, typer.Option(help="The object's middle line in place of a plane.")] = False,
+    meridional: Annotated[
+        bool, typer.Option(help="Use the meridional line of the object instead of a plane.")
+    ] = False,
     runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
-    memory_gb: Annotated[float, typer.Option(help="Memory that may be used.")] = 16.0,
-    hours: Annotated[float, typer.Option(help="Time that all runs may take.")] = 1.0,
+    memory_gb: Annotated[float, typer.Option(help="Memory limit.")] = 16.0,
+    hours: Annotated[float, typer.Option(help="Time limit of all runs together.")] = 1.0,
     as_json: AsJson = False,
 ) -> None:
     """Predict error, time and memory of every engine, and name the cheapest that meets the error limit.
 
-    Errors are those of the object's own light: a chart sends a twentieth of what light of all directions does
-    to the rim of the aperture, where rays err most.
+    The predicted errors are for the light of the given object. The edge of the aperture, where ray-based
+    engines are least accurate, receives from a chart only a twentieth of the light that it receives from
+    an object that sends light in all directions.
     """
     from wavesim.engines.choosing import choose as choose_engine
     from wavesim.scene.patches import patch_scene
@@ -67,7 +76,7 @@ def choose(
     if as_json:
         print_json({"object": object_} | _choice_summary(choice, runs))
     else:
-        print(f"object {object_}, patch {settings.patch_mm:g} mm, {field_mm:g} mm off the axis")
+        print(f"object {object_}, patch {settings.patch_mm:g} mm, field height {field_mm:g} mm")
         _print_choice(choice, runs)
 
 
@@ -122,7 +131,7 @@ def _print_choice(choice: Any, runs: int) -> None:
         figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
         mark = "*" if p is choice.chosen else ""
         rows.append((mark, p.label, *(("refused", "", "") if p.refused else figures)))
-    columns = ("error, at most", f"seconds, {runs} run(s)", "memory (MB)")
+    columns = ("predicted error", f"seconds, {runs} run(s)", "memory (MB)")
     print_table(("", "engine"), columns, rows)
     print()
     for sentence in choice.reason.split(". "):

@@ -27,7 +27,7 @@ from wavesim.cli.view import view
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import PoseSettings
 
-app = make_app("Waves through spatial information transfer lenses.")
+app = make_app("Wave-optical simulation of spatial information transfer lenses.")
 for command in (oracle, resolve, choose, compare, plan, image, reconstruct, calibrate, view):
     app.command()(with_settings(command))
 
@@ -37,21 +37,26 @@ for command in (oracle, resolve, choose, compare, plan, image, reconstruct, cali
 def pupil(
     design: Design,
     mounted: PoseSettings,
-    field_mm: Annotated[str, typer.Option(help="Object point: x,y.")] = "0,0",
-    wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
-    plane_distance_mm: Annotated[float, typer.Option(help="From the exit vertex to the plane.")] = 3.0,
+    field_mm: Annotated[str, typer.Option(help="Position x,y of the object point.")] = "0,0",
+    wavelength_um: Annotated[
+        float | None, typer.Option(help="Wavelength; default: the design's first.")
+    ] = None,
+    plane_distance_mm: Annotated[
+        float, typer.Option(help="Distance of the plane from the exit vertex.")
+    ] = 3.0,
     linewidths_um: Annotated[str, typer.Option(help="Line widths, separated by commas.")] = "1.55,0.775,0.6",
-    refocus: Annotated[bool, typer.Option(help="Whether to refocus digitally.")] = True,
+    refocus: Annotated[bool, typer.Option(help="Refocus the reconstruction digitally.")] = True,
     samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
     as_json: AsJson = False,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", callback=output_file, help="Picture to write.")
+        Path | None,
+        typer.Option("--output", "-o", callback=output_file, help="Picture to write (png, svg, pdf)."),
     ] = None,
 ) -> None:
-    """Score the reconstruction through a displaced lens.
+    """Predict the resolution of a reconstruction if the lens is displaced.
 
-    The reconstruction knows only the nominal lens: what the displaced one does otherwise is the phase of
-    the reconstruction pupil, and with it contrast and MTF.
+    The reconstruction assumes the nominal lens. The difference between the displaced and the nominal lens is
+    the phase of the reconstruction pupil, from which contrast and MTF are computed.
     """
     from wavesim.plots.frames import save
     from wavesim.plots.pupils import pupil_figure

@@ -32,12 +32,12 @@ def compare(
         Path, typer.Option("--output", "-o", callback=output_folder, help="Folder to write to.")
     ],
     radius_mm: Annotated[float, typer.Option(help="Radius of the exact cylinder.")] = 0.2,
-    planes: Annotated[bool, typer.Option(help="Compare on whole planes, too.")] = True,
+    planes: Annotated[bool, typer.Option(help="Also compare on whole planes.")] = True,
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
-    field_mm: Annotated[float, typer.Option(help="Height of its centre, along y.")] = 0.0,
+    field_mm: Annotated[float, typer.Option(help="Height of the patch's centre along y.")] = 0.0,
     scale: Annotated[float, typer.Option(help="Scale factor of the lens.")] = 1.0,
-    most_seconds: Annotated[float, typer.Option(help="Skip longer runs.")] = 10.0,
-    maps: Annotated[bool, typer.Option(help="Draw failure maps, too.")] = True,
+    most_seconds: Annotated[float, typer.Option(help="Skip runs that are predicted to take longer.")] = 10.0,
+    maps: Annotated[bool, typer.Option(help="Also draw failure maps.")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Chart error against seconds and memory of every engine, and map where each fails.
@@ -59,14 +59,14 @@ def compare(
     lens = scaled(load_design(design), scale)
     validate_lengths(lens, {"patch_mm": patch_mm, "field_mm": field_mm})
     if output.exists() and not output.is_dir():
-        raise InputError(f"--output = {str(output)!r}: is no folder")
+        raise InputError(f"--output = {str(output)!r}: must be a folder, but is a file")
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {output}: {error.strerror}") from None
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=message_console(), transient=True) as bar:
-        task = bar.add_task("exact solution and true field", total=None)
+        task = bar.add_task("reference fields", total=None)
         size = "" if scale == 1.0 else f", scaled by {scale:g}"
         name = lens.title or design.stem
         cases = {
@@ -113,7 +113,10 @@ def _on_planes(lens: Any, name: str) -> dict[str, Any]:
         case = axial_case(twin, PLANE_PATCH_MM, plane_distance_mm=distance_mm)
     except InputError as problem:
         message_console().print(
-            f"no plane of the lens: {problem}", soft_wrap=True, markup=False, highlight=False
+            f"the comparison on a plane of the lens is skipped: {problem}",
+            soft_wrap=True,
+            markup=False,
+            highlight=False,
         )
         return cases
     title = (
@@ -139,7 +142,11 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
         write_csv(map_rows(one), path)
         written.append(path)
     picture = output / "failure_maps.png"
-    save(failure_figure(found, "Where methods fail, and where they warn"), picture, PICTURE_DPI)
+    save(
+        failure_figure(found, "Relative error of each method, with its limits of warning and refusal"),
+        picture,
+        PICTURE_DPI,
+    )
     return [picture, *written]
 
 
@@ -158,5 +165,7 @@ def _print_front(rows: list[Any]) -> None:
             )
             for row in sorted(front, key=lambda r: r.seconds)
         ]
-        print_table(("engine", "setting"), numbers, cells, visible(f"{scene}: the front"))
+        print_table(
+            ("engine", "setting"), numbers, cells, visible(f"{scene}: fastest setting for each error")
+        )
         print()

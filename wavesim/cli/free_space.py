@@ -69,7 +69,7 @@ def _refuse_of_lenses(settings: ReconstructionSettings, of_lenses: Mapping[str, 
         if name != "iterations" and getattr(settings, name) != field.get_default():
             named.append(name)
     if named:
-        raise SettingError(f"{{{named[0]}}}: means nothing with {{free_space}}, which has no lens")
+        raise SettingError(f"{{{named[0]}}}: cannot be used with {{free_space}}, which has no lens")
 
 
 def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list[str]:
@@ -125,8 +125,8 @@ def _print(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> None
         )
     print(f"free space, numerical aperture {found.stack.aperture:.3g}: {len(found.misfit)} iterations")
     print()
-    print_table((), ("plane (mm)", "found (mm)", "shift x, y (um)", "gain", "correlation"), rows)
+    print_table((), ("plane (mm)", "estimated (mm)", "shift x, y (um)", "gain", "correlation"), rows)
     print()
-    print(f"distances are {found.distance_scale:.4f} times those stated")
-    print(f"misfit {summary['misfit']:.4f}; {summary['misfit_of_noise']:.4f} would be noise alone")
+    print(f"estimated distances: {found.distance_scale:.4f} times the stated ones")
+    print(f"misfit {summary['misfit']:.4f} (expected from noise alone: {summary['misfit_of_noise']:.4f})")
     print(f"wrote {len(summary['files'])} files to {output}")

@@ -27,20 +27,21 @@ def image(
     output: Output,
     settings: ImageSettings,
     object_: Annotated[
-        str, typer.Option("--object", help="usaf, star, phase, tissue, empty, or FILE.")
+        str, typer.Option("--object", help="usaf, star, phase, tissue, empty, or FILE (a picture).")
     ] = "usaf",
     all_wavelengths: Annotated[
-        bool, typer.Option(help="At each of the design's wavelengths, in a folder of its own.")
+        bool, typer.Option(help="Record at each wavelength of the design, each in its own subfolder.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Record an object through the lens: frames, the true object, a preview, and what was used.
+    """Simulate frames of an object, and write them with the true object, previews and all settings.
 
-    Frames are 16-bit TIFF that hold their settings. The sensor's window is its middle, as much of it as the
-    light falls on. Of several exposures, the long ones show faint light and are clipped where it is bright.
+    Frames are 16-bit TIFF files that contain their settings. By default, they cover the central part of the
+    sensor on which light falls. With several exposures, the long ones show faint light and are saturated
+    where it is bright.
 
-    Of a whole field (engine hierarchical) finished parts are kept: the same command goes on with a run that
-    was interrupted.
+    A run on a whole field (engine hierarchical) stores its finished parts. After an interrupt, repeat the
+    command to continue.
     """
     from wavesim.plots.result_files import remove_unfinished
 
@@ -62,7 +63,7 @@ def _runs(
     if not all_wavelengths:
         return [(output, settings)]
     if settings.wavelength_um is not None:
-        raise InputError("--all-wavelengths, --wavelength-um: give one of them")
+        raise InputError("--all-wavelengths, --wavelength-um: give only one of them")
     return [
         (output / f"{wavelength:g}_um", settings.replaced(wavelength_um=wavelength))
         for wavelength in lens.wavelengths_um
@@ -196,7 +197,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
     across, down = sensor["pixels"]
     error = engine["predicted_error"]
-    said = "not known" if error is None else f"at most {error:.2g} for the light of this object"
+    said = "unknown" if error is None else f"{error:.2g} for the light of this object"
     print(visible(str(summary["design"])))
     print(
         f"object {thing['name']}, {stop_words(thing['field_stop_mm'], thing['field_stop_at_mm'])}, "
@@ -204,19 +205,19 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     )
     if "finest_line_um" in thing:
         ends = {
-            "sampling": "the samples show no finer ones, a smaller --object-pitch-um does",
-            "chart": "the chart ends there",
+            "sampling": "limited by the sampling (a smaller --object-pitch-um shows finer ones)",
+            "chart": "the finest of the chart",
         }[thing["finest_limited_by"]]
         print(
             f"finest lines {thing['finest_line_um']:.3g} um: {ends}; "
             f"the aperture passes {thing['aperture_passes_um']:.3g} um (wavelength / 2 NA)"
         )
-    print(f"engine {engine['name']}, error {said}")
+    print(f"engine {engine['name']}, predicted relative error {said}")
     print(f"  {settings_text(engine['settings'])}")
     print(
-        f"sensor: the middle {across} x {down} pixels of {sensor['pixel_pitch_um']:g} um, "
-        f"{100.0 * summary['energy_share_beyond_pixel_limit']:.2g} % of the light beyond their "
-        f"{summary['pixel_limit_per_mm']:.4g} per mm"
+        f"sensor: central {across} x {down} pixels of {sensor['pixel_pitch_um']:g} um; "
+        f"{100.0 * summary['energy_share_beyond_pixel_limit']:.2g} % of the light lies above their Nyquist "
+        f"limit of {summary['pixel_limit_per_mm']:.4g} per mm"
     )
     rows = [
         (

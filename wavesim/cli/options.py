@@ -26,11 +26,15 @@ Frames = Annotated[
 ]
 Empty = Annotated[
     list[Path] | None,
-    typer.Option(help="Frames without an object, which tell the light; a folder of them, or given again."),
+    typer.Option(
+        help="Frames without an object, for the errors of the light: a file or a folder; may be repeated."
+    ),
 ]
 Priors = Annotated[
     Path | None,
-    typer.Option(metavar="STUDY", help="Tolerance study (TOML): how far the lens may be from its design."),
+    typer.Option(
+        metavar="STUDY", help="Tolerance study (TOML), whose tolerances are the prior deviations of the lens."
+    ),
 ]
 Output = Annotated[
     Path, typer.Option("--output", "-o", callback=output_folder, metavar="DIR", help="Folder to write to.")
@@ -43,8 +47,8 @@ Command = Callable[..., None]
 def with_settings(command: Command) -> Command:
     """Return a command in which each field of a settings model becomes an option.
 
-    An option has its field's name (or alias), default and description; numbers that stand together are
-    separated by commas. What a model refuses, and settings that are refused later, are told by their options.
+    An option has its field's name (or alias), default and description. The numbers of a tuple are separated
+    by commas. Messages about invalid settings name the options.
     """
     own = inspect.signature(command, eval_str=True).parameters
     models: dict[str, type[Section]] = {

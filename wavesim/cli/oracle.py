@@ -15,12 +15,16 @@ from wavesim.scene.settings import SingleEngineDetails
 
 
 def oracle(
-    engine: Annotated[str, typer.Option(help=f"One of {', '.join(ENGINES)}.")],
+    engine: Annotated[str, typer.Option(help=f"Engine: one of {', '.join(ENGINES)}.")],
     details: SingleEngineDetails,
-    oracle: Annotated[str, typer.Option(help=f"One of {', '.join(ORACLES)}.")] = "cylinder",
-    radius_mm: Annotated[float | None, typer.Option(help="Of cylinder or sphere.")] = None,
-    semi_diameter_mm: Annotated[float | None, typer.Option(help="Of the stigmatic lens or a stop.")] = None,
-    incidence_deg: Annotated[float | None, typer.Option(help="On a plate or a plane.")] = None,
+    oracle: Annotated[str, typer.Option(help=f"Exact solution: one of {', '.join(ORACLES)}.")] = "cylinder",
+    radius_mm: Annotated[float | None, typer.Option(help="Radius of the cylinder or sphere.")] = None,
+    semi_diameter_mm: Annotated[
+        float | None, typer.Option(help="Semi-diameter of the stigmatic lens or the stop.")
+    ] = None,
+    incidence_deg: Annotated[
+        float | None, typer.Option(help="Angle of incidence on the plate or plane.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare an engine with an exact solution.
@@ -69,12 +73,12 @@ def _summary(result: Any) -> dict[str, Any]:
 def _print_table(result: Any) -> None:
     of_radius = "" if result.radius_mm is None else f", radius {result.radius_mm:g} mm"
     print(f"{result.engine} on the exact {result.oracle}{of_radius}")
-    print(f"relative error {result.relative_error:.3g} (the exact field's own: {result.uncertainty:.1g})")
+    print(f"relative error {result.relative_error:.3g} (error of the exact field: {result.uncertainty:.1g})")
     print()
     predicted = result.predicted
     rows = (
         ("seconds", f"{result.seconds:.3g}", f"{predicted.seconds:.3g}"),
-        ("seconds of set-up", f"{result.setup_seconds:.3g}", f"{predicted.setup_seconds:.3g}"),
+        ("set-up seconds", f"{result.setup_seconds:.3g}", f"{predicted.setup_seconds:.3g}"),
         ("peak memory (MB)", f"{result.peak_mb:.3g}", f"{1e-6 * predicted.peak_bytes:.3g}"),
     )
     print_table(("",), ("measured", "predicted"), rows)

@@ -25,15 +25,20 @@ def plan(
     settings: PlanSettings,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", callback=output_file, help="Error against planes (png, svg, pdf)."),
+        typer.Option(
+            "--output",
+            "-o",
+            callback=output_file,
+            help="Figure of error against planes to write (png, svg, pdf).",
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Recommend the number, positions and exposures of the recording planes, and predict the correlation.
 
-    For each plan several random objects of the kind are imaged with noise and reconstructed on a small twin
-    of the lens. The prediction is the range of their correlations. The plan of the fewest frames with which
-    all objects reach --correlation is recommended. What the prediction assumes is listed.
+    For each plan, several random objects of the given kind are imaged with noise and reconstructed through a
+    scaled-down copy of the lens. The prediction is the range of their correlations. The recommended plan has
+    the fewest frames with which all objects reach --correlation. The assumptions are listed.
     """
     from wavesim.calibration.planning import plan_frames
     from wavesim.plots.frames import save
@@ -96,8 +101,8 @@ def _figures(plan: Plan) -> dict[str, Any]:
 
 def _twin(found: Plans) -> str:
     twin = found.twin
-    lens = "the lens itself" if twin.scale == 1.0 else f"a twin of scale {twin.scale:.3g}"
-    return f"tried on {lens}, patch {twin.patch_mm:.3g} mm"
+    lens = "the lens itself" if twin.scale == 1.0 else f"the lens scaled by {twin.scale:.3g}"
+    return f"simulated on {lens}, patch {twin.patch_mm:.3g} mm"
 
 
 def _print(found: Plans) -> None:
@@ -115,16 +120,18 @@ def _print(found: Plans) -> None:
     ]
     objects = (name.replace(" ", "\n") for name in found.strengths)
     columns = ("frames", *objects, "misfit\nover noise")
-    print_table(("", "planes (mm)", "exposures"), columns, rows, "correlation expected, by object")
-    print(f"diversity of the planes {found.diversity:.3g}, of those tried {found.twin.diversity:.3g}")
+    print_table(("", "planes (mm)", "exposures"), columns, rows, "expected correlation of each object")
+    print(
+        f"phase diversity of the planes {found.diversity:.3g}, in the simulation {found.twin.diversity:.3g}"
+    )
     best = found.recommended
     asked = f"a correlation of {found.settings.correlation:g}"
     expected = f"expected {best.correlation:.4f} to {best.highest_correlation:.4f}, depending on the object"
     if found.enough:
-        print(f"* the fewest frames that reach {asked} for all objects; {expected}")
+        print(f"* recommended: the fewest frames that reach {asked} for all objects; {expected}")
     else:
         more = "more light" if found.at_noise else "more planes, a wider range of them, or a smaller patch"
-        print(f"* the best; none reaches {asked} for all objects: take {more}; {expected}")
+        print(f"* the best plan, but none reaches {asked} for all objects: use {more}; {expected}")
     print("The prediction assumes:")
     for line in found.assumptions:
         print(f"- {line}")

@@ -33,7 +33,7 @@ from wavesim.scene.settings import (
 )
 
 SHOWN_DISPLACEMENT = 0.2
-"""Smallest displacement that is printed (samples); JSON holds smaller ones, too."""
+"""Smallest displacement that is printed (samples). JSON also contains smaller ones."""
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
@@ -53,21 +53,21 @@ def reconstruct(
     of_frames: FrameSetSettings,
     free: FreeSpaceSettings,
     design: Annotated[
-        Path | None, typer.Option(metavar="DESIGN", help="Design file (TOML); none with --free-space.")
+        Path | None, typer.Option(metavar="DESIGN", help="Design file (TOML); required without --free-space.")
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Result of `wavesim calibrate`: the calibrated bench.")
+        Path | None, typer.Option(help="Result of `wavesim calibrate` (calibration.json).")
     ] = None,
     truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
     empty: Empty = None,
     priors: Priors = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
+    """Reconstruct the object from frames: amplitude, phase, residuals, focus, and goodness of fit.
 
-    The exit status is 0 if the frames are explained within their noise, and 1 if they are not: then what most
-    likely differs is tried and named. An interrupted run goes on with the same command from the last
-    iterations that it kept.
+    The exit status is 0 if the frames are explained within their noise, and 1 if they are not. In the second
+    case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
+    the last checkpoint.
     """
     from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, with_finding
     from wavesim.plots.result_files import remove_unfinished
@@ -82,7 +82,9 @@ def reconstruct(
         in_free_space(frames, output, settings, of_frames, free, of_lenses, as_json)
         return
     if design is None:
-        raise InputError("--design: must be given; for frames without a lens use --free-space")
+        raise InputError(
+            "--design: missing; give the design of the lens, or --free-space for frames without a lens"
+        )
     if free.calibrate and calibration is not None:
         raise InputError("--calibrate, --calibration: give only one of them")
     if priors is not None and not free.calibrate:
@@ -330,7 +332,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         (
             f"{plane['plane_distance_mm']:g}",
             *(
-                "not known" if plane[name] is None else f"{plane[name]:.{digits}f}"
+                "unknown" if plane[name] is None else f"{plane[name]:.{digits}f}"
                 for name, digits in (("residual", 4), ("noise", 4), ("correlation", 5))
             ),
         )
@@ -353,17 +355,19 @@ def _figures(summary: dict[str, Any]) -> list[str]:
     if "engine_replaced" in summary:
         lines.append(summary["engine_replaced"]["words"])
     if "source_deg" in summary:
-        lines.append(f"source {summary['source_deg']:.3g} deg wide")
+        lines.append(f"diameter of the light source {summary['source_deg']:.3g} deg")
     if summary["region_mm"] is not None:
         x, y, width, height = summary["region_mm"]
-        lines.append(f"of the object {width:.4g} mm x {height:.4g} mm about {x:.4g}, {y:.4g} mm")
+        lines.append(
+            f"region of the object: {width:.4g} mm x {height:.4g} mm, centred at {x:.4g}, {y:.4g} mm"
+        )
     if summary["refocus_um"] is not None:
-        lines.append(f"sharpest {summary['refocus_um']:.2f} um behind the object plane")
+        lines.append(f"best focus {summary['refocus_um']:.2f} um behind the object plane")
     if summary["truth"]:
         shown = {n: "none" if value is None else f"{value:.4g}" for n, value in summary["truth"].items()}
         lines.append(
-            f"against the true object as the lens passes it: correlation {shown['object_correlation']}, "
-            f"PSNR {shown['psnr_db']} dB, SSIM {shown['ssim']}"
+            f"compared with the true object, band-limited by the lens: correlation "
+            f"{shown['object_correlation']}, PSNR {shown['psnr_db']} dB, SSIM {shown['ssim']}"
         )
         lines += _displacement(summary["truth"], summary["object_pitch_um"])
     if summary["usaf"]:
@@ -371,7 +375,7 @@ def _figures(summary: dict[str, Any]) -> list[str]:
         for chart in summary["usaf"]["beside"]:
             x, y = chart["at_mm"]
             first, *others = _resolved(chart)
-            lines += [f"at {x:g}, {y:g} mm {first}", *others]
+            lines += [f"chart at {x:g}, {y:g} mm: {first}", *others]
     return lines
 
 
@@ -394,14 +398,14 @@ def _resolved(chart: dict[str, Any]) -> list[str]:
     if finest is None:
         return ["no element of the chart is resolved", f"  limit: {chart['limit']}", *_place_of(chart)]
     beyond = (
-        f", finer than the {chart['aperture_passes_um']:.3g} um that the lens passes (wavelength / 2 NA): by "
-        "what the method assumes of the object"
+        f", finer than the diffraction limit of {chart['aperture_passes_um']:.3g} um (wavelength / 2 NA), "
+        "due to the method's assumptions about the object"
     )
     x, y = (chart[f"smallest_resolved_{way}"]["line_width_um"] for way in "xy")
     return [
         f"resolved down to group {finest['group']}, element {finest['element']}: lines of "
         f"{finest['line_width_um']:.3g} um{beyond if finest['beyond_aperture'] else ''}",
-        f"  bars that follow each other along x: {x:.3g} um; along y: {y:.3g} um",
+        f"  bars repeated along x: {x:.3g} um; along y: {y:.3g} um",
         f"  limit: {chart['limit']}",
         *_place_of(chart),
     ]
@@ -411,14 +415,13 @@ def _place_of(chart: dict[str, Any]) -> list[str]:
     """Describe the position of the chart in the result, if it is displaced or unknown."""
     found = chart["displacement"]
     if found is None:
-        return ["  the place of the chart is not determined: contrast is measured where it should be"]
+        return ["  the position of the chart is undetermined: contrast is measured at its nominal position"]
     lines = []
     if max(abs(found["x_samples"]), abs(found["y_samples"])) >= SHOWN_DISPLACEMENT:
         lines.append(
-            f"  chart displaced by {found['x_um']:.3g}, {found['y_um']:.3g} um (x, y): no loss of resolution"
+            f"  chart displaced by {found['x_um']:.3g}, {found['y_um']:.3g} um (x, y), which does not reduce "
+            "the resolution"
         )
     if found["scale"] != 1.0 or found["rotation_deg"] != 0.0:
-        lines.append(
-            f"  chart {found['scale']:.4f} times its size, rotated by {found['rotation_deg']:.3f} deg"
-        )
+        lines.append(f"  chart scaled by {found['scale']:.4f} and rotated by {found['rotation_deg']:.3f} deg")
     return lines

@@ -25,40 +25,47 @@ from wavesim.cli.runs import print_table
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import SingleEngineDetails
 
-PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
-WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
+PlaneDistanceMm = Annotated[float, typer.Option(help="Distance of the exit plane from the exit vertex.")]
+WavelengthUm = Annotated[float | None, typer.Option(help="Wavelength; default: the design's first.")]
 
 
 def resolve(
     design: Design,
     details: SingleEngineDetails,
-    linewidths_um: Annotated[str, typer.Option(help="Widths, separated by commas.")] = "1.55,0.775,0.532",
+    linewidths_um: Annotated[
+        str, typer.Option(help="Line widths, separated by commas.")
+    ] = "1.55,0.775,0.532",
     field_mm: Annotated[str, typer.Option(help="Field heights along y, separated by commas.")] = "0",
     engine: Annotated[
         list[str] | None,
         typer.Option(
-            help="What brings the lines back; to compare several, repeat it: eikonal, "
+            help="Engine that reconstructs the lines; repeat the option to compare several: eikonal, "
             "slices:slices=30,compensation=oblique.",
             show_default="slices",
         ),
     ] = None,
-    reference: Annotated[str, typer.Option(help="What carries them to the exit plane.")] = "eikonal",
-    bars: Annotated[int, typer.Option(help="Bars of each width, at least 5.")] = 5,
+    reference: Annotated[
+        str, typer.Option(help="Engine that propagates the lines to the exit plane.")
+    ] = "eikonal",
+    bars: Annotated[int, typer.Option(help="Number of bars of each width, at least 5.")] = 5,
     plane_distance_mm: PlaneDistanceMm = 2.0,
     wavelength_um: WavelengthUm = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", callback=output_file, help="Contrast against line width (png, svg, pdf)."
+            "--output",
+            "-o",
+            callback=output_file,
+            help="Figure of contrast against line width to write (png, svg, pdf).",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the contrast of lines with each engine, compared with a more accurate engine.
+    """Measure the contrast of lines that each engine reconstructs from the field of a reference engine.
 
-    Bars on a dark ground, on a meridional line at each field point, are carried to the exit plane by the
-    reference engine and brought back by each one named, then refocused and registered: what is left of their
-    contrast is what that engine's model of the lens allows.
+    The object is a set of bright bars on a meridional line at each field point. The reference engine
+    propagates it to the exit plane, and each named engine propagates the field back to the object. The result
+    is refocused and registered. The remaining contrast shows which lines the engine can resolve.
     """
     from wavesim.plots.frames import save
     from wavesim.plots.resolving import resolving_figure
@@ -131,8 +138,8 @@ def _engines(named: list[str], settings: dict[str, Any]) -> list[tuple[str, dict
     """Return names and settings of the engines. Settings come from options, or follow the name."""
     if len(named) > 1 and settings:
         raise InputError(
-            f"settings of one engine ({', '.join(settings)}) beside several --engine: write them behind its "
-            "name, such as slices:slices=30,compensation=oblique"
+            f"{', '.join(settings)}: cannot be used with several --engine; write settings behind the name of "
+            "their engine, such as slices:slices=30,compensation=oblique"
         )
     return [_engine(text, settings) for text in named]
 
@@ -144,8 +151,8 @@ def _engine(text: str, settings: dict[str, Any]) -> tuple[str, dict[str, Any]]:
         setting, equals, value = (piece.strip() for piece in part.partition("="))
         if not (setting and equals and value):
             raise InputError(
-                f"--engine = {text!r}: must be a name, or a name, a colon, and setting=value separated by "
-                "commas"
+                f"--engine = {text!r}: must be NAME or NAME:SETTING=VALUE,..., such as "
+                "slices:slices=30,compensation=oblique"
             )
         found[setting] = _plain_value(value)
     return name, found
@@ -191,7 +198,7 @@ def _print_resolved(results: list[Any]) -> None:
 
     first = results[0]
     settings = settings_text(first.settings)
-    print(f"lines carried by {first.reference}, brought back by {first.engine}")
+    print(f"lines propagated by {first.reference}, reconstructed by {first.engine}")
     if settings:
         print(settings)
     print()
@@ -217,7 +224,7 @@ def _print_resolved(results: list[Any]) -> None:
         limits = (_down_to(result, contrast) for contrast in (0.5, RESOLVED_CONTRAST))
         print(f"field {result.field_mm:g} mm: {', '.join(limits)}")
         print(f"  limit: {_limit(result)}")
-    print("bars follow each other along y; displacements (shift) are taken out before contrast is measured")
+    print("bars are repeated along y; the displacement (shift) is removed before contrast is measured")
     print()
 
 
@@ -232,14 +239,14 @@ def _down_to(result: Any, contrast: float) -> str:
 def _limit(result: Any) -> str:
     """Describe what limits the resolution at the usual contrast."""
     says = {
-        "engine": f"the engine {result.engine} does not bring finer lines back",
-        "reference": f"{result.reference}, which carried the lines, does not bring finer ones back either",
-        "aperture": f"the aperture passes none finer than {result.passed_um:.3g} um (wavelength / 2 NA)",
-        "widths": "no finer lines were tried: this is no limit of the engine",
+        "engine": f"the engine {result.engine} does not resolve finer lines",
+        "reference": f"the reference engine {result.reference} does not resolve finer lines either",
+        "aperture": f"diffraction at the aperture, {result.passed_um:.3g} um (wavelength / 2 NA)",
+        "widths": "none found; finer lines were not tested",
     }
     smallest = result.smallest_resolved_um()
     beyond = (
-        f"; {smallest:g} um is finer than the {result.passed_um:.3g} um that the aperture passes evenly"
+        f"; {smallest:g} um is finer than the diffraction limit of {result.passed_um:.3g} um"
         if smallest is not None and smallest < result.passed_um * (1.0 - 1e-9)
         else ""
     )
@@ -254,4 +261,4 @@ def _at_end(result: Any) -> str:
     widths = [f"{one.line_width_um:g}" for one in result.lines if abs(one.refocus_um) > most_um]
     if not widths:
         return ""
-    return f"; of {', '.join(widths)} um the focus was found at the end of the search (±{most_um:.0f} um)"
+    return f"; lines of {', '.join(widths)} um: best focus at the end of the search range (±{most_um:.0f} um)"

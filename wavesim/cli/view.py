@@ -19,7 +19,7 @@ CAMERA: dict[str, Any] = {
     "offset_counts": 0.0,
     "gain_electrons_per_count": 1.0,
 }
-"""Settings with which a frame's electrons are its counts."""
+"""Settings with which a frame's electrons equal its counts."""
 
 
 def view(
@@ -35,7 +35,8 @@ def view(
     ] = None,
     truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
     pixel_pitch_um: Annotated[
-        float | None, typer.Option(help="Pixel pitch of a frame of your own, whose counts are shown.")
+        float | None,
+        typer.Option(help="Pixel pitch of a frame (.tif) that does not state it; its counts are shown."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -44,7 +45,7 @@ def view(
             "-o",
             callback=output_file,
             metavar="FILE",
-            help="Page to write, .html; default: beside RESULT.",
+            help="Page to write (.html); default: next to RESULT.",
         ),
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
@@ -77,7 +78,7 @@ def view(
         import webbrowser
 
         if not webbrowser.open(path.resolve().as_uri()):
-            typer.echo(f"no browser was found to open {path}", err=True)
+            typer.echo(f"no browser was found; open {path} yourself", err=True)
 
 
 def _layers(
@@ -86,10 +87,10 @@ def _layers(
     """Return the layers of a file or folder, with those of fields before those of frames."""
     if not result.is_dir() and result.suffix.lower() in (".tif", ".tiff"):
         if truth is not None:
-            raise InputError(f"--truth: means nothing with the frame {result}")
+            raise InputError(f"--truth: cannot be used with the frame {result}")
         return [_frame(result, region, pixel_pitch_um)]
     if pixel_pitch_um is not None:
-        raise InputError(f"--pixel-pitch-um: means nothing with {result}, which is no frame (.tif)")
+        raise InputError(f"--pixel-pitch-um: cannot be used with {result}, which is not a frame (.tif)")
     if not result.is_dir():
         found, frames = {result: ""}, []
         if result.suffix.lower() != ".npz":
@@ -100,7 +101,7 @@ def _layers(
         found = {result / name: label for name, label in labels.items() if (result / name).exists()}
         frames = sorted(result.glob("frame_*.tif"), key=lambda path: (len(path.name), path.name))
         if not found and not frames:
-            raise InputError(f"{result}: holds none of {', '.join(labels)}, frame_1.tif")
+            raise InputError(f"{result}: contains none of {', '.join(labels)}, frame_*.tif")
         if len(found) == 1:
             found = dict.fromkeys(found, "")
     layers = [layer for path, name in found.items() for layer in _field(path, name, region)]
@@ -128,6 +129,7 @@ def _frame(path: Path, region: list[float] | None, pixel_pitch_um: float | None)
     from dataclasses import replace
 
     from wavesim.plots.layers import frame_layer
+    from wavesim.scene.settings import SettingError
     from wavesim.sensor.frames import read_frame
     from wavesim.targets.region import cut_out
 
@@ -136,11 +138,9 @@ def _frame(path: Path, region: list[float] | None, pixel_pitch_um: float | None)
     else:
         try:
             frame = read_frame(path)
-        except InputError as error:
-            if "to be given" not in str(error):
-                raise
+        except SettingError:
             raise InputError(
-                f"{path} does not say how it was recorded; give --pixel-pitch-um to see its counts"
+                f"{path}: does not state how it was recorded; give --pixel-pitch-um to see its counts"
             ) from None
     settings, centre_um = frame.settings, (0.0, 0.0)
     if region is not None:
@@ -175,7 +175,7 @@ def _summary(folder: Path) -> dict[str, Any]:
             except (ValueError, RecursionError) as error:
                 if isinstance(error, InputError):
                     raise
-                raise InputError(f"cannot read {path}: no JSON, or damaged") from error
+                raise InputError(f"cannot read {path}: it is not a JSON file, or is damaged") from error
             return summary if isinstance(summary, dict) else {}
     return {}
 
@@ -192,7 +192,7 @@ def _print_reduced_layers(made: Any, layers: list[Any], region: list[float] | No
     x_mm, y_mm = (0.0, 0.0) if region is None else region[:2]
     several = len({layer.plane for layer in layers}) > 1
     typer.echo(
-        f"no room for every sample of: {'; '.join(coarse)}. To see all samples of a part"
+        f"the page is too small for all samples of: {'; '.join(coarse)}. To see every sample of a region"
         f"{' of the object' if several else ''}, give --region-mm {x_mm:g},{y_mm:g},{made.region_mm:g},"
         f"{made.region_mm:g} or less{', or name a frame' if several else ''}",
         err=True,

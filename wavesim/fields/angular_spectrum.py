@@ -54,7 +54,7 @@ class AngularSpectrum:
         elif len(pad) == len(source.shape) and all(n >= m for n, m in zip(pad, source.shape, strict=True)):
             self.counts = pad
         else:
-            raise InputError(f"pad = {pad}: must be 'auto', or at least {source.shape} samples")
+            raise InputError(f"pad = {pad}: must be 'auto' or at least {source.shape} samples")
         self.samples = math.prod(self.counts)
 
     def check(self, values: Any, coarse_output: bool) -> None:

@@ -61,7 +61,9 @@ def chirp_z_transform(
     kind = np.result_type(values.dtype, np.complex64)
     axis = axis % values.ndim
     if values.shape[axis] != source.count:
-        raise InputError(f"values have {values.shape[axis]} samples along axis {axis}, not {source.count}")
+        raise InputError(
+            f"values have {values.shape[axis]} samples along axis {axis}: must be {source.count}"
+        )
     two_pi = sign * 2.0 * math.pi
 
     def wave(phase: Any) -> Any:

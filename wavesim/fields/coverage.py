@@ -140,8 +140,8 @@ def validate_sampling(grid: Grid, width_um: float, what: str) -> None:
     pitch_um = 1e3 * grid.pitch_mm
     if width_um < SAMPLES_PER_FEATURE * pitch_um * ROUNDING:
         raise SamplingError(
-            f"{what} of {width_um:.4g} um: finer than {SAMPLES_PER_FEATURE:g} samples of the grid's "
-            f"{pitch_um:.4g} um; give a pitch of {width_um / SAMPLES_PER_FEATURE:.4g} um or less"
+            f"{what} of {width_um:.4g} um: narrower than {SAMPLES_PER_FEATURE:g} samples of the grid's pitch "
+            f"of {pitch_um:.4g} um; give a pitch of {width_um / SAMPLES_PER_FEATURE:.4g} um or less"
         )
 
 
@@ -154,8 +154,8 @@ def validate_inside(grid: Grid, shape: Rectangle) -> None:
     if not (reach_x * ROUNDING <= half_x and reach_y * ROUNDING <= half_y):
         raise InputError(
             f"the object extends {reach_x:.4g} mm along x and {reach_y:.4g} mm along y from the grid's "
-            f"centre: the grid extends {half_x:.4g} mm and {half_y:.4g} mm; give a larger grid or a "
-            "smaller object"
+            f"centre, but the grid only {half_x:.4g} mm and {half_y:.4g} mm; use a larger grid or a smaller "
+            "object"
         )
 
 

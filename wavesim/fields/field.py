@@ -64,7 +64,9 @@ class Grid:
         if not (math.isfinite(self.z_mm) and all(math.isfinite(c) for c in self.centre_mm)):
             raise InputError(f"grid z_mm = {self.z_mm!r}, centre_mm = {self.centre_mm!r}: must be finite")
         if self.is_line and self.centre_mm[0] != 0.0:
-            raise InputError(f"grid centre_mm = {self.centre_mm!r}: a meridional line lies at x = 0")
+            raise InputError(
+                f"grid centre_mm = {self.centre_mm!r}: must have x = 0, where a meridional line lies"
+            )
 
     @property
     def is_line(self) -> bool:
@@ -170,7 +172,7 @@ class Field:
     def __post_init__(self) -> None:
         if tuple(self.values.shape) != self.grid.shape:
             raise InputError(
-                f"field values have shape {tuple(self.values.shape)}: the grid's is {self.grid.shape}"
+                f"field values have shape {tuple(self.values.shape)}: must have the grid's, {self.grid.shape}"
             )
         validate_positive("wavelength_um", self.wavelength_um)
 

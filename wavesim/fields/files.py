@@ -66,10 +66,10 @@ def read_field(path: Path) -> tuple[Any, float]:
     arrays = read_arrays(path, named="the field", only=field_arrays)
     if "values" not in arrays or "pitch_um" not in arrays:
         if not zipfile.is_zipfile(path):
-            raise InputError(f"cannot read the field {path}: no .npz file, or damaged")
+            raise InputError(f"cannot read the field {path}: it is not an .npz file, or is damaged")
         lacking = [name for name in field_arrays if name not in arrays]
         raise InputError(
-            f"field {path}: has no {' and no '.join(lacking)}; it holds {sorted(array_names(path))}"
+            f"field {path}: has no {' and no '.join(lacking)}; it contains {sorted(array_names(path))}"
         )
     values, pitch = arrays["values"], arrays["pitch_um"]
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fc":

@@ -237,12 +237,12 @@ def check_propagation(
     report_loss(
         found.edge,
         f"lies between {EDGE * nyquist:.4g} and {nyquist:.4g} cycles/mm, the edge of the Nyquist band of a "
-        f"pitch of {1e3 * source.pitch_mm:.4g} um, so that as much may be aliased",
+        f"pitch of {1e3 * source.pitch_mm:.4g} um, so about as much beyond it may be aliased",
         "sample the field more finely, or smooth its edges",
     )
     report_loss(
         found.decaying,
-        f"is in evanescent waves that have not decayed over {abs(distance_mm):.4g} mm; they are left out",
+        f"is in evanescent waves that have not decayed over {abs(distance_mm):.4g} mm and are omitted",
         "smooth the field to features above half a wavelength, or propagate it farther",
     )
     counts = period_counts(source, target, field.wavelength_um, field.index, distance_mm)
@@ -250,7 +250,7 @@ def check_propagation(
     report_loss(
         found.wrapped,
         f"wraps around or is cut over {abs(distance_mm):.4g} mm with {_sides(pad)} samples (the transfer "
-        f"function is sampled finely enough up to {critical:.4g} mm)",
+        f"function is sampled correctly up to {critical:.4g} mm)",
         f"pad to {_sides(counts)} samples or more (pad='auto'), and leave the band limit on",
     )
     if not coarse_output:
@@ -262,8 +262,8 @@ def check_propagation(
         )
     if 0.0 < found.landing < WARNED or (found.landing == 0.0 and field.energy > 0.0):
         _warn(
-            f"{found.landing:.2g} of the field's energy reaches the output window: the window at "
-            f"{target.centre_mm} mm lies beside the light"
+            f"only {100.0 * found.landing:.2g} % of the field's energy reaches the output window, which is "
+            f"centred at {target.centre_mm} mm: move the window into the light"
         )
     return found
 
@@ -272,8 +272,8 @@ def check_sample_count(counts: Sequence[int], what: str) -> None:
     """Raise SamplingError if a spectrum has more than `MOST_SAMPLES` samples."""
     if math.prod(counts) > MOST_SAMPLES:
         raise SamplingError(
-            f"{what} needs {_sides(tuple(counts))} samples of the spectrum, more than {MOST_SAMPLES:.3g}: "
-            "give smaller windows or a coarser pitch"
+            f"{what} needs {_sides(tuple(counts))} samples of the spectrum (allowed: {MOST_SAMPLES:.3g}): "
+            "use smaller windows or a coarser pitch"
         )
 
 

@@ -131,8 +131,8 @@ class PictureFile:
         """
         if self.count != 1:
             raise InputError(
-                f"{self._who}: holds {self.count} pictures: must hold one; save the one that is meant by "
-                "itself"
+                f"{self._who}: contains {self.count} pictures: must contain one; save the wanted picture in "
+                "a file of its own"
             )
         return self.picture(0)
 
@@ -156,8 +156,8 @@ class PictureFile:
             if self._contiguous is not None:
                 if not len(self._contiguous):
                     raise InputError(
-                        f"{self._who}: states that it holds {self.count} pictures, of which only the first "
-                        "can be found; save it anew"
+                        f"{self._who}: states that it contains {self.count} pictures, but only the first can "
+                        "be found; save the file again"
                     )
                 values, is_opaque = self._contiguous[index], True
             else:
@@ -200,9 +200,9 @@ class PictureFile:
             except InputError:
                 raise
             except UnidentifiedImageError:
-                allowed = " or ".join(self._formats) if self._formats else "known kind of"
+                allowed = " or ".join(self._formats) if self._formats else "supported"
                 raise InputError(
-                    f"{start}no {allowed} picture, or damaged at its start, or of samples that are not read"
+                    f"{start}not a {allowed} picture, damaged at its start, or of an unsupported sample type"
                 ) from None
             except Image.DecompressionBombError as error:
                 raise InputError(f"{start}{error}") from None
@@ -221,7 +221,9 @@ class PictureFile:
             # Most pictures in a file.
             most_pictures = 10_000
             if len(file.pages) > most_pictures:
-                raise InputError(f"{self._who}: more than {most_pictures} directories")
+                raise InputError(
+                    f"{self._who}: has more than {most_pictures} directories, the largest number allowed"
+                )
             directories = [file.pages[n].aspage() for n in range(len(file.pages))]
             whole = [n for n, own in enumerate(directories) if not own.is_reduced] or [0]
             first = directories[whole[0]]
@@ -238,8 +240,8 @@ class PictureFile:
             if stated > self.count:
                 if len(directories) > 1:
                     raise InputError(
-                        f"{self._who}: states that it holds {stated} pictures, and holds {self.count}; save "
-                        "it anew"
+                        f"{self._who}: states that it contains {stated} pictures, but contains {self.count}; "
+                        "save the file again"
                     )
                 self.count, self._contiguous = stated, _contiguous(file, first, stated)
             self._data = bytes(changed) if changed != self._data else self._data
@@ -281,7 +283,9 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
 def _page(index: int, page: Any, order: str, who: str) -> tuple[_Page, list[tuple[int, bytes]]]:
     """Return a directory's properties, and edits of the file so that Pillow returns the stored pixels."""
     if PHOTOMETRIC not in page.tags:
-        raise InputError(f"{who}: a TIFF that does not state whether black or white is zero (photometric)")
+        raise InputError(
+            f"{who}: a TIFF without its photometric tag, which states whether black or white is zero"
+        )
     photometric = int(page.tags[PHOTOMETRIC].value)
     # Supported photometric interpretations.
     photometrics = {0: "grey", 1: "grey", 2: "RGB", 3: "palette", 6: "YCbCr"}
@@ -298,7 +302,7 @@ def _page(index: int, page: Any, order: str, who: str) -> tuple[_Page, list[tupl
         tag = page.tags[code]
         kind = format_of_tag.get(int(tag.dtype))
         if kind is None or tag.count != 1:
-            raise InputError(f"{who}: damaged: tag {code} is no whole number")
+            raise InputError(f"{who}: damaged: tag {code} is not a whole number")
         edits.append((int(tag.valueoffset), struct.pack(f"{order}{kind}", wanted)))
     sample = page.sampleformat
     whole = _Page(

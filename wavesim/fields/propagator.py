@@ -202,8 +202,8 @@ def _warn_of_escape(field: Field, result: Field) -> None:
     if lost > WARNED:
         warnings.warn(
             f"{100.0 * lost:.2g} % of the field's energy leaves the window over a distance of "
-            f"{abs(result.grid.z_mm - field.grid.z_mm):.4g} mm: the samples inside it are correct; give a "
-            "larger window to keep all of the light",
+            f"{abs(result.grid.z_mm - field.grid.z_mm):.4g} mm: the samples inside it are correct; use a "
+            "larger window to include all light",
             SamplingWarning,
             stacklevel=3,
         )

@@ -134,7 +134,7 @@ def spectrum_support(
         beyond += float(power[radius > beyond_per_mm].sum())
     total = float(binned.sum())
     if not total > 1e-12 * float(np.sum(np.abs(values) ** 2, dtype=float)) * values.size:
-        raise InputError("spectrum_support: the values are constant, so that they have only their mean")
+        raise InputError("spectrum_support: the values are constant, so their spectrum without the mean is 0")
     cumulative = np.cumsum(binned)
     crossing = int(np.searchsorted(cumulative, fraction * total))
     radius, power = _within_bin(spectrum, cycles, width, crossing)

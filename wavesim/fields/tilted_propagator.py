@@ -69,7 +69,7 @@ class TiltedPropagator:
         shift_mm: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         if grid.is_line:
-            raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has no tilted sensor")
+            raise InputError(f"tilt_deg = {tilt_deg}: must be 0 on a meridional line")
         rotation = rotation_matrix(*np.deg2rad(tilt_deg))
         # Displacement of a point (x, y) of the plane: along the axis it depends only on the coordinate along
         # `uphill`, the direction of steepest rise.
@@ -175,6 +175,6 @@ def _count(phase: float, tilt_deg: tuple[float, float]) -> int:
         if phase**count / (math.factorial(count) * 2.0 ** (count - 1)) <= accuracy:
             return count
     raise InputError(
-        f"tilt_deg = {tilt_deg}: waves differ by {phase:.3g} rad at the sensor's rim, too much for this "
-        "method; use a smaller tilt or a smaller window of the sensor"
+        f"tilt_deg = {tilt_deg}: the phase varies by {phase:.3g} rad at the sensor's edge, too much for "
+        "this method; use a smaller tilt or a smaller window of the sensor"
     )

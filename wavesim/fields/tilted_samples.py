@@ -71,7 +71,9 @@ class TiltedSamples:
     ) -> None:
         tilted = target if straight else source
         if tilted.z_mm != 0.0:
-            raise InputError(f"grid z_mm = {tilted.z_mm:g}: a tilted plane lies at z = 0 of its own frame")
+            raise InputError(
+                f"grid z_mm = {tilted.z_mm:g}: must be 0; z of a tilted plane is measured in its own frame"
+            )
         rotation = _rotation(tilted, tilt_deg)
         # Columns are the axes of the target.
         self.rotation = rotation if straight else rotation.T
@@ -86,7 +88,7 @@ class TiltedSamples:
         self.carrier = tuple(float(self.most * part) for part in along_z[: len(source.shape)])
         self.frequencies = self._frequencies()
         self.samples = math.prod(f.count for f in self.frequencies)
-        check_sample_count([f.count for f in self.frequencies], "the tilt")
+        check_sample_count([f.count for f in self.frequencies], "propagation to the tilted plane")
 
     def directions(self, cycles: Sequence[Any], rotation: Array) -> tuple[list[Any], Any, Any]:
         """Return frequencies in the other frame (y, x), and axial ones in this frame and in the other.
@@ -109,7 +111,9 @@ class TiltedSamples:
         cycles, axial, turned = self.directions(axes, self.rotation.T)
         fine = (axial > 0.0) & (turned > 0.0)
         if not fine.any():
-            raise InputError("the tilted plane is not reached by light along +z")
+            raise InputError(
+                "tilt_deg: too large; no light that propagates along +z reaches the tilted plane"
+            )
         result = []
         for axis, across in enumerate(cycles):
             spread = (across[fine].max() - across[fine].min()) / (probes - 1)
@@ -238,18 +242,18 @@ class TiltedSamples:
             "sample the field more finely, or smooth its edges",
         )
         report_loss(
-            parts["lost"], "is evanescent, or does not cross the tilted plane forwards", "tilt it less"
+            parts["lost"], "is evanescent, or does not cross the tilted plane forwards", "use a smaller tilt"
         )
         report_loss(
             parts["wide"],
             f"reaches the tilted plane more than {WIDEST / 2:g} half-widths away",
-            "tilt it less, or give a narrower field",
+            "use a smaller tilt or a narrower field",
         )
         if not coarse_output:
             report_loss(
                 parts["fine"],
                 f"has frequencies above the Nyquist limit of the output pitch of {pitch_out:.4g} um",
-                f"give a pitch of {1e3 * self._finest_mm():.4g} um or less, or ask for coarse samples "
+                f"give a pitch of {1e3 * self._finest_mm():.4g} um or less, or accept coarse samples "
                 "(coarse_output=True)",
             )
 
@@ -261,7 +265,7 @@ class TiltedSamples:
 def _rotation(grid: Grid, tilt_deg: tuple[float, float]) -> Array:
     about_x, about_y = tilt_deg
     if not (abs(about_x) < 90.0 and abs(about_y) < 90.0):
-        raise InputError(f"tilt_deg = {tilt_deg}: both must lie between -90 and 90")
+        raise InputError(f"tilt_deg = {tilt_deg}: both must lie between -90 and 90 deg")
     if grid.is_line and about_y != 0.0:
         raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has only a tilt about x")
     return rotation_matrix(np.deg2rad(about_x), np.deg2rad(about_y))

@@ -1,4 +1,4 @@
-"""Figure of a calibration: misfits and parameters of the benches that were tried."""
+"""Figure of a calibration: misfits and parameters of the tested benches."""
 
 from __future__ import annotations
 
@@ -16,14 +16,19 @@ LINE, BEST, NOISE = "#1f5fa8", "#b3202c", "#666666"
 
 
 def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
-    """Draw misfit and parameters of all mountings that were tried.
+    """Draw misfit and parameters of all tested benches.
 
     Parameters
     ----------
     found
         Result of the calibration.
     noise
-        Misfit that noise alone would leave, drawn as a line.
+        Misfit that noise alone causes, drawn as a dashed line.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
     """
     from matplotlib.figure import Figure
 
@@ -46,9 +51,9 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
         value = factor * found.values[k]
         axes.axhline(value, color=BEST, lw=0.8)
         axes.set_ylabel(f"{label} ({unit})" if unit else label)
-        axes.set_title(f"found: {value:.3f} {unit}".rstrip(), fontsize=9, color=BEST)
+        axes.set_title(f"estimate: {value:.3f} {unit}".rstrip(), fontsize=9, color=BEST)
         axes.grid(alpha=0.25)
-        axes.set_xlabel("bench tried" if k >= len(found.parameters) - 2 else "")
+        axes.set_xlabel("tested bench" if k >= len(found.parameters) - 2 else "")
     return figure
 
 
@@ -57,7 +62,7 @@ def _draw_misfits(axes: Axes, found: Calibrated, noise: float | None) -> None:
     axes.plot(np.arange(1, len(misfits) + 1), misfits, ".-", color=LINE, lw=0.8)
     axes.set_yscale("log" if misfits.max() > 5.0 * misfits.min() else "linear")
     axes.set_ylabel("misfit of amplitudes")
-    axes.set_xlabel("bench tried")
+    axes.set_xlabel("tested bench")
     axes.grid(alpha=0.25)
     if noise is not None:
         axes.axhline(noise, color=NOISE, lw=0.8, ls="--")
@@ -90,7 +95,7 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
     axes.set_ylim(-0.7, len(rows) - 0.3)
     axes.axvline(0.0, color="black", lw=0.6)
     axes.set_xlabel(
-        "value over typical size; bars are standard deviations, grey: not determined by the frames"
+        "value / typical size; error bars: standard deviation; grey: not determined by the frames"
     )
     axes.grid(alpha=0.25)
 

@@ -26,18 +26,23 @@ STYLES = (
     ("#b03a6b", "v"),
     ("#8a6d3b", "<"),
 )
-"""Colour and marker of families, in the order in which they are met."""
+"""Colour and marker of each family, in order of appearance."""
 
 
 def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
-    """Error against seconds and against memory, a row of charts for each scene, with the front of each.
+    """Draw error against time and against memory for each scene, with the Pareto front of each chart.
 
     Parameters
     ----------
     rows
-        Of :func:`wavesim.metrics.comparison.compare`.
+        Result of :func:`wavesim.metrics.comparison.compare`.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure with one row of charts for each scene.
     """
     from matplotlib.figure import Figure
 
@@ -48,7 +53,14 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
     styles, legend = _styles(rows), dict[str, Any]()
     for pair, scene in zip(axes, scenes, strict=True):
         done = [row for row in rows if row.scene == scene and math.isfinite(row.relative_error)]
-        _draw(pair[0], done, lambda r: r.seconds, lambda r: r.fastest, "seconds a run, once set up", styles)
+        _draw(
+            pair[0],
+            done,
+            lambda r: r.seconds,
+            lambda r: r.fastest,
+            "seconds for each run, without set-up",
+            styles,
+        )
         _draw(pair[1], done, lambda r: r.peak_mb, lambda r: r.smallest, "peak memory (MB)", styles)
         pair[0].set_title(visible(scene), loc="left", parse_math=False)
         legend |= dict(zip(*pair[0].get_legend_handles_labels()[::-1], strict=True))
@@ -57,9 +69,9 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
 
 
 def _styles(rows: Sequence[Measured]) -> dict[str, tuple[str, str, bool]]:
-    """Colour and marker of each family, and whether it is hollow and dashed."""
+    """Return colour and marker of each family, and whether it is drawn hollow and dashed."""
     found: dict[str, tuple[str, str, bool]] = {}
-    # Ends of the names of families that take the style of the one before them, hollow and dashed.
+    # Families whose names end like this have the style of the previous family, but hollow and dashed.
     second_styles = ("mean", "staircase")
     for family, _ in families(rows):
         second = family.endswith(second_styles)
@@ -85,7 +97,7 @@ def _draw(
         alpha=0.55,
         solid_capstyle="round",
         zorder=1,
-        label="front: none is both better and cheaper",
+        label="Pareto front",
     )
     for family, members in families(rows):
         colour, marker, second = styles[family]
@@ -102,9 +114,7 @@ def _draw(
         )
     if rows:
         known = rows[0].uncertainty
-        axes.axhline(
-            known, color="0.4", ls=":", lw=1.2, zorder=0, label="what the truth itself may be off by"
-        )
+        axes.axhline(known, color="0.4", ls=":", lw=1.2, zorder=0, label="uncertainty of the reference field")
     axes.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the exit field (L2)")
     _mark_few_decades(axes)
     axes.grid(alpha=0.3, which="major")
@@ -112,7 +122,7 @@ def _draw(
 
 
 def _mark_few_decades(axes: Any) -> None:
-    """Numbers between decades where there are few of these."""
+    """Label ticks between decades if the axis spans few decades."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axes.get_xlim()
@@ -124,14 +134,19 @@ def _mark_few_decades(axes: Any) -> None:
 
 
 def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
-    """Maps of errors, with lines where guards warn (dashed) and refuse (solid).
+    """Draw maps of errors, with lines at the limits of warning (dashed) and refusal (solid).
 
     Parameters
     ----------
     maps
-        Of :func:`wavesim.metrics.failures.failure_maps`.
+        Results of :func:`wavesim.metrics.failures.failure_maps`.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Figure with one map for each method.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -142,7 +157,7 @@ def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
     figure.suptitle(visible(title), fontsize=14, parse_math=False)
     axes = figure.subplots(lines, columns, squeeze=False).ravel()
     handles = [Line2D([], [], color="black", ls=style, lw=2) for style in ("--", "-")]
-    words = ["from here on the guard warns", "from here on it refuses"]
+    words = ["limit above which a warning is given", "limit above which the method refuses"]
     figure.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
     picture: Any = None
     for place, found in zip(axes, maps, strict=False):
@@ -176,13 +191,13 @@ def _draw_map(axes: Any, found: FailureMap) -> Any:
     axes.set_yticks(range(len(found.y)), [f"{v:g}" for v in found.y])
     # Columns of tables keep to ASCII.
     axes.set(xlabel=found.x_label.replace("(um)", "(µm)"), ylabel=found.y_label.replace("(um)", "(µm)"))
-    always = ", warns everywhere" if np.all(found.guard >= WARNED) else ""
+    always = ", warning everywhere" if np.all(found.guard >= WARNED) else ""
     axes.set_title(found.method + always, loc="left")
     return picture
 
 
 def _outline(axes: Any, inside: Any, style: str) -> None:
-    """Lines between cells in which something holds and those in which it does not."""
+    """Draw lines between cells where a condition holds and cells where it does not."""
     rows, columns = inside.shape
     for j in range(rows):
         for i in range(columns):

@@ -1,4 +1,4 @@
-"""Pictures of frames, of what a result leaves of them, and curves."""
+"""Figures of frames, of residuals, and of curves."""
 
 from __future__ import annotations
 
@@ -24,21 +24,26 @@ DPI = 160
 
 
 def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
-    """Write a figure to a picture file, of `DPI` dots per inch unless others are asked for."""
+    """Write a figure to a picture file. Default resolution: `DPI` dots per inch."""
     form = path.suffix.lower().removeprefix(".")
     with atomic_path(path) as temporary:
         save_figure(figure, temporary, form, dpi or DPI)
 
 
 def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
-    """Electrons on the pixels of some frames, on a logarithmic scale from the noise of a dark pixel upward.
+    """Draw the electrons in the pixels of frames, on a logarithmic scale from the noise of a dark pixel.
 
     Parameters
     ----------
     frames
-        One or more; several exposures of a plane stand side by side, planes below each other then.
+        One or more frames. With several exposures, each plane is a row, with its exposures side by side.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
     """
     from matplotlib.colors import LogNorm
 
@@ -77,31 +82,38 @@ def residual_figure(
     pitch_um: float,
     title: str = "",
 ) -> Figure:
-    """Amplitude of the result less the recorded one on every plane, in standard deviations of its noise.
+    """Draw the amplitude of the result minus the recorded one on each plane, in standard deviations of noise.
 
-    Where no noise is stated, it stands over the recorded root mean square. Samples that are drawn as the mean
-    of several are in standard deviations of that mean.
+    A plane without stated noise is drawn relative to the recorded root mean square. Where a drawn sample is
+    the mean of several pixels, it is in standard deviations of that mean.
 
     Parameters
     ----------
     maps
-        Amplitude of the result less the recorded one, for each plane.
+        Amplitude of the result minus the recorded one, for each plane.
     recorded
-        The planes.
+        Measurement on each plane.
     distances_mm
-        From the exit vertex.
+        Distance of each plane from the exit vertex (mm).
     pitch_um
-        Of the pixels.
+        Pixel pitch (um).
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
     """
-    figure, (axes,) = panel_row(len(maps), f"{title}\nAmplitude of the result less the recorded one".strip())
+    figure, (axes,) = panel_row(
+        len(maps), f"{title}\nAmplitude of the result minus the recorded amplitude".strip()
+    )
     for cell, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
         shown, drawn_pitch_um, reach, label = _residual(error, plane, pitch_um)
         found = plane_metrics(plane.amplitude, plane.sigma, error)
         text = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
         if found["noise"] is not None:
-            text += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
+            text += f" of the amplitude (from noise alone: {100.0 * found['noise']:.3g} %)"
         cell.set_facecolor("0.6")
         picture = cell.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
         colour_bar(figure, picture, cell, label)
@@ -116,10 +128,15 @@ def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array,
         shown, drawn_pitch_um = for_screen(error, pitch_um)
         shown = shown / math.sqrt(float(np.mean(plane.amplitude**2, dtype=float)))
         reach = max(float(np.quantile(np.abs(shown), 0.998)), 1e-6)
-        return shown, drawn_pitch_um, reach, "over the recorded root mean square"
+        return shown, drawn_pitch_um, reach, "difference / recorded root mean square"
     known = np.isfinite(plane.sigma)
     shown, drawn_pitch_um = for_screen(np.where(known, error / plane.sigma, np.nan), pitch_um)
-    return shown * (drawn_pitch_um / pitch_um), drawn_pitch_um, 4.0, "standard deviations of the noise"
+    return (
+        shown * (drawn_pitch_um / pitch_um),
+        drawn_pitch_um,
+        4.0,
+        "difference / standard deviation of the noise",
+    )
 
 
 def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -> Figure:
@@ -128,10 +145,15 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
     Parameters
     ----------
     curves
-        By the label of the y axis: x, y, and the label of the x axis. A positive curve that falls by more
-        than ten times gets a logarithmic axis.
+        x, y, and the label of the x axis, by the label of the y axis. A positive curve that spans more than
+        a factor of ten has a logarithmic axis.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
     """
     from matplotlib.figure import Figure
 

@@ -167,7 +167,9 @@ def _draw_profile(
     axes.set_ylim(0.0, 1.25 * axes.get_ylim()[1])
     location = "through the centre"
     if element is not None:
-        location = f"of {element.group}-{element.element}: lines of {element.line_width_um:.3g} µm"
+        location = (
+            f"through element {element.group}-{element.element}, line width {element.line_width_um:.3g} µm"
+        )
     axes.set_title(f"profile along {orientation} {location}", fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, loc="upper right", ncols=2)

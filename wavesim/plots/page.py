@@ -105,9 +105,9 @@ def write_zoom_page(
     (('amplitude', 'phase'), 2)
     """
     if Path(path).suffix.lower() != ".html":
-        raise InputError(f"cannot write {path}: a page that zooms is written as .html alone")
+        raise InputError(f"cannot write {path}: the file name must end in .html")
     if not layers:
-        raise InputError("a page that zooms needs one layer or more")
+        raise InputError("a page needs at least one layer")
     tiles = _tiles(layers, most_bytes)
     texts: list[str] = []
     descriptions = [_layer(layer, number, tiles, texts) for number, layer in enumerate(layers)]
@@ -147,28 +147,28 @@ def _tiles(layers: Sequence[PictureLayer], most_bytes: int) -> Tiles:
 
 
 def _quantised(values: Any, layer: PictureLayer) -> Any:
-    """Levels of 8 bits."""
+    """Return the values as grey levels of 8 bits."""
     values = np.asarray(values, np.float32)
     low, high = layer.low, layer.high
     if layer.logarithmic:
         values, low, high = np.log(np.maximum(values, low)), math.log(low), math.log(high)
     known = ~np.isnan(values)
-    share = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)
-    return np.where(known, 1.0 + np.round(STEPS * share), 0.0).astype(np.uint8)
+    fraction = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)
+    return np.where(known, 1.0 + np.round(STEPS * fraction), 0.0).astype(np.uint8)
 
 
 def _png(levels: Any) -> str:
     from PIL import Image
 
     buffer = io.BytesIO()
-    # Of noise, runs alone give files as small as longer searches do, in a third of the time.
+    # For noise, run-length encoding gives files as small as longer searches, in a third of the time.
     picture = Image.fromarray(np.ascontiguousarray(levels))
     picture.save(buffer, format="PNG", compress_level=1, compress_type=zlib.Z_RLE)
     return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
 def _layer(layer: PictureLayer, number: int, tiles: Tiles, texts: list[str]) -> dict[str, Any]:
-    """A layer as the page takes it; its tiles are put behind `texts`."""
+    """Return the description of a layer for the page, and append its tiles to `texts`."""
     rows, columns = layer.levels[0].shape
     levels = []
     for halvings, level in enumerate(layer.levels):
@@ -195,7 +195,7 @@ def _layer(layer: PictureLayer, number: int, tiles: Tiles, texts: list[str]) -> 
 
 
 def _palette(colours: str) -> str:
-    """Red, green and blue of the levels 1 to 255, in base 64."""
+    """Return red, green and blue of the levels 1 to 255, in base 64."""
     from matplotlib import colormaps
 
     colour_map = colormaps[colours].resampled(STEPS + 1)
@@ -204,14 +204,14 @@ def _palette(colours: str) -> str:
 
 
 def _region_mm(layers: Sequence[PictureLayer], tiles: Tiles, most_bytes: int) -> float:
-    """Side of a square about the middle that should have room with all its levels, in two digits."""
+    """Return the side of a central square that should fit with all its levels, to two digits."""
     first = layers[0]
     of_a_sample = sum(
         _bytes_per_sample(layer, number, tiles)
         for number, layer in enumerate(layers)
         if layer.plane == first.plane
     )
-    # Levels of a quarter of the size, and a quarter of that, add a third; a fifth to be safe.
+    # The coarser levels add a third (1/4 + 1/16 + ...). The factor 1.2 is a margin.
     side = 1e-3 * first.pitch_um * math.sqrt(most_bytes / (1.2 * 4.0 / 3.0 * of_a_sample))
     unit = 10.0 ** (math.floor(math.log10(side)) - 1)
     whole = 1e-3 * first.pitch_um * min(first.levels[0].shape)

@@ -1,4 +1,4 @@
-"""The chart of plans: expected error of the object against the frames to take."""
+"""Figure of recording plans: expected error of the object against the number of planes."""
 
 from __future__ import annotations
 
@@ -13,18 +13,23 @@ if TYPE_CHECKING:
 
 
 def plans_figure(found: Plans, title: str = "") -> Figure:
-    """Relative error of the object against the number of planes, a line for each set of exposures.
+    """Draw the relative error of the object against the number of planes, with a line for each bracket.
 
-    The error is that of the trial object that is found worst; a bar reaches down to the best.
-    Filled dots are of plans whose frames are explained to within a fifth of their noise; a ring marks the
-    plan that is recommended.
+    A dot is the error of the trial object with the largest error, and a bar reaches down to the smallest
+    error. A dot is filled if the misfit exceeds the noise by a fifth at most. A ring marks the recommended
+    plan.
 
     Parameters
     ----------
     found
-        Of :func:`wavesim.calibration.plan_frames`.
+        Result of :func:`wavesim.calibration.plan_frames`.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
     """
     from matplotlib.figure import Figure
 
@@ -46,7 +51,7 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
     axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color="#b3202c", label="recommended")
     axes.set_yscale("log")
     axes.set_xticks(range(1, found.settings.most_planes + 1))
-    axes.set_xlabel("planes")
+    axes.set_xlabel("number of planes")
     axes.set_ylabel("relative error of the object")
     axes.grid(alpha=0.25, which="both")
     axes.legend(frameon=False)

@@ -1,4 +1,4 @@
-"""Pictures of a reconstruction pupil: wavefront, point spread, line pairs, modulation transfer."""
+"""Figures of a reconstruction pupil: wavefront, point spread, line pairs, modulation transfer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], ti
     line_widths_um
         Widths of the line pairs to show, at least one.
     title
-        Written on top.
+        Title of the figure.
 
     Returns
     -------
@@ -81,8 +81,8 @@ def _draw_psf(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> None:
     picture = axes.pcolormesh(
         coordinates, coordinates, decades, cmap="inferno", vmin=-psf_decades, vmax=0.0, rasterized=True
     )
-    _colour_bar(figure, picture, axes, "log10 of the intensity (perfect peak: 0)")
-    axes.set_title(f"Point spread: Strehl ratio {strehl(pupil):.4f}")
+    _colour_bar(figure, picture, axes, "log10 of the intensity (0: peak of a perfect lens)")
+    axes.set_title(f"PSF: Strehl ratio {strehl(pupil):.4f}")
     axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
 
@@ -94,7 +94,7 @@ def _draw_mtf(axes: Any, pupil: ReconstructionPupil) -> None:
     for orientation in ORIENTATIONS:
         values = mtf(pupil, frequencies, orientation)
         axes.plot(frequencies, values, color=COLOURS[orientation], lw=1.8, label=f"across {orientation}")
-    axes.set_title("Modulation transfer")
+    axes.set_title("Modulation transfer function")
     axes.set(xlabel="spatial frequency at the object (lp/mm)", ylabel="modulation")
     axes.set(xlim=(0.0, cut_off), ylim=(0.0, 1.02))
     axes.grid(alpha=0.3)
@@ -106,7 +106,7 @@ def _draw_line_pairs(figure: Figure, axes: Any, pupil: ReconstructionPupil, widt
     picture = axes.pcolormesh(
         coordinates, coordinates, intensity, cmap="gray", vmin=0.0, vmax=intensity.max(), rasterized=True
     )
-    _colour_bar(figure, picture, axes, "intensity (large bright area: 1)")
+    _colour_bar(figure, picture, axes, "intensity (1: large bright area)")
     axes.set_title(f"Lines of {width_um:g} µm across x")
     axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
@@ -122,7 +122,7 @@ def _draw_profiles(axes: Any, pupil: ReconstructionPupil, width_um: float) -> No
         label = f"across {orientation}, displaced by {round(place, 3) + 0.0:.3f} µm"
         axes.plot(coordinates - place, intensity, color=COLOURS[orientation], lw=1.6, label=label)
     axes.set_title(f"Contrast: {', '.join(contrasts)}")
-    axes.set(xlabel="across the lines, from their own middle (µm)", ylabel="intensity")
+    axes.set(xlabel="distance from the centre of the imaged lines (µm)", ylabel="intensity")
     axes.set(xlim=(-6.0 * width_um, 6.0 * width_um), ylim=(0.0, 1.35 * axes.get_ylim()[1]))
     axes.legend(frameon=False, fontsize=9, loc="upper center")
 

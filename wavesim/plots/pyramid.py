@@ -179,10 +179,10 @@ def _check_values(values: Any, pitch_um: float, quantities: Sequence[str]) -> No
         )
     validate_positive("pitch_um", pitch_um)
     if not quantities or len(set(quantities)) < len(quantities):
-        raise InputError(f"quantities = {list(quantities)}: must be one or more, and differ")
+        raise InputError(f"quantities = {list(quantities)}: must be one or more different names")
     plain = [name for name in quantities if name not in ("amplitude", "phase_rad")]
     if plain and np.iscomplexobj(values):
-        raise InputError(f"quantities = {list(quantities)}: of complex values, allowed: amplitude, phase_rad")
+        raise InputError(f"quantities = {list(quantities)}: allowed for complex values: amplitude, phase_rad")
 
 
 def _metadata(values: Any, pitch_um: float, quantities: Sequence[str], entries: dict[str, Any]) -> Any:

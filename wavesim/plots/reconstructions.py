@@ -1,4 +1,4 @@
-"""Pictures of reconstructions: how retrieval converged (Fig. 10), and what its starts lead to (Fig. 8)."""
+"""Figures of phase retrieval: its convergence (Fig. 10), and results from different starts (Fig. 8)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence of retrieval") -> Figure:
+def convergence_figure(
+    runs: Mapping[str, Retrieved], title: str = "Convergence of phase retrieval"
+) -> Figure:
     """Draw 1 minus the correlation of amplitudes (A6), and the residual at the first plane.
 
     Both are on logarithmic axes over the iterations, because a correlation near 1 hardly changes. A dot marks
@@ -29,17 +31,22 @@ def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence 
     runs
         Results of :func:`wavesim.retrieve`, by the name of their start.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
 
     Raises
     ------
     InputError
-        If there are none.
+        If there are no runs.
     """
     from matplotlib.figure import Figure
 
     if not runs:
-        raise InputError("convergence: needs one run at least")
+        raise InputError("runs: must contain at least one run")
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
     figure.suptitle(visible(title), parse_math=False)
     curves = {
@@ -64,42 +71,47 @@ def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence 
 def starts_figure(
     objects: Mapping[str, Field],
     correlations: Mapping[str, float] | None = None,
-    title: str = "What the start of phase retrieval leads to",
+    title: str = "Phase retrieval from different starts",
 ) -> Figure:
-    """Amplitude and phase of the object that each start led to, in one scale of amplitude.
+    """Draw amplitude and phase of the object that each start leads to, with a common scale of amplitude.
 
     Parameters
     ----------
     objects
         Reconstructed objects on one plane grid, by the name of their start.
     correlations
-        CC (A6) of each start, written above its picture. The agreement of all starts stands in the title:
-        where it is low, no CC proves that a result is right.
+        CC (A6) of each start, written above its picture. The title states the agreement of all starts. If it
+        is low, a high CC does not prove that a result is correct.
     title
-        Written on top.
+        Title of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
 
     Raises
     ------
     InputError
-        If there are none, or their grids differ or are lines.
+        If there are no objects, or their grids differ or are lines.
     """
     from matplotlib.figure import Figure
 
     fields = list(objects.values())
     if not fields or any(f.grid != fields[0].grid or f.grid.is_line for f in fields):
-        raise InputError("pictures of several starts: need objects on one plane grid")
+        raise InputError("objects: must be one or more fields on the same plane grid")
     agreed = f"; agreement of all starts {agreement(fields):.4f}" if len(fields) > 1 else ""
     figure = Figure(figsize=(3.8 * len(fields), 7.4), layout="constrained")
     figure.suptitle(visible(title) + agreed, parse_math=False)
     brightest = max(float(np.percentile(np.abs(f.values), 99.9)) for f in fields)
     for column, (name, field) in enumerate(objects.items()):
-        said = "" if correlations is None else f"\nCC {correlations[name]:.6f}"
+        correlation = "" if correlations is None else f"\nCC {correlations[name]:.6f}"
         for row, (values, settings) in enumerate(_pictures(field, brightest)):
             axes = figure.add_subplot(2, len(fields), row * len(fields) + column + 1)
             picture = axes.imshow(values, extent=_extent_um(field), origin="lower", **settings)
             axes.set_xlabel("x (µm)")
             if row == 0:
-                axes.set_title(name + said)
+                axes.set_title(name + correlation)
             if column == 0:
                 axes.set_ylabel("y (µm)")
             if column == len(fields) - 1:
@@ -108,7 +120,7 @@ def starts_figure(
 
 
 def _pictures(field: Field, brightest: float) -> Sequence[tuple[Array, dict[str, Any]]]:
-    """Amplitude and phase, with what imshow takes for them."""
+    """Return amplitude and phase, with their arguments of imshow."""
     return (
         (np.abs(field.values), {"cmap": "gray", "vmin": 0.0, "vmax": brightest}),
         (np.angle(field.values), {"cmap": "twilight", "vmin": -np.pi, "vmax": np.pi}),

@@ -1,4 +1,4 @@
-"""Charts of the resolving test: contrast against line width, of several engines side by side."""
+"""Figures of the resolving test: contrast against line width for several engines."""
 
 from __future__ import annotations
 
@@ -17,29 +17,35 @@ if TYPE_CHECKING:
 def resolving_figure(
     results: Sequence[Resolved], title: str = "", threshold: float = RESOLVED_CONTRAST
 ) -> Figure:
-    """Contrast of refocused lines against their width: a chart for each field point, a curve for each engine.
+    """Draw the contrast of refocused lines against their width.
 
-    Dots are filled where lines count as resolved: the contrast reaches the threshold, every bar is brighter
-    than every gap, and so it is with all wider lines. A dropped line and a figure mark the smallest width.
+    There is one chart for each field point, with one curve for each engine. A dot is filled if the lines are
+    resolved: the contrast reaches the threshold, every bar is brighter than every gap, and all wider lines
+    are resolved, too. A dotted vertical line marks the smallest resolved width, which the legend states.
 
     Parameters
     ----------
     results
-        Of :func:`wavesim.resolve`, of one or several engines and field points.
+        Results of :func:`wavesim.resolve` for one or several engines and field points.
     title
-        Written on top.
+        Title of the figure.
     threshold
-        Contrast from which on lines count.
+        Smallest contrast of resolved lines.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
 
     Raises
     ------
     InputError
-        If there are none.
+        If there are no results.
     """
     from matplotlib.figure import Figure
 
     if not results:
-        raise InputError("resolving test: needs one result at least")
+        raise InputError("results: must contain at least one result")
     heights = list(dict.fromkeys(result.field_mm for result in results))
     labels = list(dict.fromkeys(engine_label(result) for result in results))
     figure = Figure(figsize=(6.2 * len(heights) + 0.6, 5.6), layout="constrained")
@@ -59,7 +65,7 @@ def resolving_figure(
 
 
 def engine_label(result: Resolved) -> str:
-    """An engine and what tells it from others of its kind."""
+    """Return the name of an engine, with the settings that distinguish it from others of its kind."""
     if result.engine == "slices":
         settings = result.settings
         return f"{settings['slices']} slices, {settings['compensation']} compensation"
@@ -72,7 +78,7 @@ def _draw(axes: Any, result: Resolved, number: int, threshold: float, curves: in
     colour, marker = colours[number % len(colours)], markers[number % len(markers)]
     lines = sorted(result.lines, key=lambda one: one.line_width_um)
     widths, contrasts = [one.line_width_um for one in lines], [one.contrast for one in lines]
-    # Engines that agree lie on each other: lower curves are wider.
+    # Curves of engines that agree coincide, so lower curves are drawn wider.
     wide = 1.6 + 1.6 * max(0, curves - 1 - number)
     axes.plot(widths, contrasts, color=colour, lw=wide, alpha=0.75, zorder=2)
     smallest = result.smallest_resolved_um(threshold)

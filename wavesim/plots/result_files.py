@@ -16,18 +16,18 @@ from lensdesign.common.text import safe_cell
 from lensdesign.errors import MARK, UNFINISHED, InputError, atomic_path, is_abandoned, new_mark
 
 UNFINISHED_FOLDER = re.compile(rf"\.new\.(?:{MARK}|[0-9a-f]{{8}})")
-"""Names of folders in which results are written until they are whole."""
+"""Names of folders in which results are written until they are complete."""
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what runs that were killed left of results they were writing.
+    """Remove unfinished results of runs that were killed.
 
-    Folders of processes that still run are left alone, and so are those that cannot be removed.
+    Folders of running processes, and folders that cannot be removed, remain.
 
     Parameters
     ----------
     folder
-        A folder of results; it need not exist.
+        Folder of results, which need not exist.
     """
     with suppress(OSError):
         for path in folder.iterdir():
@@ -38,9 +38,14 @@ def remove_unfinished(folder: Path) -> None:
 
 @contextmanager
 def new_results(folder: Path) -> Iterator[Path]:
-    """Give an empty folder to write to, and rename its files into `folder` at the end.
+    """Yield an empty folder to write to, and move its files to `folder` at the end.
 
-    A failure leaves `folder` as it was; other files in it stay.
+    A failure leaves `folder` unchanged. Other files in it remain in any case.
+
+    Parameters
+    ----------
+    folder
+        Folder of results, which is created if it does not exist.
 
     Yields
     ------
@@ -87,7 +92,7 @@ def write_json(data: Mapping[str, Any], path: Path) -> None:
 
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """A table with the first row's keys as its columns; no text in it is a formula to a spreadsheet."""
+    """Write a table with the keys of the first row as columns; a spreadsheet reads no text as a formula."""
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()

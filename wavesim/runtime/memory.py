@@ -83,8 +83,8 @@ class Memory:
         least, limit = self.need.least_bytes, self.limit_bytes
         if least > limit:
             raise MemoryLimitError(
-                f"{what} needs {1e-9 * least:.3g} GB of memory at least (allowed: {1e-9 * limit:.3g} GB): "
-                f"take --memory-gb {math.ceil(1e-8 * least) / 10.0:g} or more, a smaller --patch-mm, or "
+                f"{what} needs at least {1e-9 * least:.3g} GB of memory (allowed: {1e-9 * limit:.3g} GB); "
+                f"use --memory-gb {math.ceil(1e-8 * least) / 10.0:g} or more, a smaller --patch-mm, or "
                 "coarser samples (--object-pitch-um)"
             )
         return math.inf if self.need.most_bytes <= limit else limit - least

@@ -46,7 +46,9 @@ class Scratch:
         if not memory_bytes >= 0.0:
             raise InputError(f"memory_bytes = {memory_bytes!r}: must be 0 or more")
         if folder is None and math.isfinite(memory_bytes):
-            raise InputError(f"memory_bytes = {memory_bytes:g}: needs a folder for what is beyond it")
+            raise InputError(
+                f"memory_bytes = {memory_bytes:g}: requires a folder for arrays beyond this limit"
+            )
         self.folder, self.memory_bytes = folder, memory_bytes
         self.bytes_in_memory = 0
         self.bytes_in_files = 0

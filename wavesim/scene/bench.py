@@ -54,7 +54,9 @@ class LightErrors:
         for name in ("amplitude", "phase_waves"):
             for orders, value in getattr(self, name).items():
                 if len(orders) != 2 or min(orders) < 0 or orders == (0, 0):
-                    raise InputError(f"light {name}, orders {orders}: must be two, not negative, not both 0")
+                    raise InputError(
+                        f"light {name}, orders {orders}: must be two whole numbers from 0, not both 0"
+                    )
                 if not math.isfinite(value):
                     raise InputError(f"light {name}, orders {orders} = {value!r}: must be finite")
 

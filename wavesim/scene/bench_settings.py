@@ -41,9 +41,10 @@ class BenchSettings(Section):
         None, description="Phase errors of the light as Legendre modes, in waves: 20:0.03,11:-0.02."
     )
     source_deg: float = Field(0.0, description="Diameter of the light source (partial coherence).")
-    bandwidth_nm: float = Field(0.0, description="Full width of the light's even spectrum.")
+    bandwidth_nm: float = Field(0.0, description="Full width of the light's rectangular spectrum.")
     perturb: str | None = Field(
-        None, description="The lens as made: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'."
+        None,
+        description="Errors of the lens: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'.",
     )
     working_distance_error_mm: float = Field(0.0, description="Shift of the object away from the lens.")
     sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Tilt of the sensor about x,y.")
@@ -51,7 +52,8 @@ class BenchSettings(Section):
         (), description="x,y shift of the sensor on the first plane; repeat the option for the next planes."
     )
     plane_background: Numbers = Field(
-        (0.0,), description="Even background of all planes, or of each, as a fraction of the mean intensity."
+        (0.0,),
+        description="Background as a fraction of the mean intensity: one value, or one for each plane.",
     )
     prnu: float = Field(
         0.0, description="Standard deviation of the pixels' gain (EMVA 1288), as a fraction of the mean gain."
@@ -59,10 +61,10 @@ class BenchSettings(Section):
     dsnu_electrons: float = Field(
         0.0, description="Standard deviation of the pixels' dark signal (EMVA 1288)."
     )
-    hot_pixels: float = Field(0.0, description="Fraction of the pixels that are bright without light.")
-    dead_pixels: float = Field(0.0, description="Fraction of the pixels that do not respond to light.")
+    hot_pixels: float = Field(0.0, description="Fraction of hot pixels, which are bright without light.")
+    dead_pixels: float = Field(0.0, description="Fraction of dead pixels, which do not respond to light.")
     exposure_error: Numbers = Field(
-        (0.0,), description="Relative error of the exposure time of all exposures, or of each."
+        (0.0,), description="Relative error of the exposure time: one value, or one for each exposure."
     )
 
     @field_validator("light_amplitude", "light_phase_waves")
@@ -95,9 +97,13 @@ class BenchSettings(Section):
         backgrounds, shifts = self.plane_background, self.plane_shift_um
         if len(backgrounds) not in (1, planes):
             text = ",".join(f"{fraction:g}" for fraction in backgrounds)
-            raise InputError(f"plane_background = {text!r}: must be 1 or {planes} numbers")
+            raise InputError(
+                f"plane_background = {text!r}: must be one number, or {planes} (one for each plane)"
+            )
         if len(shifts) > planes:
-            raise InputError(f"plane_shift_um: is given {len(shifts)} times, and there are {planes} planes")
+            raise InputError(
+                f"plane_shift_um: {len(shifts)} shifts are given, but there are only {planes} planes"
+            )
         placement = Placement(
             pose,
             surface_perturbations(lens, self.perturb),
@@ -139,7 +145,7 @@ def modes_of(text: str | None) -> dict[Orders, float]:
         size = _number(match[3]) if match else math.nan
         if match is None or not math.isfinite(size) or match[1] == match[2] == "0":
             raise ValueError(
-                f"{part!r}: must be orders in x and y, a colon and a size, such as 10:-0.04 or 02:0.05"
+                f"{part!r}: must be orders in x and y, a colon and a coefficient, such as 10:-0.04"
             )
         found[int(match[1]), int(match[2])] = size
     return found
@@ -158,16 +164,15 @@ def perturbed_surfaces(text: str | None) -> dict[int, dict[str, float]]:
     for part in text.split(";") if text is not None else ():
         match = re.fullmatch(r"\s*surface\s+([1-9]\d*)\s*:(.+)", part)
         if match is None:
-            raise ValueError(f"{part.strip()!r}: must be 'surface 1: radius_mm=0.01, index=0.001'")
+            raise ValueError(f"{part.strip()!r}: must have the form 'surface 1: radius_mm=0.01, index=0.001'")
         for one in match[2].split(","):
             name, _, value = (word.strip() for word in one.partition("="))
             if name not in allowed and not ZERNIKE.fullmatch(name):
                 raise ValueError(
-                    f"{name!r}: allowed: {', '.join(allowed)}, zernike_5_um and so on"
-                    f"{did_you_mean(name, allowed)}"
+                    f"{name!r}: allowed: {', '.join(allowed)}, zernike_INDEX_um{did_you_mean(name, allowed)}"
                 )
             if not math.isfinite(_number(value)):
-                raise ValueError(f"{one.strip()!r}: must be a name, '=' and a finite number")
+                raise ValueError(f"{one.strip()!r}: must have the form NAME=NUMBER, with a finite number")
             found.setdefault(int(match[1]), {})[name] = _number(value)
     return found
 
@@ -183,7 +188,7 @@ def surface_perturbations(lens: Lens, text: str | None) -> dict[int, SurfacePert
     found = {}
     for index, deltas in perturbed_surfaces(text).items():
         if index > len(lens.surfaces):
-            raise InputError(f"perturb: surface {index}: the lens has {len(lens.surfaces)}")
+            raise InputError(f"perturb: surface {index}: the lens has only {len(lens.surfaces)} surfaces")
         found[index - 1] = _perturbation(deltas, lens.surfaces[index - 1].semi_diameter_mm, index)
     return found
 

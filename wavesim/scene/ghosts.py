@@ -22,7 +22,9 @@ class GhostScene(Scene):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.coating != "ideal":
-            raise InputError(f"coating = {self.coating!r}: a ghost has a stated reflectance; must be ideal")
+            raise InputError(
+                f"coating = {self.coating!r}: must be ideal, because a ghost has its own reflectance"
+            )
 
     @cached_property
     def system(self) -> CompiledSystem:

@@ -88,13 +88,13 @@ def patch_scene(
     pitch = 1e-3 * object_pitch_um
     if not patch_mm >= 2.0 * pitch:
         raise InputError(
-            f"patch_mm = {patch_mm:g}: narrower than 2 samples of the object's {object_pitch_um:g} um: give "
-            f"{2.0 * pitch:g} or more"
+            f"patch_mm = {patch_mm:g}: narrower than 2 samples of object_pitch_um = {object_pitch_um:g}; "
+            f"give {2.0 * pitch:g} or more"
         )
     if patch_mm / pitch > LONGEST_SIDE:
         raise SamplingError(
-            f"object_pitch_um = {object_pitch_um:g}: {patch_mm / pitch:.3g} samples along the patch of "
-            f"{patch_mm:g} mm; at most {LONGEST_SIDE} are allowed"
+            f"object_pitch_um = {object_pitch_um:g}: {patch_mm / pitch:.3g} samples along patch_mm = "
+            f"{patch_mm:g}; at most {LONGEST_SIDE} are allowed"
         )
     count = scipy.fft.next_fast_len(math.ceil(patch_mm / pitch))
     dimensions = 1 if meridional else 2
@@ -134,7 +134,7 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
         raise SamplingError(
             f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide and "
-            f"needs samples of {1e3 * pitch:.3g} um; more than {MOST_SAMPLES:.3g} samples are not allowed"
+            f"needs a pitch of {1e3 * pitch:.3g} um, which exceeds {MOST_SAMPLES:.3g} samples (the limit)"
         )
     count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)

@@ -79,7 +79,9 @@ class Settings(Section):
     def _of_usable_size(cls, value: Any) -> Any:
         for number in _floats(value):
             if number != 0.0 and not SMALLEST_SETTING <= abs(number) <= LARGEST_SETTING:
-                raise ValueError(f"must be 0 or of a size from {SMALLEST_SETTING:g} to {LARGEST_SETTING:g}")
+                raise ValueError(
+                    f"must be 0 or have a magnitude from {SMALLEST_SETTING:g} to {LARGEST_SETTING:g}"
+                )
         return value
 
     @field_validator("wavelength_um", "pixel_pitch_um", check_fields=False)
@@ -125,7 +127,7 @@ Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
 Points = Annotated[
     tuple[Pair, ...],
     BeforeValidator(tuples),
-    Field(description="usaf: x,y of fine groups in addition to those in the middle; may be repeated."),
+    Field(description="usaf: centre x,y of an additional chart with fine groups; may be repeated."),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
 Kind = Literal["complex", "amplitude"]
@@ -133,10 +135,10 @@ StopOrigin = Literal["patch", "stated", "frames", "calibration"]
 """Where a field stop comes from: the patch's sides, settings, the frames, or an earlier calibration."""
 
 STOP_ORIGINS: dict[StopOrigin, str] = {
-    "patch": "as wide as the patch, nothing else is stated",
-    "stated": "as stated",
-    "frames": "found from the frames",
-    "calibration": "as the calibration has it",
+    "patch": "as wide as the patch (default)",
+    "stated": "from the settings",
+    "frames": "estimated from the frames",
+    "calibration": "from the calibration",
 }
 
 
@@ -146,7 +148,7 @@ def _pixels(value: Any) -> Any:
         return tuple(value) if isinstance(value, list) else value
     parts = value.split("x")
     if not all(part.strip().isdecimal() for part in parts) or len(parts) > 2:
-        raise ValueError("must be a whole number, two such as 9344x7000, or all")
+        raise ValueError("must be a whole number, two numbers such as 9344x7000, or all")
     sides = [int(part) for part in parts]
     return sides[0] if len(sides) == 1 else (sides[0], sides[1])
 
@@ -160,19 +162,21 @@ class PatchSettings(Settings):
         None, description="x,y of the field stop's centre; default: on the axis."
     )
     object_pitch_um: float | None = Field(
-        None, description="Pitch of the object's samples; default: by the numerical aperture."
+        None, description="Pitch of the object's samples; default: from the numerical aperture."
     )
     illumination: str = Field("plane", description="plane, tilted, gaussian, or FILE of a measured field.")
     light_tilt_deg: Pair = Field((0.0, 0.0), description="tilted: angles x,y of the light.")
     waist_mm: float | None = Field(None, description="gaussian: radius of the waist.")
-    light_pitch_um: float | None = Field(None, description="FILE: its pitch, if the file does not state it.")
+    light_pitch_um: float | None = Field(
+        None, description="FILE: sample pitch, if the file does not state it."
+    )
 
     @field_validator("light_tilt_deg", "waist_mm")
     @classmethod
     def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
         kind = "tilted" if info.field_name == "light_tilt_deg" else "gaussian"
         if value not in (None, (0.0, 0.0)) and info.data.get("illumination") != kind:
-            raise SettingError(f"{{{info.field_name}}}: means nothing without {{illumination}} {kind}")
+            raise SettingError(f"{{{info.field_name}}}: requires {{illumination}} {kind}")
         return value
 
 
@@ -244,10 +248,11 @@ class CameraSettings(Settings):
         None, description="Distances of the planes from the exit vertex; default: the design's."
     )
     pixels: Annotated[Pixels | None, BeforeValidator(_pixels)] = Field(
-        None, description="Pixels along a side, or 9344x7000, or all; default: as many as the light covers."
+        None,
+        description="Pixels along each side, or 9344x7000, or all; default: as many as the light covers.",
     )
-    noise: bool = Field(True, description="Shot noise and read noise.")
-    seed: int = Field(0, ge=0, description="Seed of the noise, and of the object tissue.")
+    noise: bool = Field(True, description="Simulate shot noise and read noise.")
+    seed: int = Field(0, ge=0, description="Seed of the noise and of the tissue object.")
     full_well_electrons: float = Field(
         10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
     )
@@ -262,13 +267,17 @@ class CameraSettings(Settings):
         le=1e6,
         description="Fraction of full well that the brightest pixel receives in exposure 1.",
     )
-    exposures: Numbers = Field((1.0,), description="Exposure times of each plane; 1 gives the peak fill.")
+    exposures: Numbers = Field(
+        (1.0,), description="Exposure times of each plane, relative to that for the peak fill."
+    )
     fill_factor: float = Field(
         1.0,
         validation_alias=AliasChoices("fill_factor", "active_width"),
         description="Linear fill factor of a pixel (0 to 1).",
     )
-    stage_error_mm: Numbers = Field((0.0,), description="Position error of all planes, or of each.")
+    stage_error_mm: Numbers = Field(
+        (0.0,), description="Error of the plane distance: one value, or one for each plane."
+    )
     shift_um: Pair = Field((0.0, 0.0), description="x,y shift of the sensor from plane to plane.")
 
     @field_validator("planes_mm")
@@ -287,19 +296,19 @@ class ObjectSettings(Settings):
     """An object on the patch, and the wavelength of its light."""
 
     wavelength_um: float | None = Field(None, description="Wavelength; default: the design's first.")
-    ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: background, bright or dark.")
+    ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark background.")
     chart_at_mm: Points = ()
     ghost: float = Field(
         0.0,
         ge=0.0,
         le=1.0,
-        description="Product of the reflectances of both outer surfaces: the lens's ghost.",
+        description="Ghost of the lens: product of the reflectances of both outer surfaces.",
     )
     picture_pixel_um: Size | None = Field(
-        None, description="FILE: side of its pixels; default: fitted to the field stop."
+        None, description="FILE: side of a pixel on the object; default: fitted to the field stop."
     )
     picture_width_mm: Size | None = Field(
-        None, description="FILE: its width; default: fitted to the field stop."
+        None, description="FILE: width of the picture on the object; default: fitted to the field stop."
     )
 
 
@@ -345,9 +354,13 @@ class FrameSetSettings(Settings):
     offset_counts: float | None = Field(None, description="Count of a dark pixel.")
     gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
     read_noise_electrons: float | None = Field(None, description="Read noise of the sensor.")
-    flat: Path | None = Field(None, description="FILE of even light, in counts: TIFF, PNG or .npy.")
-    dark: Path | None = Field(None, description="FILE without light, in counts: TIFF, PNG or .npy.")
-    bad_pixels: Path | None = Field(None, description="FILE in which unusable pixels are not 0.")
+    flat: Path | None = Field(
+        None, description="FILE of a flat frame (even light), in counts: TIFF, PNG or .npy."
+    )
+    dark: Path | None = Field(
+        None, description="FILE of a dark frame (no light), in counts: TIFF, PNG or .npy."
+    )
+    bad_pixels: Path | None = Field(None, description="FILE of a mask in which bad pixels are not 0.")
 
 
 class FramedSettings(EngineSettings, PatchSettings):
@@ -356,10 +369,10 @@ class FramedSettings(EngineSettings, PatchSettings):
     kind: Kind = Field("complex", description="object: complex or amplitude.")
     field_stop: Literal["stated", "find"] = Field(
         "stated",
-        description="stated, or find: position and diameter from the frames, unless they are given.",
+        description="stated, or find: estimate from the frames the diameter or position that is not given.",
     )
     scale: float | None = Field(
-        None, description="object: recorded amplitude of a transmission of 1; default: fitted."
+        None, description="object: recorded amplitude where the transmission is 1; default: fitted."
     )
     fill_factor: float = Field(
         1.0,
@@ -375,8 +388,8 @@ class FramedSettings(EngineSettings, PatchSettings):
         both = all(info.data.get(name) is not None for name in ("field_stop_mm", "field_stop_at_mm"))
         if stop == "find" and both:
             raise SettingError(
-                "{field_stop} find: {field_stop_mm} and {field_stop_at_mm} are both given, and nothing is "
-                "left to find: omit one of them"
+                "{field_stop} find: {field_stop_mm} and {field_stop_at_mm} are both given, so there is "
+                "nothing to find; omit at least one of them"
             )
         return stop
 
@@ -412,27 +425,29 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
     iterations: int | None = Field(
-        None, ge=1, description="Most iterations; default: 80 for object, 500 for paper."
+        None, ge=1, description="Largest number of iterations; default: 80 for object, 500 for paper."
     )
     tv_weight: float | Literal["auto"] = Field(
-        "auto", description="object: weight of the total variation, or auto: by the noise."
+        "auto", description="object: weight of the total variation; auto: from the noise."
     )
-    start: str | None = Field(None, description="paper: model, uniform, random; object: even, amplitude.")
+    start: str | None = Field(
+        None, description="Start: model, uniform or random for paper; even or amplitude for object."
+    )
     refocus_mm: Pair | None = Field(None, description="low,high: range in which the focus is searched.")
     usaf: Literal["bright", "dark"] | None = Field(
         None, description="The object is a USAF chart with a bright or dark background."
     )
     chart_at_mm: Points = ()
     hold_out_plane: int | None = Field(
-        None, description="object: plane that is not used, but compared with the result, counted from 1."
+        None, description="object: index of a plane (from 1) that is not used, but predicted and compared."
     )
-    starts: int = Field(1, ge=1, description="object: number of starts whose results must agree.")
+    starts: int = Field(1, ge=1, description="object: number of starts, whose results are compared.")
     source_deg: float | Literal["find"] = Field(
         0.0,
         description="object: diameter of the light source (partial coherence), or find.",
     )
     region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(tuples)] | None = Field(
-        None, description="x,y,width,height: the part of the object that is judged and written."
+        None, description="x,y,width,height: region of the object that is evaluated and written."
     )
 
     @field_validator("start")
@@ -447,14 +462,14 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     @classmethod
     def _of_object(cls, value: int | None, info: ValidationInfo) -> int | None:
         if value not in (None, 1) and info.data.get("method") == "paper":
-            raise SettingError(f"{{{info.field_name}}}: means nothing with {{method}} paper")
+            raise SettingError(f"{{{info.field_name}}}: cannot be used with {{method}} paper")
         return value
 
     @field_validator("chart_at_mm")
     @classmethod
     def _of_a_chart(cls, points: tuple[Pair, ...], info: ValidationInfo) -> tuple[Pair, ...]:
         if points and info.data.get("usaf") is None:
-            raise SettingError("{chart_at_mm}: means nothing without {usaf}")
+            raise SettingError("{chart_at_mm}: requires {usaf}")
         return points
 
     @field_validator("source_deg")
@@ -463,7 +478,9 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         if not isinstance(width_deg, str) and not 0.0 <= width_deg < 90.0:
             raise ValueError("must be from 0 to below 90, or 'find'")
         if width_deg and info.data.get("method") == "paper":
-            raise SettingError("{source_deg}: means nothing with {method} paper, whose light is coherent")
+            raise SettingError(
+                "{source_deg}: cannot be used with {method} paper, which assumes coherent light"
+            )
         return width_deg
 
     @property
@@ -486,21 +503,25 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 class FreeSpaceSettings(Settings):
     """Frames that were recorded without a lens, and planes that are predicted from them."""
 
-    free_space: bool = Field(False, description="No lens: the object on z = 0, with the frames' pitch.")
+    free_space: bool = Field(
+        False, description="Reconstruct the field on z = 0 from frames without a lens, on their pitch."
+    )
     calibrate: bool = Field(
         False,
-        description="Find the bench from the frames first; in free space distances, drift and exposures.",
+        description="First calibrate the bench; in free space: distances, drift and exposures.",
     )
     numerical_aperture: Size | None = Field(
         None, description="free space: numerical aperture of the light; default: from the frames' spectra."
     )
-    predict_mm: Numbers | None = Field(None, description="free space: distances of planes to predict.")
+    predict_mm: Numbers | None = Field(
+        None, description="free space: distances of further planes whose amplitudes are predicted."
+    )
 
     @field_validator("numerical_aperture", "predict_mm")
     @classmethod
     def _in_free_space(cls, value: Any, info: ValidationInfo) -> Any:
         if value not in (None, False) and not info.data.get("free_space"):
-            raise SettingError(f"{{{info.field_name}}}: means nothing without {{free_space}}")
+            raise SettingError(f"{{{info.field_name}}}: requires {{free_space}}")
         return value
 
 
@@ -512,10 +533,12 @@ class PlanSettings(Settings):
     kind: Literal["complex", "amplitude"] = Field("complex", description="Kind of the object.")
     patch_mm: Size | None = Field(None, description="Side of the object patch; default: the whole field.")
     wavelength_um: Size | None = Field(None, description="Wavelength; default: the design's first.")
-    planes_mm: Pair | None = Field(None, description="Nearest and farthest plane; default: the design's.")
-    most_planes: int = Field(4, ge=1, le=8, description="Most planes that are tried, evenly spaced.")
+    planes_mm: Pair | None = Field(
+        None, description="Distances of the nearest and farthest plane; default: the design's."
+    )
+    most_planes: int = Field(4, ge=1, le=8, description="Largest number of planes, which are evenly spaced.")
     exposures: Numbers = Field(
-        (1.0, 30.0, 1000.0), description="Exposure bracket, which is compared with its first exposure alone."
+        (1.0, 30.0, 1000.0), description="Exposure bracket; it is compared with its shortest exposure alone."
     )
     correlation: float = Field(0.99, gt=0.0, lt=1.0, description="Required correlation of the object.")
     full_well_electrons: Size = Field(
@@ -542,8 +565,9 @@ class CalibrationSettings(FramedSettings):
 
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that meets the error limit.")
     iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")
-    most_mountings: int = Field(80, ge=1, description="Most benches that are tried.")
+    most_mountings: int = Field(80, ge=1, description="Largest number of benches that are tested.")
     parameters: str = Field(
-        "all", description="Unknowns: all, light, lens, mounting, camera, rigid, or names, by commas."
+        "all",
+        description="Unknowns: all, light, lens, mounting, camera, rigid, or names separated by commas.",
     )
     pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")

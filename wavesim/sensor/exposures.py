@@ -81,7 +81,10 @@ class Electronics(Section):
             return self.gain_electrons_per_count
         available_counts = 2**self.bits - 1 - self.offset_counts
         if available_counts <= 0.0:
-            raise InputError(f"offset_counts = {self.offset_counts:g}: {self.bits} bits leave none for light")
+            raise InputError(
+                f"offset_counts = {self.offset_counts:g}: must be below {2**self.bits - 1}, the "
+                f"largest count of {self.bits} bits"
+            )
         return self.full_well_electrons / available_counts
 
     @property

@@ -187,8 +187,8 @@ def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSe
         for path, frame in zip(paths, frames, strict=True):
             if dark > float(frame.counts.mean()):
                 raise InputError(
-                    f"{settings.dark}: has {dark:.4g} counts in the mean, more than {path} with "
-                    f"{frame.counts.mean():.4g}: must be a picture without light"
+                    f"{settings.dark}: mean of {dark:.4g} counts, more than the {frame.counts.mean():.4g} of "
+                    f"{path}; must be a picture without light"
                 )
     return [replace(frame, maps=maps) for frame in frames]
 
@@ -262,7 +262,7 @@ def _given(count: int, settings: FrameSetSettings) -> list[dict[str, Any]]:
     for name in ("plane_distance_mm", "exposure"):
         if name in stated and len(stated[name]) != count:
             values = ",".join(f"{value:g}" for value in stated[name])
-            raise SettingError(f"{{{name}}} = {values!r}: must be {count} numbers, one of each frame")
+            raise SettingError(f"{{{name}}} = {values!r}: must be {count} numbers, one for each frame")
     return [
         {name: value[frame] if isinstance(value, tuple) else value for name, value in stated.items()}
         for frame in range(count)
@@ -302,7 +302,7 @@ def _check_consistent(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
         dark = math.sqrt(fixed_variance(frame)) / settings.gain_electrons_per_count
         if brightest < settings.offset_counts + LEAST_SIGNAL * dark:
             raise InputError(
-                f"{path}: is empty: no pixel exceeds {brightest} counts, and dark ones have "
+                f"{path}: contains no light: the brightest pixel has {brightest} counts, and offset_counts = "
                 f"{settings.offset_counts:g}"
             )
 

@@ -93,7 +93,7 @@ class FrameSettings(Section):
         for name in ("offset_counts", "saturation_counts"):
             if (getattr(self, name) or 0) > self.top_counts:
                 raise ValueError(
-                    f"{name} = {getattr(self, name):g}: {self.bits} bits end at {self.top_counts}"
+                    f"{name} = {getattr(self, name):g}: must be at most {self.top_counts} at {self.bits} bits"
                 )
         return self
 
@@ -154,11 +154,11 @@ class Frame:
         if int(counts.max()) > top:
             aligned = bits < 16 and not np.any(counts % (1 << (16 - bits)))
             hint = (
-                f"; all are multiples of {1 << (16 - bits)}, so that they stand in the upper bits: give "
-                f"bits = 16, and {1 << (16 - bits)} times the offset and 1/{1 << (16 - bits)} of the gain"
+                f"; all are multiples of {1 << (16 - bits)}, so they are stored in the upper bits: give "
+                f"bits = 16, {1 << (16 - bits)} times the offset and 1/{1 << (16 - bits)} of the gain"
             )
             raise InputError(
-                f"frame counts reach {int(counts.max())}: {bits} bits end at {top}{hint if aligned else ''}"
+                f"frame counts reach {int(counts.max())}: bits = {bits} allows {top}{hint if aligned else ''}"
             )
 
     @property
@@ -255,15 +255,17 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
     fields = FrameSettings.model_fields
     for name in given:
         if name not in fields:
-            raise InputError(f"{path}: {name}: not a setting of a frame{did_you_mean(name, fields)}")
+            raise InputError(f"{path}: {name}: unknown setting of a frame{did_you_mean(name, fields)}")
     missing = [name for name, field in fields.items() if field.is_required() and name not in settings]
     defaults = {name: assumed[name] for name in missing if name in assumed} if assumed else {}
     required = ", ".join(f"{{{name}}}" for name in missing if name not in defaults)
     if required:
-        raise SettingError(f"{path} does not say how it was recorded; to be given: {required}")
+        raise SettingError(f"{path}: does not state how it was recorded; give {required}")
     if defaults:
         values = ", ".join(f"{name} = {value:g}" for name, value in defaults.items())
-        warnings.warn(f"{path} does not say how it was recorded; of the design: {values}", AssumedWarning, 3)
+        warnings.warn(
+            f"{path}: does not state how it was recorded; taken from the design: {values}", AssumedWarning, 3
+        )
         settings |= defaults
     try:
         return Frame(counts, validate(FrameSettings, settings, path))
@@ -282,7 +284,7 @@ def _read_picture(path: Path) -> tuple[Counts, str]:
         bits = f" of {picture.bits} bits" if picture.bits < least_bits else ""
         alpha = ", with transparent pixels" if picture.states_alpha else ""
         raise InputError(
-            f"{path}: a {picture.format} of kind {picture.mode!r}{bits}{alpha}: must be grey, of whole "
+            f"{path}: a {picture.format} of mode {picture.mode!r}{bits}{alpha}: must be grey, with whole "
             "numbers of 8, 12 or 16 bits"
         )
     if picture.white_is_zero:

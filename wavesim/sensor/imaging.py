@@ -220,8 +220,8 @@ def image(
             )
         except KeyboardInterrupt:
             saved = folder is not None and (folder / PARTS).exists()
-            hint = f"the same command continues from what is kept in {folder}/{PARTS}"
-            raise KeyboardInterrupt(f"interrupted; {hint if saved else 'nothing is kept'}") from None
+            hint = f"the finished parts are stored in {folder}/{PARTS}; repeat the command to continue"
+            raise KeyboardInterrupt(f"interrupted; {hint if saved else 'nothing was written'}") from None
     return Imaged(
         settings=settings,
         patch=patch,
@@ -241,7 +241,9 @@ def _patch_and_light(lens: Lens, object_: str | Field, settings: ImageSettings) 
     if isinstance(object_, str):
         return lit_patch(lens, settings, settings.wavelength_um)
     if settings.patch_mm is not None or settings.object_pitch_um is not None:
-        raise InputError("patch_mm, object_pitch_um: the given transmission defines them: leave them out")
+        raise InputError(
+            "patch_mm, object_pitch_um: the grid of the given transmission defines them; omit both"
+        )
     side_mm = 2.0 * min(object_.grid.half_widths_mm)
     at_mm = settings.field_stop_at_mm or (0.0, 0.0)
     patch = Patch(object_.grid, settings.field_stop_mm or side_mm, object_.wavelength_um, at_mm)
@@ -270,8 +272,8 @@ def _bench(
         return settings.bench(lens, settings.pose, planes)
     if settings.pose != Pose() or settings.differs:
         raise SettingError(
-            "{placement} says how the lens is mounted and describes light and sensor: give no decenter, tilt "
-            "or despace, and no errors of light, lens or sensor"
+            "{placement}: defines the mounting of the lens, the light and the sensor; omit the settings of "
+            "decenter, tilt and despace, and of errors of light, lens and sensor"
         )
     return bench_of(placement)
 

@@ -22,7 +22,9 @@ def of_mode(
     if mode.wavelength_um == behind_object.wavelength_um:
         return engine, lit
     if make is None:
-        raise InputError("make: light of several wavelengths needs an engine for each")
+        raise InputError(
+            "make: missing; light of several wavelengths needs a function that makes an engine for each"
+        )
     mode_engine = make(replace(engine.scene, wavelength_um=mode.wavelength_um))
     return mode_engine, replace(lit, wavelength_um=mode.wavelength_um)
 

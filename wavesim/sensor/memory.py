@@ -37,11 +37,11 @@ def imaging_arrays(
     process_bytes = 300_000_000
     common = (
         work("the process itself", process_bytes, Phase.LIGHTING | carrying),
-        work("light, as it is made", LIGHT_BYTES * math.prod(objects), Phase.LIGHTING),
-        ArrayGroup("the transmission, what lies behind it, a picture", objects, np.complex64, carrying, 3),
+        work("creation of the light", LIGHT_BYTES * math.prod(objects), Phase.LIGHTING),
+        ArrayGroup("transmission, field behind the object, and picture", objects, np.complex64, carrying, 3),
         work("the engine's work", engine.cost().peak_bytes_in_single, carrying),
         ArrayGroup("frames", (down, across), np.uint16, carrying, frames),
-        ArrayGroup("light of modes, and its sums", (down, across), np.float64, carrying, sums),
+        ArrayGroup("intensities of modes and their sums", (down, across), np.float64, carrying, sums),
     )
     if not isinstance(engine, Tiled):
         window = max(w.pixels[0] * w.pixels[1] for w in windows) * OVERSAMPLING**2

@@ -155,9 +155,13 @@ def image_patch(
         If a setting is invalid, the sampling is too coarse for the propagation, or the disk is full.
     """
     if isinstance(engine, Tiled) and make is None:
-        raise InputError(f"make: engine {engine.name} needs one for each plane")
+        raise InputError(
+            f"make: missing; engine {engine.name} needs a function that makes an engine for each plane"
+        )
     if isinstance(engine, Tiled) and any(recording.bench.placement.sensor_tilt_deg):
-        raise InputError(f"sensor_tilt_deg: engine {engine.name} records on upright planes alone")
+        raise InputError(
+            f"sensor_tilt_deg: must be 0 with engine {engine.name}; use another engine for a tilted sensor"
+        )
     report_progress = progress or (lambda stage, completed, total: None)
 
     def light_of_mode(mode: SourceMode, prefix: str) -> Iterator[tuple[Array, float]]:

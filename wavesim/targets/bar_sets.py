@@ -46,6 +46,24 @@ def set_contrast(
     Intensity is averaged over the middle of each bar and gap, half a line width across and three along. Cells
     are weighted by their covered fraction.
 
+    Parameters
+    ----------
+    intensity
+        Intensity on the grid, shape (ny, nx).
+    grid
+        Grid of the object plane.
+    element
+        Element of the chart.
+    orientation
+        Axis along which the bars of the set are repeated.
+    polarity
+        "dark" for clear bars on a dark field, "bright" for opaque bars on a bright field.
+
+    Returns
+    -------
+    SetContrast
+        Contrast, and the profile across the bars.
+
     Raises
     ------
     InputError

@@ -1,7 +1,7 @@
-"""What lights an object: plane waves, Gaussian beams, a measured field; and the field stop.
+"""Illumination of an object (plane wave, Gaussian beam or measured field), and the field stop.
 
-An illumination is a :class:`~wavesim.fields.field.Field` in the object's plane; the light behind an object is
-its product with the object's transmission.
+An illumination is a :class:`~wavesim.fields.field.Field` in the object plane. The field behind an object is
+its product with the transmission of the object.
 """
 
 from __future__ import annotations
@@ -37,26 +37,31 @@ StopShape = Literal["disc", "square"]
 def plane_wave(
     grid: Grid, wavelength_um: float, *, tilt_x_deg: float = 0.0, tilt_y_deg: float = 0.0, index: float = 1.0
 ) -> Field:
-    """Collimated light of amplitude 1 and phase 0 at the grid's centre.
+    """Return a plane wave of amplitude 1, with phase 0 at the grid's centre.
 
     Parameters
     ----------
     grid
-        A plane, or a line in a world without x.
+        Grid of the object plane, or a meridional line.
     wavelength_um
-        Vacuum wavelength.
+        Vacuum wavelength (um).
     tilt_x_deg, tilt_y_deg
-        Angles of the direction's projections on the x-z and y-z planes from the axis: its slopes are their
-        tangents. A line takes none along x.
+        Angles (deg) between the axis and the projections of the propagation direction on the x-z and y-z
+        planes. Their tangents are the slopes of the direction. On a line, `tilt_x_deg` must be 0.
     index
-        Of the medium.
+        Refractive index of the medium.
+
+    Returns
+    -------
+    Field
+        Field on the grid.
 
     Raises
     ------
     InputError
-        If a value is not usable.
+        If a value is out of range.
     SamplingError
-        If the grid's pitch is more than half the period that the tilt makes along x or y.
+        If the pitch exceeds half the period of the tilted wave along x or y.
     """
     validate_positive("wavelength_um", wavelength_um)
     validate_positive("index", index)
@@ -72,7 +77,7 @@ def plane_wave(
     if steepest * grid.pitch_mm >= 0.5:
         raise SamplingError(
             f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: {steepest:.4g} cycles/mm are more "
-            f"than a pitch of {1e3 * grid.pitch_mm:.4g} um holds; give one below {500.0 / steepest:.4g} um"
+            f"than a pitch of {1e3 * grid.pitch_mm:.4g} um samples; use one below {500.0 / steepest:.4g} um"
         )
     down = np.exp(2j * math.pi * cycles_y * (grid.y_mm - grid.centre_mm[1]))
     if grid.is_line:
@@ -84,24 +89,29 @@ def plane_wave(
 def gaussian_beam(
     grid: Grid, wavelength_um: float, waist_radius_mm: float, beyond_waist_mm: float = 0.0
 ) -> Field:
-    """A paraxial Gaussian beam along the axis through the grid's centre, of amplitude 1 in the waist.
+    """Return a paraxial Gaussian beam along the axis through the grid's centre, of amplitude 1 in the waist.
 
     Parameters
     ----------
     grid
-        A plane, or a line in a world without x.
+        Grid of the object plane, or a meridional line.
     wavelength_um
-        Vacuum wavelength.
+        Vacuum wavelength (um).
     waist_radius_mm
-        Where the intensity in the waist is 1/e^2 of that on the axis.
+        Radius (mm) at which the intensity in the waist is 1/e^2 of that on the axis.
     beyond_waist_mm
-        Distance of the grid behind the waist; negative if the light still converges. The phase of a plane
-        wave over it, exp(i k z), is left out.
+        Distance of the grid behind the waist (mm); negative where the beam converges. The phase exp(i k z) of
+        a plane wave over this distance is omitted.
+
+    Returns
+    -------
+    Field
+        Field on the grid.
 
     Raises
     ------
     InputError
-        If a value is not usable, or the waist is too narrow for a paraxial beam.
+        If a value is out of range, or the waist is too narrow for a paraxial beam.
     SamplingError
         If the waist is narrower than two samples.
     """
@@ -114,7 +124,7 @@ def gaussian_beam(
     smallest = smallest_waist * 1e-3 * wavelength_um
     if waist_radius_mm < smallest:
         raise InputError(
-            f"waist_radius_mm = {waist_radius_mm:g}: a paraxial beam needs {smallest:.4g} mm or more"
+            f"waist_radius_mm = {waist_radius_mm:g}: must be {smallest:.4g} or more for a paraxial beam"
         )
     # The spectrum is that of the waist at any distance.
     validate_sampling(grid, 1e3 * waist_radius_mm, "a Gaussian waist")
@@ -134,31 +144,38 @@ def measured_field(
     wavelength_um: float,
     pitch_um: float | None = None,
 ) -> Field:
-    """A complex field from a file about the grid's centre, by cubic splines between its samples.
+    """Read a complex field from a file, and interpolate it on a grid by cubic splines.
+
+    The centre of the file's samples lies at the grid's centre.
 
     Parameters
     ----------
     path
-        An .npy file with one complex array (rows along y, columns along x), or an .npz with the array
+        An .npy file with one complex array (rows along y, columns along x), or an .npz file with the array
         `values`, and optionally the numbers `pitch_um` and `wavelength_um`.
     grid
-        A plane that the file's samples cover.
+        Grid of the object plane, which the file's samples must cover.
     wavelength_um
-        Vacuum wavelength; if the file states one, it must be the same.
+        Vacuum wavelength (um). If the file states a wavelength, it must be the same.
     pitch_um
-        Between the file's samples; needed unless the file states it.
+        Pitch of the file's samples (um); required unless the file states it.
+
+    Returns
+    -------
+    Field
+        Field on the grid.
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds no such field, or covers less than the grid.
+        If the file cannot be read, contains no complex field, or covers less than the grid.
     SamplingError
-        If more than a hundredth of the field's energy is too fine for the grid, or for splines.
+        If more than 1 % of the field's energy has frequencies too high for the grid or the interpolation.
 
     Warns
     -----
     SamplingWarning
-        If a smaller part of it is.
+        If more than 0.001 % of the energy has such frequencies.
     """
     validate_two_dimensional(grid)
     validate_positive("wavelength_um", wavelength_um)
@@ -166,8 +183,8 @@ def measured_field(
     pitch = _pitch_um(Path(path), stated, pitch_um)
     if "wavelength_um" in stated and not math.isclose(stated["wavelength_um"], wavelength_um, rel_tol=1e-6):
         raise InputError(
-            f"measured field {path}: made at wavelength_um = {stated['wavelength_um']:g}, "
-            f"not {wavelength_um:g}"
+            f"measured field {path}: states wavelength_um = {stated['wavelength_um']:g}; must be "
+            f"{wavelength_um:g}"
         )
     rows, columns = values.shape
     if (rows, columns) == grid.shape and math.isclose(1e-3 * pitch, grid.pitch_mm, rel_tol=1e-9):
@@ -179,7 +196,7 @@ def measured_field(
                 f"measured field {path}: its samples span {have[-1] - have[0]:.4g} mm along {name}, the "
                 f"grid's {need[-1] - need[0]:.4g} mm; give a smaller grid or a larger measurement"
             )
-    _tell_fine(values, source, grid)
+    _check_frequencies(values, source, grid)
     return Field(grid, _splined(values, source, grid), wavelength_um)
 
 
@@ -190,25 +207,31 @@ def field_stop(
     edge_mm: float = 0.0,
     at_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Array:
-    """Transmission of a field stop.
+    """Return the transmission of a field stop.
 
     Parameters
     ----------
     grid
-        A plane.
+        Grid of the object plane.
     shape
         "disc" or "square".
     width_mm
-        Diameter or side, where the transmission of a soft edge is one half.
+        Diameter or side (mm). A soft edge has a transmission of one half there.
     edge_mm
-        Width of a soft edge, a raised cosine; 0 for a hard one, integrated exactly over the cells.
+        Width (mm) of a soft edge with the profile of a raised cosine; 0 for a hard edge, which is integrated
+        exactly over the cells.
     at_mm
-        Middle (x, y) of the stop, from the grid's centre.
+        Centre (x, y) of the stop relative to the grid's centre (mm).
+
+    Returns
+    -------
+    ndarray, shape (ny, nx)
+        Transmission of each cell, 0 to 1.
 
     Raises
     ------
     InputError
-        If a value is not usable, or the stop with its edge reaches beyond the grid.
+        If a value is out of range, or the stop with its edge reaches beyond the grid.
     SamplingError
         If the stop or its soft edge is narrower than two samples.
     """
@@ -252,8 +275,8 @@ def validate_within_stop(
     needed = 2.0 * (math.hypot(x, y) if shape == "disc" else max(x, y))
     if needed > width_mm * (1.0 + 1e-9):
         raise InputError(
-            f"field stop ({shape}) of width_mm = {width_mm:g}: the object reaches beyond it and needs "
-            f"{needed:.4g} mm"
+            f"field stop ({shape}) of width_mm = {width_mm:g}: smaller than the object; must be "
+            f"{needed:.4g} or more"
         )
 
 
@@ -266,7 +289,7 @@ def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
     held = read_arrays(path, named="the measured field", only=("values", "pitch_um", "wavelength_um"))
     if "values" not in held:
         names = sorted(array_names(path))
-        raise InputError(f"measured field {path}: has no array `values`; it holds {names}")
+        raise InputError(f"measured field {path}: has no array `values`; it contains {names}")
     values = held["values"]
     if values.ndim != 2 or min(values.shape) < 4 or not np.iscomplexobj(values):
         raise InputError(
@@ -287,21 +310,23 @@ def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
 def _pitch_um(path: Path, stated: dict[str, float], given: float | None) -> float:
     pitch = stated.get("pitch_um") if given is None else given
     if pitch is None:
-        raise InputError(f"measured field {path}: does not state its pitch_um; give it")
+        raise InputError(f"measured field {path}: does not state its pitch; give pitch_um")
     validate_positive("pitch_um", pitch)
     if "pitch_um" in stated and not math.isclose(stated["pitch_um"], pitch, rel_tol=1e-6):
-        raise InputError(f"measured field {path}: states pitch_um = {stated['pitch_um']:g}, not {pitch:g}")
+        raise InputError(
+            f"measured field {path}: states pitch_um = {stated['pitch_um']:g}, not the given {pitch:g}"
+        )
     return pitch
 
 
-def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
-    """Warn of, or refuse, detail that splines or the grid would lose."""
+def _check_frequencies(values: ComplexArray, source: Grid, grid: Grid) -> None:
+    """Warn of, or refuse, frequencies that the interpolation or the grid would lose."""
     # A window keeps the borders of the measurement from looking like detail.
     window = np.outer(*(np.hanning(n + 2)[1:-1] for n in values.shape))
     power = abs(fftn(values * window)) ** 2
     total = float(np.sum(power))
     if total == 0.0:
-        raise InputError("the measured field is dark")
+        raise InputError("the measured field is dark: all values are 0")
     cycles = fft_frequencies(source.shape, source.pitch_mm)
     # Fraction of the Nyquist band in which cubic spline interpolation is accurate.
     interpolated_band = 0.5
@@ -309,9 +334,9 @@ def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
     fine = (abs(cycles[0]) > limit) | (abs(cycles[1]) > limit)
     report_loss(
         float(np.sum(power[fine])) / total,
-        f"lies above {limit:.4g} cycles/mm, too fine to be carried from samples of "
+        f"lies above {limit:.4g} cycles/mm, too high for interpolation from a pitch of "
         f"{1e3 * source.pitch_mm:.4g} um to a pitch of {1e3 * grid.pitch_mm:.4g} um",
-        "measure more finely, or give a finer grid, or the measurement's own grid",
+        "sample the measurement more finely, or use a smaller pitch or the measurement's own grid",
     )
 
 

@@ -1,7 +1,7 @@
-"""What is imaged, in a few plain choices: a patch of the design's object, an object on it, and its light.
+"""Patches of a design's object plane, with an object and its illumination.
 
-A patch is a square of the object plane about the axis; a round field stop lets light through it. What is
-built here serves the commands `wavesim image` and `wavesim reconstruct`, and notebooks.
+A patch is a square of the object plane about the axis, with a round field stop. The commands `wavesim image`
+and `wavesim reconstruct` use these functions.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ from wavesim.targets.phantom import tissue_phantom
 from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
 
 LIGHT_BYTES = 25
-"""For each sample, while an object's illumination is made. Measured."""
+"""Peak memory (bytes) of each sample while the illumination is computed, measured."""
 
 SPOKES, STAR_RADIUS = 36, 0.45
-"""Of the Siemens star; the radius as a share of the field stop's diameter."""
+"""Number of spokes of the Siemens star, and its radius as a fraction of the field stop's diameter."""
 
 OBJECT_FILE = "object.npz"
 
 PADS, PAD_SHARE, PAD_PHASE_RAD = 4, 0.08, 0.5 * math.pi
-"""Of the phase target; a pad's side as a share of the field stop's diameter, and the last pad's phase."""
+"""Phase target: number of pads, side of a pad as a fraction of the stop's diameter, phase of the last pad."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,11 @@ class Patch:
     grid : Grid
         Samples of the object plane.
     field_stop_mm : float
-        Diameter of the stop.
+        Diameter of the stop (mm).
     wavelength_um : float
-        Vacuum wavelength.
+        Vacuum wavelength (um).
     field_stop_at_mm : (x, y)
-        Middle of the stop, from the axis.
+        Centre of the stop relative to the axis (mm).
     """
 
     grid: Grid
@@ -77,25 +77,25 @@ class Patch:
 
     @property
     def inside(self) -> Any:
-        """Samples whose middle lies within the stop, shape (ny, nx)."""
+        """Whether the centre of each sample lies within the stop, shape (ny, nx)."""
         x, y = self.field_stop_at_mm
         squared = (self.grid.y_mm[:, None] - y) ** 2 + (self.grid.x_mm[None, :] - x) ** 2
         return squared <= (0.5 * self.field_stop_mm) ** 2
 
     @property
     def stop_words(self) -> str:
-        """Size of the field stop and, where it does not stand on the axis, its position."""
+        """Text with the diameter of the field stop and, if it is not on the axis, its position."""
         return stop_words(self.field_stop_mm, self.field_stop_at_mm)
 
     def with_stop(self, field_stop_mm: float, at_mm: tuple[float, float]) -> Patch:
-        """The same samples behind another field stop."""
+        """Return a patch with the same samples and another field stop."""
         return replace(self, field_stop_mm=field_stop_mm, field_stop_at_mm=at_mm)
 
 
 def stop_words(field_stop_mm: float, at_mm: Sequence[float]) -> str:
-    """Size of a field stop and, where it does not stand on the axis, its position, as text."""
-    said = f"field stop {field_stop_mm:.4g} mm"
-    return said if not any(at_mm) else f"{said} at {at_mm[0]:.4g}, {at_mm[1]:.4g} mm"
+    """Return text with the diameter of a field stop and, if it is not on the axis, its position."""
+    text = f"field stop {field_stop_mm:.4g} mm"
+    return text if not any(at_mm) else f"{text} at {at_mm[0]:.4g}, {at_mm[1]:.4g} mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,29 +129,35 @@ def object_patch(
     object_pitch_um: float | None = None,
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Patch:
-    """A patch of the design's object.
+    """Return a patch of a design's object plane.
 
     Parameters
     ----------
     lens
         The nominal lens.
     patch_mm
-        Side of the square.
+        Side of the square (mm).
     field_stop_mm
-        Diameter of the field stop; left out, it touches the square's sides.
+        Diameter of the field stop (mm). Default: the side of the square.
     wavelength_um
-        The design's first one if left out.
+        Vacuum wavelength (um). Default: the design's first wavelength.
     object_pitch_um
-        Of the samples; left out, what holds light of the design's numerical aperture.
+        Sample pitch (um). Default: 80 % of the pitch that just samples light of the design's numerical
+        aperture.
     field_stop_at_mm
-        Middle (x, y) of the field stop, from the axis.
+        Centre (x, y) of the field stop relative to the axis (mm).
+
+    Returns
+    -------
+    Patch
+        The patch.
 
     Raises
     ------
     InputError
         If the patch is larger than the design's field, or the field stop reaches beyond the patch.
     MemoryLimitError
-        If memory does not hold the samples.
+        If the samples do not fit into memory.
     """
     wavelength = wavelength_of(lens, wavelength_um)
     validate_within_field(lens, patch_mm)
@@ -164,8 +170,8 @@ def object_patch(
         raise InputError(f"field_stop_mm = {stop_mm:g}: must be above 0 and at most patch_mm = {patch_mm:g}")
     if stop_mm > room_mm * (1.0 + 1e-9) + 1e-12:
         raise InputError(
-            f"field_stop_at_mm = {x:g},{y:g}: a field stop of {stop_mm:g} mm there reaches beyond the "
-            f"patch of {patch_mm:g} mm; give a smaller field_stop_mm, or a larger patch_mm"
+            f"field_stop_at_mm = {x:g},{y:g}: a field stop of {stop_mm:g} mm at this position reaches beyond "
+            f"the patch of {patch_mm:g} mm; give a smaller field_stop_mm, or a larger patch_mm"
         )
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
@@ -182,12 +188,12 @@ def object_patch(
 
 
 def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
-    """Elements of the USAF chart that fit the square inside a patch's field stop, and that its samples show.
+    """Return the USAF elements that fit the square inside a field stop and that the samples resolve.
 
     Raises
     ------
     InputError, SamplingError
-        As :func:`wavesim.targets.usaf.usaf_elements_within`.
+        See :func:`wavesim.targets.usaf.usaf_elements_within`.
     """
     inscribed_mm = 1.0 / math.sqrt(2.0) * patch.field_stop_mm
     return usaf_elements_within(_about_stop(patch), inscribed_mm)
@@ -196,24 +202,24 @@ def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
 def usaf_charts_of(
     patch: Patch, chart_at_mm: Sequence[tuple[float, float]] = ()
 ) -> tuple[tuple[UsafElement, ...], ...]:
-    """Elements of the USAF chart in the middle of the field stop, and of fine charts about other points.
+    """Return the elements of the USAF chart at the field stop's centre, and of additional fine charts.
 
     Parameters
     ----------
     patch
-        Where they lie.
+        Patch of the object plane.
     chart_at_mm
-        Points (x, y), from the axis.
+        Centres (x, y) of the additional charts relative to the axis (mm).
 
     Returns
     -------
-    tuple
-        For the middle and for each point, the elements there.
+    tuple of tuple of UsafElement
+        Elements of the central chart, and of each additional chart.
 
     Raises
     ------
     InputError, SamplingError
-        As :func:`usaf_elements_of` and :func:`wavesim.targets.usaf.usaf_elements_beside`.
+        See :func:`usaf_elements_of` and :func:`wavesim.targets.usaf.usaf_elements_beside`.
     """
     charts, (x, y) = [usaf_elements_of(patch)], patch.field_stop_at_mm
     for point in chart_at_mm:
@@ -277,7 +283,7 @@ def make_target(
     wider, cut = _wider_about_stop(patch)
     elements: tuple[UsafElement, ...] = ()
     if chart_at_mm and name != "usaf":
-        raise InputError(f"object = {name!r}: only usaf has charts beside the one in the middle")
+        raise InputError(f"chart_at_mm: requires object = 'usaf', not {name!r}")
     if name == "usaf":
         elements = tuple(one for chart in usaf_charts_of(patch, chart_at_mm) for one in chart)
         values = usaf_chart(grid, elements, polarity)
@@ -336,7 +342,7 @@ MAKERS: dict[str, Callable[[Patch, Polarity, float, int], Any]] = {
     "tissue": _tissue,
     "empty": _empty,
 }
-"""Objects without parts of their own that the code makes, by name."""
+"""Functions that make the other built-in objects, by name."""
 
 
 def make_illumination(
@@ -347,28 +353,33 @@ def make_illumination(
     waist_mm: float | None = None,
     pitch_um: float | None = None,
 ) -> Field:
-    """Light on a patch, its field stop included; complex64.
+    """Return the illumination of a patch, limited by its field stop.
 
     Parameters
     ----------
     patch
-        What is lit.
+        Patch of the object plane.
     name
-        "plane", "tilted", "gaussian", or the file of a measured field.
+        "plane", "tilted", "gaussian", or the path of a measured field.
     tilt_deg : (x, y)
-        Of a tilted plane wave.
+        Angles of a tilted plane wave (deg).
     waist_mm
-        Radius of the Gaussian beam's waist, which lies in the object plane; half the stop's radius if left
-        out.
+        Radius of the Gaussian beam's waist (mm), which lies in the object plane. Default: half the radius of
+        the field stop.
     pitch_um
-        Of a measured field whose file does not state it.
+        Sample pitch (um) of a measured field whose file does not state it.
+
+    Returns
+    -------
+    Field
+        Illumination (complex64).
 
     Raises
     ------
     InputError
-        If there is no such illumination, or a value is not usable.
+        If there is no such illumination, or a value is out of range.
     SamplingError
-        If the patch's samples are too coarse for it.
+        If the samples of the patch are too coarse for the illumination.
     """
     grid, wavelength = patch.grid, patch.wavelength_um
     known = ("plane", "tilted", "gaussian")
@@ -392,43 +403,49 @@ def make_illumination(
 
 
 def read_object(path: Path, patch: Patch) -> Field:
-    """The transmission of an object on a patch, from a file.
+    """Read the transmission of an object on a patch from a file.
 
     Parameters
     ----------
     path
-        File (.npz) with `values` and `pitch_um`, or the folder that `wavesim image` wrote it to.
+        File (.npz) with `values` and `pitch_um`, or a folder written by `wavesim image`.
     patch
-        Where it is wanted.
+        Patch of the object plane.
+
+    Returns
+    -------
+    Field
+        Transmission on the patch.
 
     Raises
     ------
     InputError
-        If it cannot be read, covers less than the patch, or is that of a region beside the middle.
+        If the file cannot be read, covers less than the patch, or contains a region that is not centred on
+        the axis.
     """
     place = path / OBJECT_FILE if path.is_dir() else path
     if is_zipfile(place) and (centre_um := read_centre_um(place)) != (0.0, 0.0):
         x_mm, y_mm = (1e-3 * c for c in centre_um)
-        raise InputError(f"{place}: is a region about {x_mm:.4g}, {y_mm:.4g} mm; give a field about the axis")
+        raise InputError(f"{place}: is centred at {x_mm:.4g}, {y_mm:.4g} mm; must be centred on the axis")
     return measured_field(place, patch.grid, patch.wavelength_um)
 
 
 def lit_patch(lens: Lens, settings: PatchSettings, wavelength_um: float | None = None) -> tuple[Patch, Field]:
-    """The patch of a design's object that is looked at, and the light on it.
+    """Return the patch of a design's object plane that settings describe, and its illumination.
 
     Parameters
     ----------
     lens
         The nominal lens.
     settings
-        Of both.
+        Settings of the patch and the illumination.
     wavelength_um
-        The design's first one if left out.
+        Vacuum wavelength (um). Default: the design's first wavelength.
 
     Raises
     ------
     InputError, SamplingError
-        As :func:`object_patch` and :func:`make_illumination`.
+        See :func:`object_patch` and :func:`make_illumination`.
     """
     patch = object_patch(
         lens,
@@ -442,7 +459,7 @@ def lit_patch(lens: Lens, settings: PatchSettings, wavelength_um: float | None =
 
 
 def lit(patch: Patch, settings: PatchSettings) -> Field:
-    """The light on a patch that settings say."""
+    """Return the illumination of a patch that settings describe."""
     return make_illumination(
         patch,
         settings.illumination,
@@ -453,9 +470,9 @@ def lit(patch: Patch, settings: PatchSettings) -> Field:
 
 
 def transmission_of(behind_object: Field, illumination: Field) -> Field:
-    """The transmission that makes a field behind the object of its illumination; 0 where that is dark.
+    """Return the transmission of an object from the fields behind it and in front of it, on the same grid.
 
-    Both lie on one grid.
+    The transmission is 0 where the illumination is dark.
     """
     power = np.abs(illumination.values) ** 2
     lit = power > 1e-6 * power.max()

@@ -289,7 +289,7 @@ def picture_target(
     if finer == "refuse" and pixel < grid.pitch_mm * ROUNDING:
         raise SamplingError(
             f"pixel_um = {pixel_um:g}: finer than the grid's pitch of {1e3 * grid.pitch_mm:.4g} um; "
-            "give a finer grid, or a picture with larger pixels"
+            "use larger pixels or a smaller pitch"
         )
     validate_inside(grid, rectangle(grid.centre_mm, columns * pixel, rows * pixel))
     if quantity == "phase":
@@ -356,7 +356,7 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
     luma_modes = ("1", "LA", "P", "RGB", "RGBA")
     if picture.mode not in (*COUNT_MODES, *luma_modes) or not picture.is_opaque:
         raise InputError(
-            f"picture {file}: has mode {picture.mode}; give grey of 8 or 16 bits, or opaque colours of 8"
+            f"picture {file}: has mode {picture.mode}; must be grey (8 or 16 bits) or opaque colours (8 bits)"
         )
     values = picture.values
     if values.dtype == np.bool_:
@@ -401,12 +401,12 @@ def band_limit(
     validate_positive("wavelength_um", wavelength_um)
     validate_positive("numerical_aperture", numerical_aperture)
     if values.shape != grid.shape:
-        raise InputError(f"values have shape {values.shape}: must have that of the grid, {grid.shape}")
+        raise InputError(f"values have shape {values.shape}: must have the grid's shape, {grid.shape}")
     limit = 1e3 * numerical_aperture / wavelength_um
     if grid.pitch_mm * ROUNDING > 0.5 / limit:
         raise SamplingError(
-            f"numerical_aperture = {numerical_aperture:g}: at {wavelength_um:g} um it needs a pitch of "
-            f"{500.0 / limit:.4g} um or less; the grid's is {1e3 * grid.pitch_mm:.4g} um"
+            f"numerical_aperture = {numerical_aperture:g}: requires a pitch of {500.0 / limit:.4g} um or "
+            f"less at {wavelength_um:g} um; the grid's pitch is {1e3 * grid.pitch_mm:.4g} um"
         )
     squared = sum(across**2 for across in fft_frequencies(grid.shape, grid.pitch_mm))
     return np.asarray(ifftn(np.where(squared <= limit**2, fftn(values), 0.0)))

@@ -45,7 +45,7 @@ def region_grid(grid: Grid, region_mm: Sequence[float], named: str = "region_mm"
     rows, columns = found.shape
     if min(rows, columns) < LEAST_SAMPLES:
         raise InputError(
-            f"{named} = {','.join(f'{n:g}' for n in region_mm)}: holds {columns} x {rows} samples of "
+            f"{named} = {','.join(f'{n:g}' for n in region_mm)}: has {columns} x {rows} samples of "
             f"{1e3 * grid.pitch_mm:.4g} um; must be at least {LEAST_SAMPLES} x {LEAST_SAMPLES}"
         )
     return replace(grid, shape=(rows, columns), centre_mm=(1e-3 * x_um, 1e-3 * y_um))

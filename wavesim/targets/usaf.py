@@ -233,7 +233,7 @@ def usaf_elements_beside(
         if not reason:
             return elements
     sides = f"{around.right_mm - around.left_mm:.3g} mm x {around.high_mm - around.low_mm:.3g} mm"
-    raise InputError(f"chart at {x:g}, {y:g} mm: even with group {coarsest} alone, {sides}, it {reason}")
+    raise InputError(f"chart at {x:g}, {y:g} mm: even group {coarsest} alone ({sides}) {reason}")
 
 
 def _misfit_reason(
@@ -260,7 +260,7 @@ def _resolved_by_grid(elements: Sequence[UsafElement], grid: Grid, condition: st
     if not shown:
         raise SamplingError(
             f"the grid's pitch of {1e3 * grid.pitch_mm:.4g} um: too coarse for lines of "
-            f"{elements[0].line_width_um:.4g} um, the widest that {condition}; give "
+            f"{elements[0].line_width_um:.4g} um, the widest that {condition}; give a pitch of "
             f"{elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} um or less"
         )
     return shown
@@ -303,7 +303,7 @@ def usaf_chart(grid: Grid, elements: Sequence[UsafElement], polarity: Polarity =
     ((256, 256), 0.1)
     """
     if not elements:
-        raise InputError("a USAF chart needs one element at least")
+        raise InputError("a USAF chart needs at least one element")
     finest = min(elements, key=lambda one: one.line_width_um)
     validate_sampling(grid, finest.line_width_um, f"lines (group {finest.group}, element {finest.element})")
     orientations: tuple[Orientation, Orientation] = ("x", "y")

@@ -59,7 +59,7 @@ def test_errors_are_of_the_objects_light(choose: Choose, twin_file: Path) -> Non
 def test_table(choose: Choose, twin_file: Path) -> None:
     code, out, err = choose(twin_file, *WHERE, "--ground", "dark", "--error", "0.1")
     assert code == 0, err
-    assert out.startswith("object usaf, patch 0.05 mm, 0 mm off the axis\n")
+    assert out.startswith("object usaf, patch 0.05 mm, field height 0 mm\n")
     assert "eikonal" in out
 
 

@@ -19,7 +19,7 @@ def test_a_table_a_chart_and_figures(
     usual = (design, "--patch-mm", 0.02, "--kind", "amplitude", "--exposures", 1)
     code, out, err = run_wavesim(monkeypatch, capsys, "plan", *usual, "--most-planes", 2, "-o", chart)
     assert code == 0, err
-    assert "amplitude object; tried on the lens itself, patch 0.02 mm" in out
+    assert "amplitude object; simulated on the lens itself, patch 0.02 mm" in out
     assert "0.03125, 0.3438" in out
     assert chart.stat().st_size > 3_000
     assert out.count("*") == 2

@@ -194,7 +194,7 @@ def test_bad_frames_are_one_message_status_two_and_nothing_written(
         (("--field-stop-mm", 1), "field_stop_mm = 1"),
         (("--truth", "nowhere"), "cannot read the measured field nowhere"),
         (("--refocus-mm", "1"), "--refocus-mm = '1'"),
-        (("--chart-at-mm", "0.02,0"), "--chart-at-mm: means nothing without --usaf"),
+        (("--chart-at-mm", "0.02,0"), "--chart-at-mm: requires --usaf"),
         (("--chart-at-mm", "0.02,0", "--usaf", "bright"), "chart at 0.02, 0 mm"),
     ],
 )
@@ -236,7 +236,7 @@ def test_foreign_frames_and_little_diversity_are_told(
     frames = (tmp_path / "1.tif", tmp_path / "2.tif", *usual(data)[2:])
     code, _, err = run(monkeypatch, capsys, *frames, "-o", tmp_path / "out")
     assert code == 2
-    assert "does not say how it was recorded" in err
+    assert "does not state how it was recorded" in err
     code, _, err = run(
         monkeypatch, capsys, *frames, "--plane-distance-mm", "0.0625,0.0635", "--exposure", "1,1",
         "--pixel-pitch-um", 3.2, "--wavelength-um", 0.532, "--bits", 16, "--offset-counts", 64,
@@ -271,7 +271,7 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     code, out, err = run(monkeypatch, capsys, *both, *usual, "-o", merged)
     assert code in ENDED, err
     assert re.fullmatch(r"memory: about 0\.4\d GB of [\d.]+ GB allowed", err.strip())
-    assert "at 0.036, 0 mm resolved down to group 9, element 2" in out.replace("\n", " ")
+    assert "chart at 0.036, 0 mm: resolved down to group 9, element 2" in out.replace("\n", " ")
     code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
     assert code in ENDED
     told = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]

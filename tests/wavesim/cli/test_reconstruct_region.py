@@ -44,7 +44,7 @@ def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path:
     assert told["region_mm"][:2] == pytest.approx([0.0083, 0.0085], abs=4e-4)
     assert told["truth"]["object_correlation"] > 0.97
     assert told["usaf"]["smallest_resolved"]["element"] == 2
-    assert "of the object 0.01" in out
+    assert "region of the object: 0.01" in out
     # A view tells true coordinates, of a part of the region too.
     layer = _field(tmp_path / "part" / "reconstruction.npz", "", None)[0]
     assert layer.centre_um == pytest.approx((8.3, 8.5), abs=0.4)
@@ -68,7 +68,7 @@ def test_where_a_field_lies_must_be_told_in_numbers_and_truth_be_about_the_axis(
     assert read_centre_um(path) == (500.0, -250.0)
     code, _, err = run("--engine", "eikonal", "--truth", path, "-o", tmp_path / "out")
     assert code == 2
-    assert "is a region about 0.5, -0.25 mm; give a field about the axis" in err
+    assert "is centred at 0.5, -0.25 mm" in err
 
 
 def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path, data: Path) -> None:

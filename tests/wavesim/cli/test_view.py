@@ -132,7 +132,7 @@ def test_a_camera_s_own_frame(command: Command, tmp_path: Path) -> None:
     Image.fromarray(np.arange(2000, dtype=np.uint16).reshape(40, 50)).save(path)
     code, out, err = command(path)
     assert (code, out) == (2, "")
-    assert "camera.tif does not say how it was recorded; give --pixel-pitch-um to see its counts" in err
+    assert "camera.tif: does not state how it was recorded; give --pixel-pitch-um" in err
     code, _, err = command(path, "--pixel-pitch-um", 3.2)
     assert (code, err) == (0, "")
     (layer,) = layers_of(tmp_path / "camera.html")
@@ -174,8 +174,8 @@ def test_what_cannot_be_shown_is_refused(command: Command, frames: Path, result:
         ((frames / "none.npz",), "cannot read the field .*none.npz: No such file"),
         ((frames / "none.tif",), "cannot read .*none.tif: No such file"),
         ((text,), "must be a folder, a field"),
-        ((picture,), "amplitude.tif: a TIFF of kind 'F'"),
-        ((empty,), "holds none of reconstruction.npz, object.npz, frame_1.tif"),
+        ((picture,), "amplitude.tif: a TIFF of mode 'F'"),
+        ((empty,), "contains none of reconstruction.npz, object.npz, frame_"),
         ((frames / "cut.npz",), "cannot read the field .*cut.npz"),
         ((frames / "cut.tif",), "cut.tif"),
         ((field, "-o", frames / "page.png"), r"--output = '.*page.png': the file name must end in \.html"),
@@ -185,8 +185,8 @@ def test_what_cannot_be_shown_is_refused(command: Command, frames: Path, result:
         ((field, "--region-mm", "0,0,0.1,0"), r"--region-mm = 0,0,0\.1,0: must be finite, and the sides"),
         ((field, "--region-mm", "0.05,0,0.1,0.1"), r"along x from -0\.06 to 0\.06 mm"),
         ((frame, "--region-mm", "0,0,0.1,0.7"), r"along y from -0\.32 to 0\.32 mm"),
-        ((frame, "--truth", field), "--truth: means nothing with the frame"),
-        ((field, "--pixel-pitch-um", 3.2), "--pixel-pitch-um: means nothing with"),
+        ((frame, "--truth", field), "--truth: cannot be used with the frame"),
+        ((field, "--pixel-pitch-um", 3.2), "--pixel-pitch-um: cannot be used with"),
         ((frame, "--pixel-pitch-um", -1.0), "pixel_pitch_um"),
         ((result, "--truth", empty), "cannot read the field .*object.npz"),
     ):
@@ -198,4 +198,4 @@ def test_what_cannot_be_shown_is_refused(command: Command, frames: Path, result:
     (result / "reconstruction.json").write_text("{")
     code, _, err = command(result)
     assert code == 2
-    assert "reconstruction.json: no JSON, or damaged" in err
+    assert "reconstruction.json: it is not a JSON file" in err

@@ -58,15 +58,15 @@ def test_white_that_is_zero_looks_as_in_a_viewer() -> None:
 def test_a_stack_of_darks_is_averaged_and_one_of_frames_refused() -> None:
     path = GOLDEN / "dark_stack" / "pages.tif"
     np.testing.assert_allclose(read_map(path), tifffile.imread(path).mean(axis=0))
-    with pytest.raises(InputError, match="holds 3 pictures"):
+    with pytest.raises(InputError, match="contains 3 pictures"):
         read_map(path, several=False)
-    with pytest.raises(InputError, match="holds 3 pictures"):
+    with pytest.raises(InputError, match="contains 3 pictures"):
         read_frame(path, **STATED)
 
 
 @pytest.mark.parametrize("name", ["imagej_trunc.tif", "imagej_full.tif"])
 def test_a_stack_of_imagej_with_one_directory_is_a_stack(name: str) -> None:
-    with pytest.raises(InputError, match="holds 3 pictures"):
+    with pytest.raises(InputError, match="contains 3 pictures"):
         read_frame(GOLDEN / "imagej_one_ifd" / name, **STATED)
 
 

@@ -55,7 +55,7 @@ def test_without_a_tilt_it_is_one_plane() -> None:
 @pytest.mark.parametrize(
     ("grid", "tilt_deg", "message"),
     [
-        (GRID, (60.0, 0.0), "rad at the sensor's rim"),
+        (GRID, (60.0, 0.0), "rad at the sensor's edge"),
         (Grid((64,), 3.2e-3, 1.0), (1.0, 0.0), "meridional line"),
     ],
 )

@@ -123,7 +123,7 @@ def test_unusable_tilts_and_planes_are_refused() -> None:
         propagate(line, line.grid, target_tilt_deg=(6.0, 6.0))
     with pytest.raises(InputError, match="between -90 and 90"):
         propagate(line, line.grid, target_tilt_deg=(90.0, 0.0))
-    with pytest.raises(InputError, match="z = 0 of its own frame"):
+    with pytest.raises(InputError, match="grid z_mm = 1: must be 0"):
         propagate(line, Grid((64,), 0.4e-3, 1.0), target_tilt_deg=(6.0, 0.0))
     with pytest.raises(InputError, match="only one plane can be tilted"):
         propagate(line, line.grid, source_tilt_deg=(6.0, 0.0), target_tilt_deg=(6.0, 0.0))

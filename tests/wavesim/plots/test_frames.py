@@ -44,15 +44,15 @@ def test_residuals_are_shown_in_standard_deviations_of_the_noise(samples: int) -
     assert np.isnan(shown[0, 0])
     assert np.nanstd(shown) == pytest.approx(1.0, abs=0.05)
     assert axes.images[0].get_clim() == (-4.0, 4.0)
-    assert bar.get_ylabel() == "standard deviations of the noise"
+    assert bar.get_ylabel() == "difference / standard deviation of the noise"
     share = 100.0 * np.sqrt(np.mean(sigma[1:] ** 2)) / 10.0
-    assert f"noise alone leaves {share:.2g}" in axes.get_title()
+    assert f"noise alone: {share:.2g}" in axes.get_title()
 
 
 def test_residuals_without_a_stated_noise_are_shares_of_the_light() -> None:
     error = np.full((20, 20), 0.5)
     (axes, bar) = residual_figure([error], [Measurement(0.0, np.full((20, 20), 10.0))], [2.0], 3.2).axes
-    assert bar.get_ylabel() == "over the recorded root mean square"
+    assert bar.get_ylabel() == "difference / recorded root mean square"
     assert axes.get_title().endswith("residual 5 %")
 
 

@@ -57,8 +57,8 @@ def test_the_truth_stands_beside_what_was_found_with_profiles_through_both(
         np.testing.assert_allclose(shown[inside], np.abs(field.values)[inside])
     profiles = [axes for axes in figure.axes if axes.get_title().startswith("profile")]
     name = f"{elements[2].group}-{elements[2].element}"
-    assert [axes.get_title().split(":")[0] for axes in profiles] == [
-        f"profile along {way} of {name}" for way in "xy"
+    assert [axes.get_title().split(",")[0] for axes in profiles] == [
+        f"profile along {way} through element {name}" for way in "xy"
     ]
     for axes in profiles:
         lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.lines}

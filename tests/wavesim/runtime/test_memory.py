@@ -30,7 +30,7 @@ def test_a_limit_is_what_was_given_or_a_share_of_what_is_free() -> None:
 def test_arrays_are_moved_where_they_must_be() -> None:
     assert Memory(NEED, 10e9).room_for_arrays("it") == math.inf
     assert Memory(NEED, 5e9).room_for_arrays("it") == 2e9
-    with pytest.raises(MemoryLimitError, match=r"it needs 3 GB .*allowed: 2\.5 GB.* --memory-gb 3"):
+    with pytest.raises(MemoryLimitError, match=r"it needs at least 3 GB .*allowed: 2\.5 GB.* --memory-gb 3"):
         Memory(NEED, 2.5e9).room_for_arrays("it")
 
 

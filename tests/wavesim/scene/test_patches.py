@@ -1,7 +1,5 @@
 """Scenes of a design."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -40,10 +38,8 @@ def test_refused(patch_mm: float, field_mm: float) -> None:
 
 @pytest.mark.parametrize("patch_mm", [1e-300, 8e-4])
 def test_a_patch_below_two_samples_is_refused(patch_mm: float) -> None:
-    told = (
-        f"patch_mm = {patch_mm:g}: narrower than 2 samples of the object's 0.4256 um: give 0.0008512 or more"
-    )
-    with pytest.raises(InputError, match=re.escape(told)):
+    words = rf"patch_mm = {patch_mm:g}: .*object_pitch_um = 0\.4256; give 0\.0008512 or more"
+    with pytest.raises(InputError, match=words):
         patch_scene(PAPER, patch_mm, meridional=True)
     assert (
         patch_scene(PAPER, patch_mm, meridional=True, object_pitch_um=400.0 * patch_mm).object_grid.size == 3

@@ -154,7 +154,7 @@ def test_the_command_takes_no_more_memory_than_it_may(
     command = ("image", tmp_path / "twin.toml", *TILES, "--memory-gb", 0.2, "-o", tmp_path / "out")
     code, _, err = run_wavesim(monkeypatch, capsys, *command)
     assert code == 2
-    assert "this picture needs 0.3" in err
+    assert "this picture needs at least 0.3" in err
     assert "--memory-gb 0.4 or more" in err
     assert not (tmp_path / "out").exists()
 

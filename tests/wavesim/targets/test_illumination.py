@@ -47,7 +47,7 @@ def test_a_tilted_wave_has_its_direction(tilt_x: float, tilt_y: float, index: fl
 def test_a_tilt_beyond_the_grid_is_refused() -> None:
     limit = math.degrees(math.asin(0.5 * WAVELENGTH_UM))
     plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=0.99 * limit)
-    with pytest.raises(SamplingError, match="give one below"):
+    with pytest.raises(SamplingError, match=r"tilt_x_deg = .* use one below"):
         plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=1.01 * limit)
     for bad in (90.0, math.nan):
         with pytest.raises(InputError, match="tilt_y_deg"):
@@ -77,7 +77,7 @@ def test_a_gaussian_beam_agrees_with_propagation_from_its_waist(shape: tuple[int
 
 
 def test_a_beam_too_narrow_is_refused() -> None:
-    with pytest.raises(InputError, match="paraxial beam needs"):
+    with pytest.raises(InputError, match=r"waist_radius_mm = 0.001: must be"):
         gaussian_beam(GRID, WAVELENGTH_UM, 1e-3)
     with pytest.raises(SamplingError, match="a Gaussian waist"):
         gaussian_beam(Grid((50, 50), 5e-3, -1.0), WAVELENGTH_UM, 8e-3)
@@ -105,7 +105,7 @@ def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: 
     rng = np.random.default_rng(2)
     rough = rng.normal(size=(64, 64)) + 1j * rng.normal(size=(64, 64))
     np.save(tmp_path / "rough.npy", rough)
-    with pytest.raises(SamplingError, match="too fine"):
+    with pytest.raises(SamplingError, match=r"lies above .* pitch of"):
         measured_field(tmp_path / "rough.npy", Grid((40, 40), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
     kept = measured_field(tmp_path / "rough.npy", Grid((64, 64), 1e-3, -1.0), WAVELENGTH_UM, 1.0)
     np.testing.assert_array_equal(kept.values, rough)
@@ -115,7 +115,7 @@ def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: 
         measured_field(tmp_path / "slanted.npy", Grid((15, 15), 6e-3, -1.0), WAVELENGTH_UM, 1.0)
     mixed = np.ones((128, 128), complex) + 0.02 * rng.normal(size=(128, 128))
     np.save(tmp_path / "mixed.npy", mixed)
-    with pytest.warns(SamplingWarning, match="too fine"):
+    with pytest.warns(SamplingWarning, match="lies above .* pitch of"):
         measured_field(tmp_path / "mixed.npy", Grid((60, 60), 0.9e-3, -1.0), WAVELENGTH_UM, 1.0)
 
 
@@ -147,11 +147,11 @@ def test_files_that_hold_no_field_are_refused(tmp_path: Path) -> None:
     (tmp_path / "damaged.npz").write_bytes(damaged)
     refused("damaged.npz", "cannot read the measured field")
     np.savez(tmp_path / "stated.npz", values=values, pitch_um=2.0)
-    refused("stated.npz", "states pitch_um = 2, not 1")
+    refused("stated.npz", "states pitch_um = 2, not the given 1")
     np.savez(tmp_path / "colour.npz", values=values, pitch_um=1.0, wavelength_um=0.6)
-    refused("colour.npz", "made at wavelength_um")
+    refused("colour.npz", "states wavelength_um")
     np.save(tmp_path / "good.npy", values)
-    refused("good.npy", "does not state its pitch_um", None)
+    refused("good.npy", "does not state its pitch; give pitch_um", None)
     refused("good.npy", "larger measurement", 0.5)
     np.save(tmp_path / "dark.npy", 0.0 * values)
     refused("dark.npy", "dark", 2.0)
@@ -190,7 +190,7 @@ def test_an_object_larger_than_the_stop_is_refused() -> None:
     outline = Rectangle(-0.1, 0.1, -0.1, 0.1)
     validate_within_stop(outline, "square", 0.2)
     validate_within_stop(outline, "disc", 0.283)
-    with pytest.raises(InputError, match=r"needs 0\.2828 mm"):
+    with pytest.raises(InputError, match=r"width_mm = 0\.28: .*must be 0\.2828"):
         validate_within_stop(outline, "disc", 0.28)
-    with pytest.raises(InputError, match=r"needs 0\.22 mm"):
+    with pytest.raises(InputError, match=r"must be 0\.22 or more"):
         validate_within_stop(outline, "square", 0.2, (0.01, 0.0))

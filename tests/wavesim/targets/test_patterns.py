@@ -253,7 +253,7 @@ def test_a_band_limit_leaves_only_the_aperture_and_is_a_projection() -> None:
     np.testing.assert_allclose(band_limit(limited, grid, 0.532, 0.3), limited, atol=1e-12)
     lost = np.sum(abs(chart) ** 2) - np.sum(abs(limited) ** 2)
     assert lost == pytest.approx(np.sum(abs(chart - limited) ** 2))
-    with pytest.raises(SamplingError, match="needs a pitch of"):
+    with pytest.raises(SamplingError, match=r"numerical_aperture = 0.7: .*0.38 um"):
         band_limit(chart, grid, 0.532, 0.7)
 
 
@@ -329,7 +329,7 @@ def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
         picture_target(tmp_path / "clear.png", grid, 2.0)
     pages = [Image.new("L", (20, 20), shade) for shade in (0, 9)]
     pages[0].save(tmp_path / "two.tif", save_all=True, append_images=pages[1:])
-    with pytest.raises(InputError, match="holds 2 pictures"):
+    with pytest.raises(InputError, match=r"two\.tif: contains 2 pictures"):
         picture_target(tmp_path / "two.tif", grid, 2.0)
     pages[0].save(tmp_path / "good.png")
     with pytest.raises(SamplingError, match=r"pixel_um = 0\.5: finer"):
