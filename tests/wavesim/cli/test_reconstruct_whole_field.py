@@ -56,7 +56,11 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
     np.testing.assert_allclose(same["values"], whole["values"], atol=1e-6)
     assert bound["truth"] == pytest.approx(free["truth"], rel=1e-4)
     assert not [path for path in (tmp_path / "bound").iterdir() if path.name.startswith(".")]
-    for limit, message in ((0.3, "needs at least 0.4"), (-1, "--memory-gb = -1"), ("nan", "--memory-gb = nan")):
+    for limit, message in (
+        (0.3, "needs at least 0.4"),
+        (-1, "--memory-gb = -1"),
+        ("nan", "--memory-gb = nan"),
+    ):
         code, out, err = run(*options, "--memory-gb", limit, "-o", tmp_path / "low")
         assert (code, out) == (2, "")
         assert message in err
