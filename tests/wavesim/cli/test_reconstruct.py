@@ -151,7 +151,7 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
     [
         ("size", "bad.tif: 200 x 200 pixels"),
         ("saturated", "of the pixels are saturated"),
-        ("empty", "bad.tif: is empty"),
+        ("empty", "bad.tif: contains no light"),
         ("pitch", "bad.tif: pixel_pitch_um = 3.3"),
         ("wavelength", "bad.tif: wavelength_um = 0.6"),
         ("plane", "both state plane_distance_mm = 0.0625, but show different intensities"),
