@@ -62,7 +62,7 @@ def truth_metrics(
     def passed(values: Any) -> Field:
         own = illumination.with_values((illumination.values * values).astype(np.complex64, copy=False))
         there = transmitted_part(own, directions)
-        return there.with_values(scratch.held(there.values, "a field that the lens passes"))
+        return there.with_values(scratch.held(there.values, "a field within the lens's band"))
 
     displacement = displacement_samples(found.values, true.values, inside)
     other = passed(true.values)
