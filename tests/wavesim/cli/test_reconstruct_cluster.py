@@ -69,7 +69,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     half = 6  # three iterations on half of the samples
     for most[0], said in (
         (1, "no iteration was saved"),
-        (half + 4, "continues from the last saved iteration"),
+        (half + 4, "to continue from the last saved iteration"),
     ):
         uses[0] = 0
         code, out, err = run(*options)
