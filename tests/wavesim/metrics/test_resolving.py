@@ -277,7 +277,7 @@ def test_spacing_is_an_option(twin_file: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--engine", "eikonal", "--engine", "slices", "--slices", "30"], "beside several --engine"),
+        (["--engine", "eikonal", "--engine", "slices", "--slices", "30"], "several --engine"),
         (["--engine", "slices:30"], "--engine = 'slices:30'"),
         (["--engine", "slices:slices=x"], "slices"),
         (["--engine", "eikonal:slices=3"], "slices"),

@@ -61,7 +61,7 @@ def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: P
         ({"chart_at_mm": [(0.01, 0.0)]}, "chart_at_mm: requires usaf"),
         ({"waist_mm": 0.01}, "waist_mm: requires illumination gaussian"),
         ({"region_mm": (0.0, 0.0, 0.01, -0.01)}, "region_mm = 0,0,0.01,-0.01: must be finite"),
-        ({"method": "paper"}, "method paper: needs frames of two planes"),
+        ({"method": "paper"}, "method paper: needs frames of at least two planes"),
         ({"method": "paper", "source_deg": 0.1}, "source_deg: cannot be used with method paper"),
         ({"source_deg": 90.0}, "source_deg: must be from 0 to below 90"),
     ):
