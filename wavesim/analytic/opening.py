@@ -1,9 +1,9 @@
 """Light of one object sample behind a stop in free space, by Rayleigh-Sommerfeld sums.
 
-Rayleigh's first integral gives the field in the stop, and again the field that the open stop radiates. On a
-line the stop is a slit and the sum is direct; on a plane it is a round hole about the sample's axis, and the
-sum goes over the plane waves of its radial spectrum. The stop is black: the field in its opening is
-that without a stop. See M. Born and E. Wolf, "Principles of Optics", section 8.11.
+Rayleigh's first integral gives the field in the stop, and then the field that the opening radiates. On a
+line the stop is a slit, and the integral is summed directly. On a plane it is a round hole about the sample's
+axis, and the sum is over the plane waves of the radial spectrum. The stop is black: the field in its opening
+is the field without a stop. See M. Born and E. Wolf, "Principles of Optics", section 8.11.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ APART, BEHIND = 5.0, 10.0 / 3.0
 OBJECT_SAMPLES, EXIT_SAMPLES = 5, 160
 
 LARGEST, SMALLEST = 2000.0, 50.0
-"""Semi-diameter of the stop in wavelengths."""
+"""Limits of the semi-diameter of the stop in wavelengths."""
 
 
 def slit_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> AnalyticCase:
-    """The middle sample of a line's object, and its light behind a slit.
+    """Return the case of the central sample of an object line, whose light passes a slit.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ def slit_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> An
 
 
 def hole_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> AnalyticCase:
-    """The middle sample of a plane's object, and its light behind a round hole about its axis.
+    """Return the case of the central sample of an object plane, whose light passes a round hole.
 
-    Parameters and errors as for :func:`slit_scene`.
+    The hole is centred on the axis of the sample. For parameters and errors see :func:`slit_scene`.
     """
     scene = _scene(semi_diameter_mm, wavelength_um, 2)
     k, (distance, apart) = scene.wavenumber_per_mm, _distances(semi_diameter_mm)
     squares = np.round((scene.exit_grid.y_mm / scene.exit_grid.pitch_mm) ** 2 * 4.0)
-    unique, places = np.unique(squares[:, None] + squares, return_inverse=True)
+    unique, positions = np.unique(squares[:, None] + squares, return_inverse=True)
     radii = 0.5 * scene.exit_grid.pitch_mm * np.sqrt(unique)
     r, weight = _nodes(0.0, semi_diameter_mm, 1e-3 * wavelength_um)
     away = np.hypot(r, distance)
@@ -76,7 +76,7 @@ def hole_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> An
         q, along = k * np.sin(angle[part]), k * np.cos(angle[part])
         sent = (j0(np.outer(q, r)) @ light) * np.exp(1j * along * apart) * q * along * widths[part]
         exact += j0(np.outer(radii, q)) @ sent
-    return _case(scene, exact[places].reshape(scene.exit_grid.shape))
+    return _case(scene, exact[positions].reshape(scene.exit_grid.shape))
 
 
 def _distances(semi_diameter_mm: float) -> tuple[float, float]:
@@ -84,18 +84,18 @@ def _distances(semi_diameter_mm: float) -> tuple[float, float]:
 
 
 def _line_source(k: float, across_mm: Array, along_mm: float) -> NDArray[np.complex128]:
-    """Rayleigh's kernel of two dimensions, i k cos / 2 times Hankel's function of k r."""
+    """Return Rayleigh's kernel in two dimensions: i k cos / 2 times the Hankel function of k r."""
     away = np.hypot(across_mm, along_mm)
     x = k * away
-    # Hankel's expansion: from 300 on, the remainder is below 1e-8.
+    # Hankel's asymptotic expansion. For k r above 300 the remainder is below 1e-8.
     series = 1.0 + (0.375j + 0.1171875 / x) / x
     wave = np.sqrt(2.0 / (math.pi * x)) * np.exp(1j * (x - 0.75 * math.pi))
     return np.asarray(0.5j * k * along_mm / away * wave * series)
 
 
 def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
-    """Points and weights of panels."""
-    # A Gauss-Legendre rule of eight nodes in each panel, which is one wavelength wide.
+    """Return nodes and weights of a quadrature with panels of at most `width`."""
+    # Each panel has a Gauss-Legendre rule of eight nodes.
     x, weight = np.polynomial.legendre.leggauss(8)
     ends = np.linspace(start, stop, math.ceil((stop - start) / width) + 1)
     half, middle = 0.5 * np.diff(ends), 0.5 * (ends[1:] + ends[:-1])
@@ -135,7 +135,7 @@ def _scene(semi_mm: float, wavelength_um: float, dimensions: int) -> Scene:
 
 
 def _case(scene: Scene, exact: NDArray[np.complex128]) -> AnalyticCase:
-    """The case of the object's middle sample."""
+    """Return the case with light in the central sample of the object only."""
     values = np.zeros(scene.object_grid.shape, complex)
     values[tuple(n // 2 for n in values.shape)] = 1.0
     # Relative error of the sums, from evanescent waves and panels.

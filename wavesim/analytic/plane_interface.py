@@ -1,8 +1,8 @@
-"""A beam through plane interfaces, or none: the exact field, in the meridional world, TE.
+"""Exact field of a beam through plane interfaces, or none; two-dimensional, TE.
 
-Each plane wave of the beam keeps its sine times index, takes Fresnel's coefficient at each plane and the
-phase k n d cos(angle) of each layer. Light that is reflected inside a plate is neglected: the field is that
-of one passage.
+For each plane wave of the beam, the refractive index times the sine of its angle is constant. The wave is
+multiplied by Fresnel's coefficient at each interface, and by the phase factor exp(i k n d cos(angle)) of each
+layer. Light that is reflected inside a plate is neglected: the field is that of one passage.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STOP_SPREADS = 5.0
 
 
 def transmitted_te(index_before: float, index_behind: float, angle: Array) -> Array:
-    """Fresnel's coefficient of transmission, TE, for plane waves that come in at an angle (radians)."""
+    """Return Fresnel's TE transmission coefficient of plane waves at an angle of incidence (radians)."""
     before = index_before * np.cos(angle)
     behind = np.sqrt(index_behind**2 - (index_before * np.sin(angle)) ** 2)
     return np.asarray(2.0 * before / (before + behind))
@@ -40,7 +40,9 @@ def plate_scene(
     wavelength_um: float = 0.532,
     spread: float = 0.05,
 ) -> AnalyticCase:
-    """A beam through a plane-parallel plate, from half a thickness in front of it to half behind it.
+    """Return the case of a beam through a plane-parallel plate.
+
+    The object lies half of the plate's thickness in front of it, the exit plane half of it behind it.
 
     Parameters
     ----------
@@ -69,9 +71,10 @@ def plane_scene(
     wavelength_um: float = 0.532,
     spread: float = 0.05,
 ) -> AnalyticCase:
-    """A beam through one plane interface, from a distance in front of it to the same behind it, in glass.
+    """Return the case of a beam through one plane interface.
 
-    Parameters and errors as for :func:`plate_scene`.
+    The object lies `distance_mm` in front of the interface, the exit plane as far behind it, in glass. For
+    the other parameters and errors see :func:`plate_scene`.
     """
     return _scene(
         "Plane interface", ((index, distance_mm),), distance_mm, incidence_deg, wavelength_um, spread
@@ -84,10 +87,10 @@ def beam_scene(
     wavelength_um: float = 0.532,
     spread: float = 0.16,
 ) -> AnalyticCase:
-    """A beam in free space, from its waist on; its spectrum reaches to 46 degrees, beyond paraxial.
+    """Return the case of a non-paraxial beam in free space; its spectrum extends to 46 degrees.
 
-    The lens is a plane with air on both sides, at `distance_mm` from both grids. Parameters and errors as
-    for :func:`plate_scene`.
+    The object is the waist. The lens is a plane with air on both sides, at `distance_mm` from both grids. For
+    the other parameters and errors see :func:`plate_scene`.
     """
     return _scene("Free space", ((1.0, distance_mm),), distance_mm, incidence_deg, wavelength_um, spread)
 
@@ -100,7 +103,7 @@ def _scene(
     wavelength_um: float,
     spread: float,
 ) -> AnalyticCase:
-    """A scene of planes, each with the index and the thickness of the medium behind it."""
+    """Return the case of plane surfaces, each with the index and the thickness of the medium behind it."""
     beam, tilt = Beam(wavelength_um, spread), math.radians(incidence_deg)
     layers = [(1.0, distance_mm), *surfaces]
     for index, thickness in layers:
@@ -150,25 +153,25 @@ def _tangent(index: float, angle: float) -> float:
 def _field(
     beam: Beam, tilt: float, layers: Sequence[tuple[float, float]], y_mm: Array
 ) -> NDArray[np.complex128]:
-    """The beam, tilted about its waist, behind layers of (index, thickness), from the first one on."""
+    """Return the field of the beam, tilted about its waist, behind layers of (index, thickness)."""
     steepest = tilt + SPREAD_CUT * beam.spread
     reach = float(np.max(np.abs(y_mm))) + sum(d * _tangent(n, steepest) for n, d in layers)
     angle, weight = beam.plane_waves(reach)
     angle = angle + tilt
-    path, passed = np.zeros_like(angle), np.ones_like(angle)
+    path, transmission = np.zeros_like(angle), np.ones_like(angle)
     before = 1.0
     for index, thickness in layers:
         path += thickness * np.sqrt(index**2 - np.sin(angle) ** 2)
-        passed *= transmitted_te(before, index, np.arcsin(np.sin(angle) / before))
+        transmission *= transmitted_te(before, index, np.arcsin(np.sin(angle) / before))
         before = index
     k = beam.wavenumber_per_mm
-    return superpose(angle, weight * passed * np.exp(1j * k * path), k, y_mm, np.zeros_like(y_mm))
+    return superpose(angle, weight * transmission * np.exp(1j * k * path), k, y_mm, np.zeros_like(y_mm))
 
 
 def _lens(
     title: str, layers: Sequence[tuple[float, float]], heights: Array, wavelength_um: float, rim: float
 ) -> Lens:
-    """Plane surfaces wide enough for the rays of the beam's middle from the axis to the rim of the stop."""
+    """Return plane surfaces, wide enough for rays from the centre of the waist to the rim of the stop."""
     stop = float(heights[0, 1] - heights[0, 0])
     planes = []
     for i, (index, thickness) in enumerate(layers[1:]):

@@ -1,7 +1,7 @@
 """Exact solutions by name.
 
-An oracle is a scene with an object field for which the exit field is known without any of the engines. A new
-one is a new module and one line in `ORACLES`.
+An oracle is a scene with an object field whose exit field is known without an engine. To add an oracle, write
+a module and add a line to `ORACLES`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ ORACLES: dict[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class AnalyticCase:
-    """A scene whose answer is known.
+    """A scene whose exit field is known.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class AnalyticCase:
 
 
 def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
-    """An oracle by name.
+    """Return an oracle by name.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 def riccati_functions(orders: int, argument: float) -> RadialFunctions:
-    """x j_l, x y_l and their slopes for l = 0 ... orders."""
+    """Return x j_l, its derivative, x y_l and its derivative at the argument x, for l = 0 ... orders."""
     order = np.arange(orders + 1)
     scale = math.sqrt(0.5 * math.pi * argument)
     j = np.asarray(scale * jv(order + 0.5, argument), float)
@@ -53,7 +53,7 @@ def riccati_functions(orders: int, argument: float) -> RadialFunctions:
 
 
 def passage_phases(size_parameter: float, index: float) -> ComplexArray:
-    """T12 T21 of the orders below x, whose rays meet the sphere, with lossless coatings: of modulus 1."""
+    """Return T12 T21 of the orders up to x, whose rays meet the sphere; with ideal coatings of modulus 1."""
     x = size_parameter
     orders = math.floor(x)
     outside, inside = riccati_functions(orders, x), riccati_functions(orders, index * x)
@@ -62,9 +62,9 @@ def passage_phases(size_parameter: float, index: float) -> ComplexArray:
 
 
 def beam_nodes(wavenumber_per_mm: float, spread: float, reach_mm: float) -> tuple[Array, Array]:
-    """Angles to the axis and weights exp(-theta^2 / (2 s^2)) sin(theta) of a beam's plane waves.
+    """Return angles to the axis and weights exp(-theta^2 / (2 s^2)) sin(theta) of a beam's plane waves.
 
-    Gauss's rule, with enough nodes for points within a reach of the waist.
+    They are a Gauss rule with enough nodes for points within `reach_mm` of the waist.
     """
     edge = SPREAD_CUT * spread
     nodes, weights = roots_legendre(math.ceil(0.7 * wavenumber_per_mm * reach_mm * edge + 80.0))
@@ -73,7 +73,7 @@ def beam_nodes(wavenumber_per_mm: float, spread: float, reach_mm: float) -> tupl
 
 
 def beam_field(wavenumber_per_mm: float, spread: float, radius_mm: Array, distance_mm: float) -> ComplexArray:
-    """The beam at distances from the axis, in a plane behind its waist."""
+    """Return the field of the beam at distances from the axis, in a plane behind its waist."""
     k = wavenumber_per_mm
     angle, weight = beam_nodes(k, spread, math.hypot(float(np.max(radius_mm)), distance_mm))
     waves = j0(k * np.outer(radius_mm, np.sin(angle)))
@@ -81,7 +81,7 @@ def beam_field(wavenumber_per_mm: float, spread: float, radius_mm: Array, distan
 
 
 def spherical_waves(wavenumber_per_mm: float, spread: float, waist_z_mm: float, orders: int) -> ComplexArray:
-    """Amplitudes (2 l + 1) i^l b_l of the beam's regular waves j_l(k r) P_l, for l = 0 ... orders."""
+    """Return the amplitudes (2 l + 1) i^l b_l of the beam's waves j_l(k r) P_l, for l = 0 ... orders."""
     angle, weight = beam_nodes(wavenumber_per_mm, spread, abs(waist_z_mm) + orders / wavenumber_per_mm)
     cosine = np.cos(angle)
     amplitude = weight * np.exp(-1j * wavenumber_per_mm * waist_z_mm * cosine)
@@ -100,7 +100,7 @@ def _next_legendre(order: int, cosine: Array, legendre: Array, before: Array) ->
 def outgoing_field(
     waves: ComplexArray, wavenumber_per_mm: float, radius_mm: Array, z_mm: float
 ) -> ComplexArray:
-    """Sum of outgoing waves h_l(k r) P_l(cos(theta)) at distances from the axis, outside the sphere."""
+    """Return the sum of outgoing waves h_l(k r) P_l(cos(theta)) outside the sphere."""
     distance = np.hypot(radius_mm, z_mm)
     cosine, kr = z_mm / distance, wavenumber_per_mm * distance
     # Upward recurrence is stable for h_l, since no solution grows faster, and for P_l.
@@ -115,7 +115,9 @@ def outgoing_field(
 
 
 def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: float = 0.08) -> AnalyticCase:
-    """A beam from half a radius in front of a sphere of index 1.5195 to a tenth of a radius behind it.
+    """Return the case of a beam through a sphere of index 1.5195.
+
+    The object lies half a radius in front of the sphere, the exit plane a tenth of a radius behind it.
 
     Parameters
     ----------
@@ -176,14 +178,15 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
 
 
 def _on_plane(field: Callable[[Array], ComplexArray], grid: Grid, wavelength_mm: float) -> ComplexArray:
-    """A field that depends on the distance from the axis alone, from 24 samples to the wavelength.
+    """Return a field on a grid that depends only on the distance from the axis.
 
-    Splines of degree 7 leave less than 1e-11 of its peak.
+    It is interpolated from 24 samples per wavelength by splines of degree 7. The error is below 1e-11 of its
+    peak.
     """
     radius = np.asarray(np.sqrt(grid.radius_squared_mm2()), float)
     step = wavelength_mm / 24.0
-    at = np.asarray(step * np.arange(math.ceil(float(radius.max()) / step) + 5), float)
-    values = field(at)
+    samples = np.asarray(step * np.arange(math.ceil(float(radius.max()) / step) + 5), float)
+    values = field(samples)
     # Mirrored across the axis, where the field is even.
-    line = make_interp_spline(np.r_[-at[:0:-1], at], np.r_[values[:0:-1], values], k=7)
+    line = make_interp_spline(np.r_[-samples[:0:-1], samples], np.r_[values[:0:-1], values], k=7)
     return np.asarray(line(radius))

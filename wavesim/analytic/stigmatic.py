@@ -26,13 +26,13 @@ NUMERICAL_APERTURE = 0.5
 
 
 def focal_length_mm(semi_diameter_mm: float, index: float, numerical_aperture: float) -> float:
-    """Focal length f of the lens whose edge, at a height of `semi_diameter_mm`, takes in the aperture."""
+    """Return the focal length f of the lens whose edge, at `semi_diameter_mm`, has the given aperture."""
     cosine = math.sqrt(1.0 - numerical_aperture**2)
     return semi_diameter_mm * (index * cosine - 1.0) / ((index - 1.0) * numerical_aperture)
 
 
 def point_field(y_mm: Array, wavenumber_per_mm: float, numerical_aperture: float) -> Array:
-    """Band-limited point, the integral of cos^2(pi p / (2 NA)) exp(i k p y) dp over abs(p) < NA."""
+    """Return a band-limited point: the integral of cos^2(pi p / (2 NA)) exp(i k p y) dp over abs(p) < NA."""
     x = wavenumber_per_mm * numerical_aperture * y_mm / math.pi
     return np.asarray(numerical_aperture * (np.sinc(x) + 0.5 * (np.sinc(x - 1.0) + np.sinc(x + 1.0))))
 
@@ -40,7 +40,7 @@ def point_field(y_mm: Array, wavenumber_per_mm: float, numerical_aperture: float
 def collimated_amplitude(
     y_mm: Array, focal_length_mm: float, index: float, wavenumber_per_mm: float, numerical_aperture: float
 ) -> Array:
-    """Modulus of the field behind a lens with ideal coatings, of the point of :func:`point_field`.
+    """Return the modulus of the field of :func:`point_field` behind the lens, with ideal coatings.
 
     Energy stays between neighbouring rays: |u|^2 dy = (2 pi / k) g(theta)^2 d theta, with
     g = cos^2(pi p / (2 NA)) cos(theta) the object's spectrum over angles, p = sin(theta), and
@@ -58,20 +58,20 @@ def collimated_amplitude(
 
 
 def stigmatic_scene(semi_diameter_mm: float = 8.25, wavelength_um: float = 0.532) -> AnalyticCase:
-    """A band-limited point at NA 0.5 in the focus, and the flat wave behind the lens.
+    """Return the case of a band-limited point of NA 0.5 in the focus, and the plane wave behind the lens.
 
     Parameters
     ----------
     semi_diameter_mm
-        Semi-diameter of the lens; all other lengths are in proportion.
+        Semi-diameter of the lens; all other lengths are proportional to it.
     wavelength_um
         Vacuum wavelength.
 
     Returns
     -------
     AnalyticCase
-        `exact` is right to first order in wavelength over focal length. Its uncertainty is the next order:
-        the object's width d counts with the phase k d^2 / (2 f).
+        `exact` is accurate to first order in wavelength over focal length. Its uncertainty is the next order:
+        the phase k d^2 / (2 f) due to the object's width d.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def stigmatic_scene(semi_diameter_mm: float = 8.25, wavelength_um: float = 0.532
     exit_samples = 4096
     exit_pitch = max(2.0 * semi_diameter_mm / exit_samples, 0.5 * wavelength_mm)
     object_pitch = 0.25 * wavelength_mm
-    # Zeros of the object's sinc that the object grid holds on each side; the field beyond is below 5e-6.
+    # Zeros of the object's sinc within the object grid on each side; the field beyond is below 5e-6.
     object_zeros = 40
     object_half = object_zeros * math.pi / (k * na)
     scene = Scene(

@@ -1,8 +1,8 @@
-"""A beam along the axis through a tilted plane-parallel plate: the exact field of one passage, TE.
+"""Exact field of a beam along the axis through a tilted plane-parallel plate; one passage, TE.
 
-A plate multiplies a plane wave that meets it at the angle a by its two transmissions and by
-exp(i k d (sqrt(n^2 - sin^2 a) - cos a)), wherever it stands. For engines that work between planes across the
-axis this is the plainest surface that is not one of those planes.
+The plate multiplies a plane wave at the angle of incidence a by its two transmission coefficients and by
+exp(i k d (sqrt(n^2 - sin^2 a) - cos a)), at any distance. For engines that propagate between planes
+perpendicular to the axis, it is the simplest surface that is not such a plane.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def tilted_plate_scene(
     wavelength_um: float = 0.532,
     spread: float = 0.05,
 ) -> AnalyticCase:
-    """A beam along z through a plate that is turned about x.
+    """Return the case of a beam along z through a plate that is tilted about x.
 
     Parameters
     ----------
     incidence_deg
-        Tilt of the plate, up to 50 degrees either way.
+        Tilt of the plate, from -50 to 50 degrees.
     index, thickness_mm
         Index and thickness of the plate.
     wavelength_um
@@ -88,7 +88,10 @@ def tilted_plate_scene(
 
 
 def _size(waist_mm: float, tilt: float, widening: float) -> tuple[float, float]:
-    """Semi-diameter of a plate that takes in the beam, and the way to its middle that keeps its rim off."""
+    """Return the semi-diameter of a plate that transmits the beam, and the distance of its centre.
+
+    This distance keeps its rim away from the object grid.
+    """
     sine = math.sin(tilt)
     semi = (waist_mm + GAP_MM * widening) / (math.cos(tilt) - 2.1 * sine * widening)
     return semi, 1.1 * semi * sine + GAP_MM

@@ -109,7 +109,7 @@ class GaussNewton:
         directions, curvatures = curvature_directions(jacobian, self.search_range)
         self.scaling = directions / np.sqrt(curvatures)
         jacobian = self._scaled_jacobian(jacobian)
-        radius, evaluations, reason = LARGEST_STEP, 1, "mountings used up"
+        radius, evaluations, reason = LARGEST_STEP, 1, "limit of evaluations reached"
         while evaluations < most_evaluations:
             step = self._step(jacobian, residual, radius)
             length = float(np.linalg.norm(step))

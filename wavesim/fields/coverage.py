@@ -30,7 +30,7 @@ class Rectangle:
 
     @property
     def area_mm2(self) -> float:
-        """Width times height."""
+        """Area of the rectangle."""
         return (self.right_mm - self.left_mm) * (self.high_mm - self.low_mm)
 
 
@@ -95,22 +95,23 @@ def disc_coverage(grid: Grid, radius_mm: float, at_mm: tuple[float, float] = (0.
     whole = np.add.outer(ends[0][1] ** 2, ends[1][1] ** 2) <= radius_mm**2
     rows, columns = np.nonzero((np.add.outer(nearest[0] ** 2, nearest[1] ** 2) < radius_mm**2) & ~whole)
     y, x = edges[0][[rows, rows + 1]], edges[1][[columns, columns + 1]]
-    corners = [[_disc_beside(radius_mm, b, a) for a in x] for b in y]
+    corners = [[_signed_disc_area(radius_mm, b, a) for a in x] for b in y]
     cells = (corners[1][1] - corners[0][1]) - (corners[1][0] - corners[0][0])
     covered = whole.astype(float)
     covered[rows, columns] = np.clip(cells / grid.cell, 0.0, 1.0)
     return covered
 
 
-def _disc_beside(radius: float, y: Array, x: Array) -> Array:
+def _signed_disc_area(radius: float, y: Array, x: Array) -> Array:
     """Return the signed area of a disc between its axes of symmetry and the lines at y and x."""
     down, across = np.minimum(abs(y), radius), np.minimum(abs(x), radius)
 
     def under_arc(u: Array) -> Array:
+        """Return the area under the circle from 0 to u."""
         return 0.5 * (u * np.sqrt(np.maximum(radius**2 - u**2, 0.0)) + radius**2 * np.arcsin(u / radius))
 
-    where_it_bends = np.minimum(np.sqrt(np.maximum(radius**2 - down**2, 0.0)), across)
-    quarter = down * where_it_bends + under_arc(across) - under_arc(where_it_bends)
+    arc_start = np.minimum(np.sqrt(np.maximum(radius**2 - down**2, 0.0)), across)
+    quarter = down * arc_start + under_arc(across) - under_arc(arc_start)
     return np.asarray(np.sign(y) * np.sign(x) * quarter)
 
 
@@ -125,7 +126,7 @@ def half_plane_coverage(distance: Array, cosine: Array, sine: Array) -> Array:
 
     outer, inner = 0.5 * (one + two), 0.5 * (one - two)
     area = (ramp(outer) - ramp(inner) - ramp(-inner) + ramp(-outer)) / (one * two)
-    # Far away the squares above cancel and lose their accuracy.
+    # Far from the line the squares above nearly cancel; the area is then 0 or 1.
     return np.asarray(np.where(abs(distance) >= outer, distance > 0.0, np.clip(area, 0.0, 1.0)))
 
 

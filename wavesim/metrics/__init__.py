@@ -1,4 +1,4 @@
-"""How good a result is: metrics, resolved lines, engines against each other."""
+"""Assessment of results: metrics, resolved lines, comparisons of engines."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Displacement between two transmissions: found to a fraction of a sample, and removed."""
+"""Measure and remove the displacement between two transmissions, to a fraction of a sample."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def displacement_samples(
 ) -> tuple[float, float] | None:
     """Return the displacement (x, y) of a transmission from another one, in samples.
 
-    The displacement has the largest correlation of both, over the samples that lie inside the mask both
-    before and after it. Only the middle of large fields is used.
+    At this displacement the correlation of both is largest, over the samples that lie inside the mask before
+    and after they are displaced. Only the middle of large fields is used.
 
     Parameters
     ----------
@@ -36,15 +36,15 @@ def displacement_samples(
     """
     part = _middle(inside)
     known = inside[part]
-    one, other = _uneven(found[part], known), _uneven(true[part], known)
+    one, other = _without_mean(found[part], known), _without_mean(true[part], known)
     if one is None or other is None:
         return None
-    # Samples by which a displacement is sought along each axis, at most; a quarter of a smaller field.
+    # Largest displacement along each axis in samples; for small fields a quarter of their side.
     most_shift = 64
     reach = [min(most_shift, count // 4) for count in known.shape]
     overlap = _Overlap(one, other, known, reach)
     row, column, correlation = overlap.peak()
-    # Correlation of the displaced fields from which on their displacement is determined.
+    # Smallest correlation of the displaced fields that determines their displacement.
     least_correlation = 0.3
     if not correlation >= least_correlation:
         return None
@@ -52,17 +52,17 @@ def displacement_samples(
 
 
 def displaced_back(values: Complex, displacement: tuple[float, float]) -> None:
-    """Move a field by minus a displacement (x, y) in samples, in place, with its Fourier series."""
+    """Shift a field by minus a displacement (x, y) in samples, in place, with its Fourier series."""
     for axis, samples in enumerate(displacement[::-1]):
         count = values.shape[axis]
-        turn = np.exp(2j * np.pi * samples * scipy.fft.fftfreq(count))
+        ramp = np.exp(2j * np.pi * samples * scipy.fft.fftfreq(count))
         lines = values if axis == 1 else values.T
         for block in row_blocks(len(lines)):
-            lines[block] = scipy.fft.ifft(scipy.fft.fft(lines[block], axis=1) * turn, axis=1)
+            lines[block] = scipy.fft.ifft(scipy.fft.fft(lines[block], axis=1) * ramp, axis=1)
 
 
 def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return the samples inside whose displaced positions are inside as well."""
+    """Return the mask of samples that lie inside before and after they are displaced."""
     result = inside.copy()
     for axis, samples in enumerate(displacement[::-1]):
         steps = math.ceil(abs(samples)) * (1 if samples > 0.0 else -1)
@@ -73,9 +73,9 @@ def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) ->
 
 
 def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the middle of the samples that count."""
+    """Return the rows and columns of the middle of a mask."""
     parts = []
-    # Samples along a side, at most, of the part of a field from which a displacement is found.
+    # Largest number of samples along a side of the part that is used.
     most_samples = 512
     for axis in (0, 1):
         used = np.flatnonzero(inside.any(axis=1 - axis))
@@ -85,19 +85,19 @@ def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
     return parts[0], parts[1]
 
 
-def _uneven(values: Complex, inside: NDArray[np.bool_]) -> Complex | None:
-    """Return a field inside without its mean; None if only the mean remains."""
+def _without_mean(values: Complex, inside: NDArray[np.bool_]) -> Complex | None:
+    """Return a field minus its mean inside a mask, and 0 outside; None if the field is constant."""
     own = np.where(inside, values, 0.0).astype(np.complex64)
     size = float(np.linalg.norm(own))
     own -= np.where(inside, own.sum(dtype=complex) / max(int(inside.sum()), 1), 0.0).astype(np.complex64)
     detail = float(np.linalg.norm(own))
-    # Least uneven part of a field, relative to the whole, whose displacement can be found.
+    # Smallest norm without the mean, relative to the norm, that determines a displacement.
     least_detail = 1e-4
     return own if math.isfinite(detail) and detail > least_detail * size else None
 
 
 class _Overlap:
-    """Correlation of two fields for displacements of one, over the samples inside for both."""
+    """Correlation of two fields for displacements of the first, over the samples that are inside in both."""
 
     def __init__(self, one: Complex, other: Complex, inside: NDArray[np.bool_], reach: list[int]) -> None:
         shape = [scipy.fft.next_fast_len(n + most) for n, most in zip(inside.shape, reach, strict=True)]
@@ -108,7 +108,7 @@ class _Overlap:
             scipy.fft.fft2(np.abs(one) ** 2, shape) * mask,
             np.conj(scipy.fft.fft2(np.abs(other) ** 2, shape)) * np.conj(mask),
         )
-        self.least = 0.3 * float(np.linalg.norm(one)) * float(np.linalg.norm(other))
+        self.least_product = 0.3 * float(np.linalg.norm(one)) * float(np.linalg.norm(other))
 
     def peak(self) -> tuple[int, int, float]:
         """Return the displacement by whole samples, along y and x, with the largest correlation."""
@@ -120,7 +120,7 @@ class _Overlap:
         product = np.abs(scipy.fft.ifft2(self.products)[sought])
         sizes = [np.maximum(scipy.fft.ifft2(one)[sought].real, 0.0) for one in self.sizes]
         # Where little of either field remains, the correlation would depend on chance.
-        correlation = product / np.maximum(np.sqrt(sizes[0] * sizes[1]), self.least)
+        correlation = product / np.maximum(np.sqrt(sizes[0] * sizes[1]), self.least_product)
         row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
         y, x = (
             int(at) - (count if at > most else 0)
@@ -129,7 +129,7 @@ class _Overlap:
         return y, x, float(correlation[row, column])
 
     def between_samples(self, row: int, column: int) -> tuple[float, float]:
-        """Return the peak (x, y) between samples, from the Fourier series of the overlap."""
+        """Return the peak (x, y) to a fraction of a sample, from the Fourier series of the correlation."""
         from scipy.optimize import minimize
 
         cycles = [scipy.fft.fftfreq(count) for count in self.shape]

@@ -396,7 +396,7 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
     # Causes that no trial can show: the model of a reconstruction has one wavelength.
     not_tried = "bandwidth of the light"
     if best is not None and best.gain > LEAST_GAIN:
-        evidence = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        evidence = f"tried: {best.told}, which multiplies the misfit by {best.misfit_ratio:.2g}"
         # Causes that wash pictures out, as a broad band of wavelengths does.
         blurs = ("source", "vibration")
         if best.cause in blurs:

@@ -85,7 +85,7 @@ def transmitted_directions(scene: Scene, about: Grid | None = None) -> Transmitt
     grid = about or scene.object_grid
     if grid.is_line:
         raise InputError(
-            "open directions: the object must be a plane; for a line, propagate a field with an engine"
+            "transmitted band: the object must be a plane; for a line, propagate a field with an engine"
         )
     y, x = grid.centre_mm[1], grid.centre_mm[0]
     radius = min(math.hypot(*grid.half_widths_mm), scene.lens.half_field_mm + math.hypot(y, x))
@@ -101,7 +101,7 @@ def transmitted_directions(scene: Scene, about: Grid | None = None) -> Transmitt
     terms = object_terms(region.scaled(np.array(seen).reshape(-1, 2)), ORDER)
     if len(terms) < terms.shape[1]:
         raise InputError(
-            f"open directions: light of only {len(seen)} of {len(nodes)} object points passes the lens"
+            f"transmitted band: light of only {len(seen)} of {len(nodes)} object points passes the lens"
         )
     coefficients = solve(terms, np.reshape(borders, (len(seen), -1))).reshape(-1, ARMS, 2)
     zone_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(scene.object_grid.z_mm))

@@ -30,7 +30,7 @@ class SurfaceMap:
     z_mm : ndarray
         Height of the surface in the fixed frame; NaN where it does not reach.
     inwards_mm : ndarray
-        How far the point lies within its clear semi-diameter; negative beyond.
+        Distance of the point from the edge of the clear semi-diameter; positive inside.
     """
 
     z_mm: Array
@@ -49,7 +49,7 @@ class Crossings:
     Attributes
     ----------
     x_mm, y_mm : ndarray
-        Where they cross.
+        Coordinates at which the rays cross the surface.
     axial_before, axial_after : ndarray
         Cosines of the angle to the z axis, in front of the surface and behind it.
     incidence, refraction : ndarray

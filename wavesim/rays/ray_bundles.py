@@ -40,9 +40,9 @@ class OpenPupil:
     centre : ndarray, shape (2,)
         A point inside, in stop coordinates.
     reach : ndarray, shape (arms,)
-        From the centre to the rim, along arms at even angles; on a line, the two along y.
+        Distance from the centre to the rim along arms at evenly spaced angles; on a line, along +y and -y.
     angles : ndarray, shape (arms,)
-        Of the arms, from x towards y.
+        Angles of the arms in radians, from x towards y.
     """
 
     centre: Array
@@ -84,21 +84,21 @@ class RayBundle:
     Attributes
     ----------
     ok : ndarray of bool, shape (n,)
-        Whether the ray and its neighbours arrive; other values of a ray that does not mean nothing.
+        True if the ray and its neighbours arrive. The other values of a ray that does not are undefined.
     pupil : ndarray, shape (n, 2)
         Stop coordinates.
     sensor_mm : ndarray, shape (n, d)
-        Where rays meet the plane: y, or y and x.
+        Coordinates on the plane: y, or y and x.
     path_mm : ndarray, shape (n,)
         Optical path V.
     cosines, slopes : ndarray, shape (n, d)
-        dV/ds with its sign turned at the object (p), and dV/ds at the plane.
+        -dV/ds at the object (p), and dV/ds at the plane.
     amplitude : ndarray, shape (n,)
-        In mm^(-d/2), with what the coating lets through.
+        Amplitude in mm^(-d/2), including the transmission of the coatings.
     jacobian, cosine_jacobian : ndarray, shape (n, d, d)
-        Derivatives of `sensor_mm` and `cosines` to the stop coordinates.
+        Derivatives of `sensor_mm` and `cosines` with respect to the stop coordinates.
     slope_jacobian : ndarray, shape (n, d, d)
-        Of the rays' slopes to the axis behind the lens, dx/dz and dy/dz.
+        Derivatives of the slopes dx/dz and dy/dz behind the lens with respect to the stop coordinates.
     caustics : ndarray of int, shape (n,)
         Caustics touched between object and plane.
     """

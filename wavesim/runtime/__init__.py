@@ -1,4 +1,4 @@
-"""What calculations run on: threads, memory, files, Fourier transforms."""
+"""Computing resources: threads, memory, files, Fourier transforms."""
 
 import lazy_loader
 

@@ -32,9 +32,10 @@ class Scratch:
     Parameters
     ----------
     folder
-        Where files lie, on a disk and not in memory, as some /tmp do; None: all arrays lie in memory.
+        Folder of the files. It must be on a disk; some systems keep /tmp in memory. None: all arrays lie in
+        memory.
     memory_bytes
-        Most that arrays in memory may take together.
+        Limit of the memory of all arrays together.
 
     Raises
     ------

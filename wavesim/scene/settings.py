@@ -143,7 +143,7 @@ STOP_ORIGINS: dict[StopOrigin, str] = {
 
 
 def _pixels(value: Any) -> Any:
-    """Pixels from their text, such as 9344x7000."""
+    """Return numbers of pixels from their text, such as 9344x7000."""
     if not isinstance(value, str) or value == "all":
         return tuple(value) if isinstance(value, list) else value
     parts = value.split("x")

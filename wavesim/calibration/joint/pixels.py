@@ -351,7 +351,7 @@ class SparsePixels(CalibrationPixels):
         return (np.concatenate(parts) for parts in zip(*planes, strict=True))
 
     def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
-        raise AssertionError(f"{parameter.name}: acts on rays")
+        raise AssertionError(f"{parameter.name}: changes rays, not the camera")
 
     def reaches_directly(self, plane_index: int) -> bool:
         """Return whether tiles reach a plane without free space."""

@@ -349,7 +349,7 @@ class JointSearch:
         reference: _ReferenceTiles,
         parameters: tuple[Parameter, ...],
     ) -> _StageEnd:
-        parameters_sought, reason = parameters, "benches used up"
+        parameters_sought, reason = parameters, "limit of benches reached"
         columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
         if parameters == self.parameters:
             parameters_sought = self._determined_parameters(current, columns)

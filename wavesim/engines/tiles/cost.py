@@ -20,15 +20,15 @@ from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
 PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
-"""Time of probing the tile width, and of fitting the maps of each tile, on a line and on a plane."""
+"""Time to find the tile width, and to fit the maps of each tile, on a line (True) and on a plane (False)."""
 
 EDGE_SECONDS, EDGE_PASSES = {True: 0.007, False: 0.02}, 350
-"""Time to find the diffraction at the rim of each tile, and complex products that take as long as its
-evaluation for a sample of the plane."""
+"""Time to prepare the diffraction at the rim for each tile, and the number of complex products that take as
+long as its evaluation at a sample of the plane."""
 
 CARRY_PASSES, TAP_PASSES = 2.0, 0.55
-"""Time for each sample of a window in complex products: for its carrier and the plane, and for each tap of
-the interpolation from a coarse grid."""
+"""Times per sample of a window, in complex products: for the carrier and the addition to the plane, and for
+each tap of the interpolation from a coarse grid."""
 
 BASE_BYTES, LEAST_BYTES = 100_000, {True: 1_500_000, False: 18_000_000}
 """Memory of the rays of one tile, and of the rays with the matrices of the polynomial fits, on a line and on
@@ -66,7 +66,7 @@ def tiles_cost(
     carrier = mapper(middle.centre_mm)
     size = _sizes(scene, plane, middle, carrier, error)
     count, shape = len(tiles), plane.grid.shape
-    # Complex products that take as long as one nonuniform point.
+    # Number of complex products that take as long as one nonuniform point.
     spread_passes = 60
     one = rank * (
         fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(spread_passes * size.points)
@@ -123,7 +123,7 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
 def _bytes(
     size: _Size, rank: int, low_rank: bool, dimensions: int, count: int, value_bytes: int
 ) -> tuple[int, int]:
-    """Return the memory that one of `count` tiles keeps, and the temporary memory of its set-up and use."""
+    """Return the memory that each of `count` tiles keeps, and the temporary memory of its set-up and use."""
     # Memory of both transforms of a tile for each point and dimension.
     point_bytes = 24
     # Both transforms keep the positions of their points in double precision, and a permutation of them.

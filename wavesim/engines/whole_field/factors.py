@@ -21,12 +21,12 @@ from wavesim.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FactorsOverObject:
-    """The expansion of all tiles.
+    """Expansion of the residual of all tiles.
 
     Attributes
     ----------
     sensor : OverObject
-        u_r(s), complex.
+        Sensor factors u_r(s), complex.
     logarithm : ndarray, shape (terms, nodes, nodes)
         Logarithm of the common factor of all tile factors, as polynomials in the tile's centre.
     tile_nodes : ndarray, shape (rank, nodes, nodes)
@@ -102,41 +102,46 @@ def _factors_of_order(
 ) -> FactorsOverObject:
     """Return the expansion with polynomials of one order; its error may exceed the limit."""
     points = region.nodes(order)
-    places = [(float(x), float(y)) for y, x in points]
-    residuals = [tile_residual(scene, place, spans_mm, mapper(place)) for place in places]
-    values, shares = [r.fine[0] for r in residuals], residuals[0].fine[1]
+    centres = [(float(x), float(y)) for y, x in points]
+    residuals = [tile_residual(scene, centre, spans_mm, mapper(centre)) for centre in centres]
+    values, quadrature = [r.fine[0] for r in residuals], residuals[0].fine[1]
     # Fraction of the allowed error for omitted terms; the rest is for polynomials.
     spectrum_fraction = 0.5
-    basis = _shared_basis([r.weights for r in residuals], values, shares, spectrum_fraction * error)
-    tile = basis / np.sqrt(shares)
-    factors = [(v * np.sqrt(shares) @ basis.conj().T).T for v in values]
+    basis = _shared_basis([r.weights for r in residuals], values, quadrature, spectrum_fraction * error)
+    tile = basis / np.sqrt(quadrature)
+    factors = [(v * np.sqrt(quadrature) @ basis.conj().T).T for v in values]
     sensor_order = 12
     sensor = fit_over_object(region, (order, sensor_order), points, [r.sensor_mm for r in residuals], factors)
     means = np.stack([r.mean for r in residuals])
     logarithm = solve(object_terms(region.scaled(points), order), means.reshape(len(points), -1))
-    left = 0.0
-    for residual, value, (x, y) in zip(residuals, values, places, strict=True):
+    largest_error = 0.0
+    for residual, value, (x, y) in zip(residuals, values, centres, strict=True):
         missed = value - sensor.at((y, x)).at(residual.sensor_mm).T @ tile
-        left = max(left, float(np.sqrt(residual.weights @ np.abs(missed) ** 2 @ shares)))
+        largest_error = max(
+            largest_error, float(np.sqrt(residual.weights @ np.abs(missed) ** 2 @ quadrature))
+        )
     return FactorsOverObject(
-        sensor, logarithm.reshape(-1, *means.shape[1:]), at_tile_nodes(tile, 2), spans_mm, left
+        sensor, logarithm.reshape(-1, *means.shape[1:]), at_tile_nodes(tile, 2), spans_mm, largest_error
     )
 
 
 def _shared_basis(
-    weights: Sequence[Array], values: Sequence[NDArray], shares: Array, error: float
+    weights: Sequence[Array], values: Sequence[NDArray], quadrature: Array, error: float
 ) -> NDArray[np.complex128]:
-    """Return orthonormal rows over the Gauss points of a tile that meet the error limit for all tiles."""
-    scaled = [np.sqrt(w)[:, None] * v * np.sqrt(shares) for w, v in zip(weights, values, strict=True)]
+    """Return the fewest orthonormal rows that meet the error limit for all tiles.
+
+    Columns are the Gauss points of a tile, with the weights `quadrature`.
+    """
+    scaled = [np.sqrt(w)[:, None] * v * np.sqrt(quadrature) for w, v in zip(weights, values, strict=True)]
     strength, vectors = np.linalg.eigh(sum(s.conj().T @ s for s in scaled))
     rows = vectors[:, np.argsort(strength)[::-1]].conj().T[:MAX_RANK]
-    kept = [np.cumsum(np.sum(np.abs(s @ rows.conj().T) ** 2, axis=0)) for s in scaled]
-    left = np.max(
+    represented = [np.cumsum(np.sum(np.abs(s @ rows.conj().T) ** 2, axis=0)) for s in scaled]
+    error_by_rank = np.max(
         [
             np.sqrt(np.maximum(1.0 - k / np.sum(np.abs(s) ** 2), 0.0))
-            for k, s in zip(kept, scaled, strict=True)
+            for k, s in zip(represented, scaled, strict=True)
         ],
         axis=0,
     )
-    enough = np.nonzero(left <= error)[0]
+    enough = np.nonzero(error_by_rank <= error)[0]
     return np.asarray(rows[: int(enough[0]) + 1 if len(enough) else MAX_RANK])

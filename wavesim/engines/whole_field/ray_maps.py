@@ -50,7 +50,7 @@ class Region:
     is_disc: bool
 
     def nodes(self, order: int, shift: float = 0.0) -> Array:
-        """Points (y, x) for polynomials of a total order, denser towards the border, shape (n, 2)."""
+        """Return points (y, x) for polynomials of a total order, denser towards the border, shape (n, 2)."""
         if self.is_disc:
             rings, arms = order // 2 + 2, 2 * order + 3
             radius = np.cos(0.5 * np.pi * np.arange(rings) / (rings - 0.5))
@@ -88,7 +88,7 @@ class OverObject:
     middles : ndarray, shape (3, 2)
         Centre of the sensor box: at the centre of the region, and its change with a unit of y and of x.
     half_width : ndarray, shape (2,)
-        Of the sensor box.
+        Half-width of the sensor box.
     coefficients : ndarray, shape (terms, functions, n, n)
         Real or complex.
     """

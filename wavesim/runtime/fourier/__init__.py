@@ -1,1 +1,1 @@
-"""Fourier transforms where SciPy's would take most of the time, in compiled loops over whole vectors."""
+"""Fast Fourier transforms in compiled vector loops, for places where SciPy would take most of the time."""

@@ -1,7 +1,7 @@
-"""Compiled loops: transforms along rows or columns of which several complex numbers lie side by side.
+"""Compiled loops: transforms along rows or columns in which several complex numbers are contiguous.
 
-These may be the terms in a cell of a grid, or neighbouring columns. Four of them are a part; a sample of
-sixteen (:mod:`wavesim.runtime.fourier.passes`) takes parts from four places.
+These numbers are the terms in a cell of a grid, or neighbouring columns. Four of them form a part. A sample
+of sixteen complex numbers (:mod:`wavesim.runtime.fourier.passes`) consists of parts from four positions.
 """
 
 # mypy: disable-error-code="misc, operator"
@@ -24,74 +24,77 @@ from wavesim.runtime.fourier.passes import SAMPLE, Steps
 _jit = cached_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 
 PART = 8
-"""Numbers of a cell that a vector takes: real and imaginary part in turn."""
+"""Number of real numbers in a part: alternating real and imaginary parts of four complex numbers."""
 
 CELLS = SAMPLE // PART
-"""That lie in one sample."""
+"""Number of parts in a sample."""
 
 
 @intrinsic
-def take_cells(_: Any, grid: Any, first: Any, apart: Any) -> Any:
-    """Real and imaginary parts, as vectors, from four places of a flat grid, given how far each is on."""
+def take_cells(_: Any, grid: Any, first: Any, offsets: Any) -> Any:
+    """Return vectors of real and imaginary parts, from four parts of a flat grid.
+
+    The parts begin at `first` plus each of the four numbers of `offsets`.
+    """
     vector = Lanes(grid.dtype)
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         flat, start, steps = values
         byte = grid.dtype.bitwidth // 8
         ends = [builder.add(start, step) for step in cgutils.unpack_tuple(builder, steps)]
-        places = [vector_at(context, builder, signature.args[0], flat, end, PART) for end in ends]
-        cells = [builder.load(place, align=byte) for place in places]
+        pointers = [vector_at(context, builder, signature.args[0], flat, end, PART) for end in ends]
+        cells = [builder.load(pointer, align=byte) for pointer in pointers]
         halves = [
             builder.shuffle_vector(cells[n], cells[n + 1], lane_numbers(range(2 * PART))) for n in (0, 2)
         ]
         parts = [builder.shuffle_vector(*halves, lane_numbers(range(k, 2 * LANES, 2))) for k in (0, 1)]
         return context.make_tuple(builder, signature.return_type, parts)
 
-    return types.UniTuple(vector, 2)(grid, first, apart), made
+    return types.UniTuple(vector, 2)(grid, first, offsets), codegen
 
 
 @intrinsic
-def put_cells(_: Any, grid: Any, first: Any, apart: Any, real: Any, imaginary: Any) -> Any:
-    """Store real and imaginary parts in cells of a grid."""
+def put_cells(_: Any, grid: Any, first: Any, offsets: Any, real: Any, imaginary: Any) -> Any:
+    """Store vectors of real and imaginary parts in a flat grid: the inverse of :func:`take_cells`."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         flat, start, steps, *parts = values
         byte = grid.dtype.bitwidth // 8
         for number, step in enumerate(cgutils.unpack_tuple(builder, steps)):
             lanes_of_cell = range(number * PART // 2, (number + 1) * PART // 2)
-            turn = lane_numbers([n + LANES * part for n in lanes_of_cell for part in (0, 1)])
-            cell = builder.shuffle_vector(*parts, turn)
-            there = vector_at(context, builder, signature.args[0], flat, builder.add(start, step), PART)
-            builder.store(cell, there, align=byte)
+            alternating = lane_numbers([n + LANES * part for n in lanes_of_cell for part in (0, 1)])
+            cell = builder.shuffle_vector(*parts, alternating)
+            pointer = vector_at(context, builder, signature.args[0], flat, builder.add(start, step), PART)
+            builder.store(cell, pointer, align=byte)
         return context.get_dummy_value()
 
-    return types.void(grid, first, apart, real, imaginary), made
+    return types.void(grid, first, offsets, real, imaginary), codegen
 
 
 @_jit
-def _through(
+def _transform_parts(
     source: NDArray,
     first: int,
-    along: int,
+    step: int,
     target: NDArray,
-    first_there: int,
-    along_there: int,
-    apart: tuple[int, int, int, int],
+    target_first: int,
+    target_step: int,
+    offsets: tuple[int, int, int, int],
     count: int,
     steps: Steps,
     inverse: bool,
     samples: NDArray,
     buffers: NDArray,
 ) -> None:
-    """Transform what begins at four places of flat arrays, from one to the other, which may be the same."""
+    """Transform `count` samples, made of parts at four offsets; source and target may be the same."""
     for j in range(count):
-        real, imaginary = take_cells(source, first + j * along, apart)
+        real, imaginary = take_cells(source, first + j * step, offsets)
         store(samples, j * SAMPLE, real)
         store(samples, j * SAMPLE + LANES, imaginary)
     passes.transform(samples, samples, count, steps, inverse, buffers)
     for j in range(count):
         real, imaginary = load(samples, j * SAMPLE), load(samples, j * SAMPLE + LANES)
-        put_cells(target, first_there + j * along_there, apart, real, imaginary)
+        put_cells(target, target_first + j * target_step, offsets, real, imaginary)
 
 
 @_jit
@@ -105,32 +108,32 @@ def transform_cells(
     samples: NDArray,
     buffers: NDArray,
 ) -> None:
-    """Transform rows or columns of a grid in place, forward or inverse, without a factor.
+    """Transform rows or columns of a grid in place.
 
     Parameters
     ----------
     grid
-        Shape (rows, columns, numbers of a cell), these a multiple of eight; contiguous.
+        Contiguous array, shape (rows, columns, numbers of a cell). A cell has a multiple of eight numbers.
     start, stop
-        Of the columns where `axis` is 0, else of the rows.
+        Range of columns if `axis` is 0, or of rows if it is 1.
     axis
-        Along which is transformed.
+        Axis of the transform.
     steps, inverse, buffers
-        As of :func:`wavesim.runtime.fourier.passes.transform`.
+        As in :func:`wavesim.runtime.fourier.passes.transform`.
     samples
-        Room for those along the axis.
+        Buffer for the samples along the axis.
     """
     flat, numbers = grid.reshape(-1), grid.shape[2]
     row = grid.shape[1] * numbers
     along, across = (row, numbers) if axis == 0 else (numbers, row)
     for first in range(start, stop, CELLS):
-        # The last cell replaces missing ones, and is written back as often.
+        # The last cell replaces missing ones; it is written several times with the same values.
         last = stop - 1 - first
-        apart = (0, min(1, last) * across, min(2, last) * across, min(3, last) * across)
+        offsets = (0, min(1, last) * across, min(2, last) * across, min(3, last) * across)
         for part in range(0, numbers, PART):
             at = first * across + part
-            _through(
-                flat, at, along, flat, at, along, apart, grid.shape[axis], steps, inverse, samples, buffers
+            _transform_parts(
+                flat, at, along, flat, at, along, offsets, grid.shape[axis], steps, inverse, samples, buffers
             )
 
 
@@ -138,32 +141,46 @@ def transform_cells(
 def transform_columns(
     source: NDArray, target: NDArray, steps: Steps, inverse: bool, samples: NDArray, buffers: NDArray
 ) -> None:
-    """Transform columns into those of another array, forward, or inverse without a factor.
+    """Transform the columns of an array, and write the result to another array.
 
     Parameters
     ----------
     source, target
-        Real and imaginary parts in turn along each row, of one shape; rows may lie apart.
+        Arrays of equal shape. Real and imaginary parts alternate along each row, which is contiguous; rows
+        may have gaps between them.
     steps, inverse, samples, buffers
-        As of :func:`transform_cells`.
+        As in :func:`transform_cells`.
     """
-    (count, width), whole = source.shape, (0, PART, 2 * PART, 3 * PART)
+    (count, width), offsets = source.shape, (0, PART, 2 * PART, 3 * PART)
     if width < SAMPLE:
         _few_columns(source, target, steps, inverse, samples, buffers)
         return
-    given, along = _flat(source), source.strides[0] // source.itemsize
-    taking, along_there = _flat(target), target.strides[0] // target.itemsize
+    flat_source, source_step = _flat(source), source.strides[0] // source.itemsize
+    flat_target, target_step = _flat(target), target.strides[0] // target.itemsize
     for start in range(0, width, SAMPLE):
-        # The last sixteen begin where as many are left.
+        # The last sixteen columns may overlap with those before them.
         at = min(start, width - SAMPLE)
-        _through(given, at, along, taking, at, along_there, whole, count, steps, inverse, samples, buffers)
+        _transform_parts(
+            flat_source,
+            at,
+            source_step,
+            flat_target,
+            at,
+            target_step,
+            offsets,
+            count,
+            steps,
+            inverse,
+            samples,
+            buffers,
+        )
 
 
 @_jit
 def _few_columns(
     source: NDArray, target: NDArray, steps: Steps, inverse: bool, samples: NDArray, buffers: NDArray
 ) -> None:
-    """Fewer than sixteen."""
+    """Transform fewer than sixteen columns."""
     count, width = source.shape
     samples[: count * SAMPLE] = 0.0
     for j in range(count):

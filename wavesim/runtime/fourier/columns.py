@@ -1,6 +1,7 @@
-"""Fourier transforms of some of a plane's columns, where they lie, sixteen at once.
+"""Fourier transforms of columns of a plane without a copy of the plane, sixteen columns at once.
 
-Of transforms of nothing but columns: a plane whose rows are transformed, too, goes in panels.
+They are for planes of which only columns are transformed. If rows are transformed as well,
+:mod:`wavesim.runtime.fourier.panels` is faster.
 """
 
 from __future__ import annotations
@@ -19,14 +20,16 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def transform_columns(source: ComplexArray, target: ComplexArray, inverse: bool) -> None:
-    """Transform columns into those of another array, forward, or inverse without a factor.
+    """Transform the columns of an array, and write the result to another array.
 
     Parameters
     ----------
     source, target
-        Of one shape and type; numbers of a row lie side by side, rows may lie apart.
+        Arrays of equal shape and type. The values of a row must be contiguous; rows may have gaps between
+        them.
     inverse
-        Whether exponents have the positive sign.
+        True for the inverse transform (positive sign of the exponents), which is not divided by the number
+        of rows.
     """
     count, kind = len(source), source.dtype.name
     steps = steps_for(count, kind)
@@ -38,6 +41,6 @@ def transform_columns(source: ComplexArray, target: ComplexArray, inverse: bool)
 
 
 def bytes_of_columns(count: int, dtype: DTypeLike) -> int:
-    """Return the memory that all threads keep for columns of a number of samples."""
+    """Return the memory that all threads together keep for transforms of columns with `count` samples."""
     buffers, wide = buffers_shape(count)
     return threads.THREADS * (count + buffers * wide) * (SAMPLE // 2) * np.dtype(dtype).itemsize

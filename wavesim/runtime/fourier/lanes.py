@@ -1,8 +1,8 @@
 """Vectors of sixteen numbers in compiled loops, one for each of sixteen rows or columns.
 
-A loop over many places in memory a compiler seldom turns into vector instructions. Here it is told:
-:class:`Lanes` is a type whose sums, differences and products are those of sixteen numbers each, and LLVM
-makes of them what the processor has.
+A compiler seldom turns a loop over distant memory addresses into vector instructions. The type :class:`Lanes`
+states them explicitly: its sums, differences and products apply to sixteen numbers each, and LLVM translates
+them to the vector instructions of the processor.
 """
 
 # mypy: disable-error-code="misc"
@@ -24,17 +24,17 @@ from numpy.typing import NDArray
 from lensdesign.raytrace.cached_kernels import cached_njit
 
 LANES = 16
-"""Numbers that a vector holds."""
+"""Number of numbers in a vector."""
 
 CACHE_LINE = 64
-"""Bytes: a vector that lies in two takes twice the time."""
+"""Size of a cache line in bytes. A vector that crosses the border of two lines takes twice the time."""
 
 _WHOLE = ir.IntType(64)
 _FUSED = ("contract",)
 
 
 class Lanes(types.Type):
-    """Numba's type of sixteen numbers of one kind."""
+    """Numba type of a vector of sixteen numbers of one type."""
 
     def __init__(self, number: types.Type) -> None:
         self.number = number
@@ -50,7 +50,7 @@ class _Model(models.PrimitiveModel):
 
 
 def _arithmetic(function: Any, instruction: str) -> None:
-    """Have Numba take an operator of two vectors for an instruction."""
+    """Register an instruction of LLVM as an operator of two vectors."""
 
     @infer_global(function)
     class _Signature(AbstractTemplate):
@@ -68,7 +68,7 @@ for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
 
 
 def vector_at(context: Any, builder: Any, kind: Any, array: Any, first: Any, count: int = LANES) -> Any:
-    """Pointer to sixteen numbers of a contiguous array, or as many, as a vector."""
+    """Return a pointer to a vector of `count` numbers of a contiguous array."""
     data = context.make_array(kind)(context, builder, array).data
     vector = ir.VectorType(context.get_value_type(kind.dtype), count)
     return builder.bitcast(builder.gep(data, [first]), vector.as_pointer())
@@ -84,62 +84,62 @@ def _stored(context: Any, builder: Any, kind: Any, value: Any, array: Any, first
 
 @intrinsic
 def load(_: Any, array: Any, first: Any) -> Any:
-    """The vector array[first : first + 16], of a flat array."""
+    """Return the vector array[first : first + 16] of a flat array."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return _loaded(context, builder, signature.args[0], *values)
 
-    return Lanes(array.dtype)(array, types.intp), made
+    return Lanes(array.dtype)(array, types.intp), codegen
 
 
 @intrinsic
 def store(_: Any, array: Any, first: Any, value: Any) -> Any:
-    """array[first : first + 16] = the vector."""
+    """Set array[first : first + 16] of a flat array to a vector."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         _stored(context, builder, signature.args[0], values[2], *values[:2])
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, value), made
+    return types.void(array, types.intp, value), codegen
 
 
 @intrinsic
 def alike(_: Any, number: Any) -> Any:
-    """A vector of one number sixteen times."""
+    """Return a vector whose sixteen numbers are equal."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         nothing = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
         one = builder.insert_element(nothing, values[0], ir.Constant(ir.IntType(32), 0))
         return builder.shuffle_vector(one, nothing, lane_numbers([0] * LANES))
 
-    return Lanes(number)(number), made
+    return Lanes(number)(number), codegen
 
 
 @intrinsic
 def fetch(_: Any, array: Any, first: Any) -> Any:
-    """Have array[first] brought into the cache, which need not be an element."""
+    """Prefetch array[first] into the cache; `first` may lie outside the array."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        place = context.make_array(signature.args[0])(context, builder, values[0]).data
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointer = context.make_array(signature.args[0])(context, builder, values[0]).data
         byte, whole = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
         prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        place = builder.bitcast(builder.gep(place, [values[1]]), byte)
-        # To be read, into all levels, and data.
-        builder.call(prefetch, [place, whole(0), whole(3), whole(1)])
+        pointer = builder.bitcast(builder.gep(pointer, [values[1]]), byte)
+        # Arguments: for reading, into all cache levels, data.
+        builder.call(prefetch, [pointer, whole(0), whole(3), whole(1)])
         return context.get_dummy_value()
 
-    return types.void(array, types.intp), made
+    return types.void(array, types.intp), codegen
 
 
 def _choice(name: str, relation: str) -> Any:
-    """Return the elementwise minimum or maximum of two vectors."""
+    """Return a function for the elementwise minimum or maximum of two vectors."""
 
     def chosen(_: Any, one: Any, other: Any) -> Any:
-        def made(__: Any, builder: Any, ___: Any, values: Any) -> Any:
+        def codegen(__: Any, builder: Any, ___: Any, values: Any) -> Any:
             return builder.select(builder.fcmp_ordered(relation, *values), *values)
 
-        return one(one, other), made
+        return one(one, other), codegen
 
     chosen.__name__ = name
     return intrinsic(chosen)
@@ -149,53 +149,56 @@ smaller, larger = _choice("smaller", "<"), _choice("larger", ">")
 
 
 def _shuffle(name: str, places: list[int]) -> Any:
-    """Some numbers of two vectors."""
+    """Return a function that makes a vector of the numbers at some positions of two vectors."""
 
     def shuffled(_: Any, one: Any, other: Any) -> Any:
-        def made(__: Any, builder: Any, ___: Any, values: Any) -> Any:
+        def codegen(__: Any, builder: Any, ___: Any, values: Any) -> Any:
             return builder.shuffle_vector(*values, lane_numbers(places))
 
-        return one(one, other), made
+        return one(one, other), codegen
 
     shuffled.__name__ = name
     return intrinsic(shuffled)
 
 
 def lane_numbers(numbers: Sequence[int]) -> Any:
-    """Return the shuffle mask of vectors in the form of LLVM."""
+    """Return the mask of a shuffle instruction of LLVM."""
     return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
 
 evens, odds = (_shuffle(name, [*range(k, 2 * LANES, 2)]) for k, name in enumerate(("evens", "odds")))
-"""Every other number of two vectors: real parts of complex numbers, or imaginary ones."""
+"""Numbers with even or odd positions in two vectors: real or imaginary parts of complex numbers."""
 
 _IN_TURN = [k + LANES * part for k in range(LANES) for part in (0, 1)]
 pairs, more_pairs = _shuffle("pairs", _IN_TURN[:LANES]), _shuffle("more_pairs", _IN_TURN[LANES:])
-"""Numbers of two vectors in turn: the first ones of each, and the others."""
+"""First and second half of the alternating numbers of two vectors."""
 
 
 @intrinsic
 def transpose(_: Any, source: Any, first: Any, step: Any, target: Any, to: Any, step_to: Any) -> Any:
-    """target[to + j step_to + i] = source[first + i step + j] for i, j below 16, of flat arrays."""
+    """Set target[to + j step_to + i] = source[first + i step + j] for i, j below 16, in flat arrays."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        given, first, step, taking, to, step_to = values
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        flat_source, first, step, flat_target, to, step_to = values
 
         def after(start: Any, number: int, stride: Any) -> Any:
             return builder.add(start, builder.mul(stride, ir.Constant(_WHOLE, number)))
 
         kinds = signature.args[0], signature.args[3]
-        rows = [_loaded(context, builder, kinds[0], given, after(first, i, step)) for i in range(LANES)]
+        rows = [_loaded(context, builder, kinds[0], flat_source, after(first, i, step)) for i in range(LANES)]
         for j, column in enumerate(_transposed(builder, rows)):
-            _stored(context, builder, kinds[1], column, taking, after(to, j, step_to))
+            _stored(context, builder, kinds[1], column, flat_target, after(to, j, step_to))
         return context.get_dummy_value()
 
     whole = types.intp
-    return types.void(source, whole, whole, target, whole, whole), made
+    return types.void(source, whole, whole, target, whole, whole), codegen
 
 
 def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
-    """Vectors across vectors: squares of twice the side in every round, whose halves change places."""
+    """Return the transpose of a square of vectors.
+
+    Each round exchanges off-diagonal blocks, whose side doubles from round to round.
+    """
     side = 1
     while side < LANES:
         upper = [j if not j & side else LANES + j - side for j in range(LANES)]
@@ -211,15 +214,16 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
 
 @cached_njit(nogil=True)
 def whole(numbers: int) -> int:
-    """Numbers of vectors that hold so many."""
+    """Return `numbers`, rounded up to whole vectors."""
     return (numbers + LANES - 1) // LANES * LANES
 
 
 @cached_njit(nogil=True)
 def lines_for(count: int, numbers: int, like: NDArray) -> NDArray:
-    """Room for so many lines of numbers of an array's kind, each with whole vectors and one more.
+    """Return an uninitialised array of `count` lines that hold `numbers` each, of the type of `like`.
 
-    Lines a power of two apart share few places of a cache.
+    Lines are rounded up to whole vectors. One more vector keeps their distance from a power of 2, at which
+    they would share the same places of a cache.
     """
     wide = whole(numbers) + LANES
     room = empty(count * wide + CACHE_LINE // like.itemsize, like.dtype)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 WORTH_THREADS = 3
-"""Threads of FINUFFT that are as fast as one thread of the transform of terms."""
+"""With more threads than this, FINUFFT is faster than one thread of :mod:`wavesim.runtime.fourier.terms`."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Precision:
 
 
 def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
-    """Return the fastest transform for a number of threads, as :func:`fourier_plan`."""
+    """Return the fastest transform for a number of threads; parameters as in :func:`fourier_plan`."""
     if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
         return fourier_plan(kind, shape, precision, threads)
     from wavesim.runtime.fourier.terms import TermsTransform
@@ -42,7 +42,9 @@ def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threa
 
 
 def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
-    """Return a nonuniform transform of FINUFFT of type 2, or of type 1, its conjugate transpose.
+    """Return a plan of FINUFFT for a nonuniform Fourier transform of type 2 or 1.
+
+    Type 2 computes values at points from modes; type 1 is its conjugate transpose.
 
     Parameters
     ----------
@@ -71,18 +73,18 @@ def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, thread
 
 
 def sum_of_terms(plan: Any, values: Any, factors: Any, weights: Any) -> Any:
-    """Terms of a transform of type 2 of the same modes, each with factors of its own, weighted and added up.
+    """Return the sum over terms of weights times the transform (type 2) of factors times modes.
 
     Parameters
     ----------
     plan
-        A transform, its points set.
+        A transform whose points are set.
     values
-        Modes, of the shape of one term.
+        Modes that all terms share.
     factors
-        Of modes, shape (terms, modes).
+        Factors of the modes, shape (terms, modes).
     weights
-        Of points, shape (terms, points).
+        Weights of the points, shape (terms, points).
     """
     if hasattr(plan, "weighted"):
         return plan.weighted(values, factors, weights)
@@ -91,7 +93,7 @@ def sum_of_terms(plan: Any, values: Any, factors: Any, weights: Any) -> Any:
 
 
 def adjoint_of_terms(plan: Any, values: Any, factors: Any, weights: Any) -> Any:
-    """Conjugate transpose of :func:`sum_of_terms`, by a transform of type 1: modes from values at points."""
+    """Return modes from values at points: the conjugate transpose of :func:`sum_of_terms`, with type 1."""
     if hasattr(plan, "weighted"):
         return plan.weighted(values, factors, weights)
     strength = np.ascontiguousarray(weights.conj() * values)
@@ -100,6 +102,9 @@ def adjoint_of_terms(plan: Any, values: Any, factors: Any, weights: Any) -> Any:
 
 
 def folded(angles: Any, dtype: np.dtype[Any]) -> Any:
-    """Angles of points within half a turn; folded in float64, for the sake of single precision."""
+    """Return angles folded to -pi ... pi, in the precision of `dtype`.
+
+    They are folded in double precision, since large angles are inaccurate in single precision.
+    """
     real = np.float32 if dtype == np.complex64 else np.float64
     return ((angles + np.pi) % (2.0 * np.pi) - np.pi).astype(real)

@@ -1,10 +1,10 @@
-"""Fourier transforms of a plane's rows and of its columns, sixteen at once, in memory that suits both.
+"""Fourier transforms of the rows and columns of a plane, sixteen at once, in a memory layout that suits both.
 
-Where rows lie one after the other, a few columns are as many places as there are rows, each in a page of
-memory of its own: to read and write them takes longer than to transform them. In panels sixteen columns lie
-together, so that a block of columns is one piece of memory, and of sixteen rows pieces are long. With vectors
-as wide as the processor's, where SciPy's hold four numbers, columns take a third of its time; rows, which are
-gathered and put back, between two thirds and a sixth more.
+In an array with contiguous rows, each value of a column lies in another page of memory. Reading and writing a
+few columns then takes longer than transforming them. A panel stores sixteen columns together: a block of
+columns is one contiguous piece of memory, and sixteen rows are a few long pieces. Vectors are as wide as the
+processor's; those of SciPy hold four numbers. Columns take a third of SciPy's time. Rows, which are copied
+from and to panels, take between two thirds and seven sixths of it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ cache."""
 
 
 class Panels:
-    """Complex values on a plane, sixteen columns after sixteen.
+    """Complex values on a plane, stored in panels of sixteen columns.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class Panels:
     shape : (int, int)
     dtype : numpy.dtype
     values : ndarray
-        Shape (panels, rows, 2, 16): real, then imaginary parts of sixteen columns. Those that a last panel
-        has beyond the plane are 0 once rows have been put in.
+        Shape (panels, rows, 2, 16): real, then imaginary parts of sixteen columns. Columns of the last panel
+        beyond the plane are 0 after :meth:`put_rows`.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: DTypeLike) -> None:
@@ -57,9 +57,9 @@ class Panels:
         self._down, self._across = (steps_for(count, self.dtype.name) for count in shape)
 
     def put_rows(self, rows: ComplexArray, first: int) -> None:
-        """Transform rows along themselves, and put them in from one row on."""
+        """Transform rows along x, and store them from row `first` on."""
         width = self.shape[1]
-        samples, buffers = self._at_work(width)
+        samples, buffers = self._thread_buffers(width)
         for start in range(0, len(rows), LANES):
             part = rows[start : start + LANES]
             passes.rows_to_samples(part.view(self.values.dtype), samples)
@@ -68,10 +68,14 @@ class Panels:
             passes.samples_to_panels(samples, len(part), self._flat, first + start)
 
     def take_rows(self, first: int, rows: ComplexArray, values: RealArray | None = None) -> ComplexArray:
-        """Apply the inverse transform without its factor along rows from one on; to other values if given."""
+        """Fill `rows` with the inverse transform along x of the rows from `first` on, and return them.
+
+        The transform is not divided by the number of columns. It reads `values` instead of the panels'
+        own values, if given.
+        """
         width = self.shape[1]
         panels = self._flat if values is None else values.reshape(len(values), -1)
-        samples, buffers = self._at_work(width)
+        samples, buffers = self._thread_buffers(width)
         for start in range(0, len(rows), LANES):
             part = rows[start : start + LANES]
             passes.panels_to_samples(panels, first + start, len(part), samples)
@@ -80,13 +84,16 @@ class Panels:
         return rows
 
     def along_columns(self, source: RealArray, target: RealArray, inverse: bool) -> None:
-        """Transform a panel's columns, forward or inverse without a factor; both may be the same."""
-        _, buffers = self._at_work(self.shape[0])
-        given, taking = source.reshape(-1), target.reshape(-1)
-        passes.transform(given, taking, self.shape[0], self._down, inverse, buffers)
+        """Transform the columns of a panel; the inverse is not divided by the number of rows.
 
-    def _at_work(self, count: int) -> tuple[RealArray, RealArray]:
-        """This thread's samples of sixteen rows, and buffers for transforms of a count."""
+        Source and target may be the same panel.
+        """
+        _, buffers = self._thread_buffers(self.shape[0])
+        flat_source, flat_target = source.reshape(-1), target.reshape(-1)
+        passes.transform(flat_source, flat_target, self.shape[0], self._down, inverse, buffers)
+
+    def _thread_buffers(self, count: int) -> tuple[RealArray, RealArray]:
+        """Return this thread's buffers for samples of sixteen rows and for transforms of `count` samples."""
         kind = self.dtype.name
         samples = thread_buffer("samples", (len(self.values) * LANES * SAMPLE,), kind)
         return samples, buffers_for(count, kind)
@@ -105,9 +112,9 @@ def transform_bytes(shape: tuple[int, int], dtype: DTypeLike) -> int:
 
 
 def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
-    """Real numbers of a complex type's precision that begin where a vector may.
+    """Return an uninitialised real array, with the precision of a complex type, that begins at a cache line.
 
-    A vector that lies in two cache lines takes twice the time.
+    A vector that crosses the border of two cache lines takes twice the time.
     """
     kind = np.dtype(dtype).type(0).real.dtype
     size = math.prod(shape) * kind.itemsize
@@ -118,7 +125,7 @@ def aligned(shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
 
 @cache
 def steps_for(count: int, dtype: str) -> Steps:
-    """Return the factors of a transform of a number of samples of a complex type."""
+    """Return the constants of a transform of `count` samples of a complex type."""
     kind: Any = np.dtype(dtype).type(0).real.dtype
     wide = convolved(count)
     radices = _radices(wide)
@@ -131,18 +138,21 @@ def steps_for(count: int, dtype: str) -> Steps:
     response[:count] = chirp.conj()
     response[wide - count + 1 :] = chirp[:0:-1].conj()
     spectrum = scipy.fft.fft(response) / wide
-    return Steps(*_twiddles(radices, wide, kind), _in_turn(chirp, kind), _in_turn(spectrum, kind))
+    return Steps(*_twiddles(radices, wide, kind), _interleaved(chirp, kind), _interleaved(spectrum, kind))
 
 
 def convolved(count: int) -> int:
-    """Return the transformed number of samples, which is larger where no pass handles a prime factor."""
+    """Return the number of samples that are transformed for `count` samples.
+
+    It is larger if there is no pass for a prime factor of `count`; the transform is then a convolution.
+    """
     return count if math.prod(_radices(count)) == count else scipy.fft.next_fast_len(2 * count - 1)
 
 
 def _radices(count: int) -> list[int]:
-    """Return the factors for which there are passes."""
+    """Return those factors of `count` for which there are passes."""
     found = []
-    # Radices of the passes, in this order; with other prime factors a transform is a convolution.
+    # Radices for which there are passes, in the order in which they are used.
     radices = (8, 4, 2, 3, 5, 7, 11, 13)
     for radix in radices:
         while count % radix == 0:
@@ -160,22 +170,22 @@ def _twiddles(
         twiddles.append(np.exp(-2j * np.pi * (angles % left) / left))
         firsts.append(firsts[-1] + len(angles))
         left //= radix
-    return np.array(radices, np.int64), np.array(firsts), _in_turn(np.concatenate([*twiddles, []]), kind)
+    return np.array(radices, np.int64), np.array(firsts), _interleaved(np.concatenate([*twiddles, []]), kind)
 
 
-def _in_turn(values: NDArray[np.complex128], kind: Any) -> RealArray:
-    """Return real and imaginary parts one after the other."""
+def _interleaved(values: NDArray[np.complex128], kind: Any) -> RealArray:
+    """Return an array in which real and imaginary parts alternate."""
     return np.ascontiguousarray(values, complex).view(float).astype(kind)
 
 
 def buffers_for(count: int, dtype: str) -> RealArray:
-    """Return a thread's own buffers for transforms of a number of samples of a complex type."""
+    """Return this thread's buffers for transforms of `count` samples of a complex type."""
     buffers, wide = buffers_shape(count)
     return thread_buffer("buffers", (buffers, wide * SAMPLE), dtype)
 
 
 def buffers_shape(count: int) -> tuple[int, int]:
-    """Return the number of buffers of a transform, and the samples in each."""
+    """Return the number of buffers that a transform needs, and the number of samples in each."""
     wide = convolved(count)
     return 2 if wide == count else 3, wide
 
@@ -184,7 +194,7 @@ _THREAD = threading.local()
 
 
 def thread_buffer(name: str, shape: tuple[int, ...], dtype: DTypeLike) -> RealArray:
-    """Return a real buffer of a thread, the same at every call, since touching new memory takes time."""
+    """Return a real buffer of this thread. It is reused at every call, since new memory takes time."""
     kept = _THREAD.__dict__
     if name not in kept or (kept[name].shape, kept[name].dtype) != (
         shape,

@@ -1,11 +1,11 @@
 """Compiled loops of a Fourier transform of sixteen rows or columns at once.
 
-A sample is sixteen complex numbers, one of each row or column: their real parts, then their imaginary parts,
-in a flat array. The transform of n samples goes in one pass for each factor of n, after which they are in
-order (T. G. Stockham, AFIPS Conf. Proc. 28, 229, 1966; C. Van Loan, Computational Frameworks for the Fast
-Fourier Transform, SIAM 1992, sec. 1.7). Other numbers of samples are taken as convolutions with a chirp
-(L. I. Bluestein, IEEE Trans. Audio Electroacoust. 18, 451, 1970). An inverse transform is a forward one in
-which real and imaginary parts have changed their places.
+A sample consists of sixteen complex numbers, one of each row or column. A flat array holds their real parts,
+then their imaginary parts. The transform of n samples needs one pass for each factor of n, and leaves the
+samples in order (T. G. Stockham, AFIPS Conf. Proc. 28, 229, 1966; C. Van Loan, Computational Frameworks for
+the Fast Fourier Transform, SIAM 1992, sec. 1.7). If n has a prime factor without a pass, the transform is a
+convolution with a chirp (L. I. Bluestein, IEEE Trans. Audio Electroacoust. 18, 451, 1970). An inverse
+transform is a forward transform with real and imaginary parts exchanged.
 """
 
 # mypy: disable-error-code="misc, operator"
@@ -25,28 +25,30 @@ from wavesim.runtime.fourier.lanes import LANES, alike, fetch, load, store, tran
 _jit = cached_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 
 SAMPLE = 2 * LANES
-"""Real numbers of a sample."""
+"""Number of real numbers in a sample."""
 
 AHEAD = 4
 """Number of panels by which prefetches precede the use, since hardware prefetchers miss such short pieces."""
 
 
 class Steps(NamedTuple):
-    """Factors of a transform of a number of samples; all but the radices have the samples' type.
+    """Constants of a transform of n samples.
+
+    Complex constants are stored as alternating real and imaginary parts, in the precision of the samples.
 
     Attributes
     ----------
     radices : ndarray of int
-        Factors of the number of samples, or of that of the convolution.
+        Radix of each pass. Their product is n, or the number of samples of the convolution.
     firsts : ndarray of int
-        Where in `twiddles` those of a pass begin.
+        Index of the first twiddle factor of each pass.
     twiddles : ndarray
-        For each pass exp(-2 pi i p k / left), of p = 0 ... left / radix - 1 and k = 1 ... radix - 1, where
-        `left` is what no pass before has divided; real and imaginary parts in turn.
+        Twiddle factors of each pass: exp(-2 pi i p k / left) for p = 0 ... left / radix - 1 and
+        k = 1 ... radix - 1. `left` is the number of samples, divided by the radices of all earlier passes.
     chirp : ndarray
-        exp(-pi i j^2 / n) for each sample j; empty where the radices make n. Parts in turn.
+        exp(-pi i j^2 / n) for each sample j; empty if no convolution is needed.
     response : ndarray
-        What the convolution multiplies the transform by, over its number of samples. Parts in turn.
+        Transfer function of the convolution, divided by its number of samples; empty if none is needed.
     """
 
     radices: NDArray
@@ -202,7 +204,7 @@ def _pass_of_8(x: NDArray, y: NDArray, m: int, s: int, twiddles: NDArray, k: int
 def _pass_of_odd(
     x: NDArray, y: NDArray, r: int, m: int, s: int, twiddles: NDArray, k: int, parts: Any
 ) -> None:
-    """Apply a pass for any odd radix, by products of sums and differences of pairs."""
+    """Apply a pass of any odd radix, with sums and differences of pairs of samples."""
     roots = empty(2 * r, x.dtype)
     for j in range(r):
         roots[2 * j] = math.cos(2.0 * math.pi * j / r)
@@ -221,8 +223,8 @@ def _pass_of_odd(
             for j in range(1, r // 2 + 1):
                 near, by = a, (alike(x.dtype.type(0.0)), alike(x.dtype.type(0.0)))
                 for n in range(1, r // 2 + 1):
-                    place = 2 * (j * n % r)
-                    c, e = alike(roots[place]), alike(roots[place + 1])
+                    index = 2 * (j * n % r)
+                    c, e = alike(roots[index]), alike(roots[index + 1])
                     both, apart = _get(pairs, 2 * n - 1, (0, LANES)), _get(pairs, 2 * n, (0, LANES))
                     near = near[0] + c * both[0], near[1] + c * both[1]
                     by = by[0] + e * apart[0], by[1] + e * apart[1]
@@ -265,20 +267,21 @@ def _all_passes(
 def transform(
     source: NDArray, target: NDArray, count: int, steps: Steps, inverse: bool, buffers: NDArray
 ) -> None:
-    """Transform samples, forward or inverse, without a factor.
+    """Transform samples. Neither direction is divided by the number of samples.
 
     Parameters
     ----------
     source, target
-        Flat; they may be the same.
+        Flat arrays, which may be the same.
     count
-        How many samples.
+        Number of samples.
     steps
-        For so many.
+        Constants of a transform of this number of samples.
     inverse
-        Whether exponents have the positive sign.
+        True for the inverse transform (positive sign of the exponents).
     buffers
-        Two rows, each with room for the samples; or three, for those of the convolution.
+        Two rows with space for all samples each; three, with space for those of the convolution, if one is
+        needed.
     """
     parts = (LANES, 0) if inverse else (0, LANES)
     if len(steps.chirp) == 0:
@@ -305,7 +308,10 @@ def transform(
 
 @_jit
 def rows_to_samples(rows: NDArray, samples: NDArray) -> None:
-    """Copy at most sixteen rows of complex values, given as float views, to samples; other rows stay."""
+    """Copy up to sixteen rows of complex values, given as real views, to samples.
+
+    With fewer rows, the remaining numbers of each sample are unchanged.
+    """
     count, width = rows.shape
     flat = rows.reshape(-1)
     whole = width - width % LANES if count == LANES else 0
@@ -331,18 +337,18 @@ def samples_to_rows(samples: NDArray, rows: NDArray) -> None:
 
 @_jit
 def samples_to_panels(samples: NDArray, count: int, panels: NDArray, first: int) -> None:
-    """Copy samples of rows to panels, from a row on; values behind the last column are arbitrary.
+    """Copy samples of up to sixteen rows to panels. Values behind the last column are copied as they are.
 
     Parameters
     ----------
     samples
-        Flat; with numbers for all columns of the panels.
+        Flat array with samples for all columns of the panels.
     count
-        How many rows, sixteen at most.
+        Number of rows, at most sixteen.
     panels
-        Flat rows of shape (panels, rows x numbers of a sample).
+        Array of shape (panels, rows x numbers of a sample).
     first
-        Row.
+        Index of the first row in the panels.
     """
     flat, apart = panels.reshape(-1), panels.shape[1]
     for number in range(panels.shape[0]):

@@ -1,14 +1,14 @@
 """Nonuniform Fourier transform of several terms on one plane at once, in single precision.
 
-Each term is divided by the transform of a kernel, and carried by a fast Fourier transform onto a somewhat
-finer grid; a sum of the cells around a point, weighted by the kernel, is its value there. See A. H. Barnett,
-J. Magland, L. af Klinteberg, SIAM J. Sci. Comput. 41, C479 (2019). The kernel is that of J. I. Jackson,
-C. H. Meyer, D. G. Nishimura, A. Macovski, IEEE Trans. Med. Imaging 10, 473 (1991), a Kaiser-Bessel window,
-whose transform is known, with the shape of P. J. Beatty, D. G. Nishimura, J. M. Pauly, IEEE Trans. Med.
-Imaging 24, 799 (2005).
+Each term is divided by the Fourier transform of a kernel. A fast Fourier transform then gives its values on
+a somewhat finer grid. The value at a point is the sum of the cells around it, weighted by the kernel. See
+A. H. Barnett, J. Magland, L. af Klinteberg, SIAM J. Sci. Comput. 41, C479 (2019). The kernel is a
+Kaiser-Bessel window, whose Fourier transform is known (J. I. Jackson, C. H. Meyer, D. G. Nishimura,
+A. Macovski, IEEE Trans. Med. Imaging 10, 473, 1991). Its shape parameter follows P. J. Beatty,
+D. G. Nishimura, J. M. Pauly, IEEE Trans. Med. Imaging 24, 799 (2005).
 
-FINUFFT carries one term after the other, and evaluates the kernel for each. Here four terms lie beside each
-other in every cell, as one vector.
+FINUFFT transforms one term after the other, and evaluates the kernel for each. Here the terms of a cell are
+contiguous, and one vector holds four of them.
 """
 
 from __future__ import annotations
@@ -44,10 +44,11 @@ class Axis:
     Attributes
     ----------
     cells : int
+        Number of cells of the grid.
     width : int
-        Cells under the kernel.
+        Width of the kernel in cells.
     modes : ndarray of int
-        From -n // 2 on.
+        Mode numbers, ascending from -n // 2.
     """
 
     cells: int
@@ -56,12 +57,12 @@ class Axis:
 
     @property
     def beta(self) -> float:
-        """Kernel values."""
+        """Shape parameter of the Kaiser-Bessel kernel."""
         finer = self.cells / len(self.modes)
         return math.pi * math.sqrt(max((self.width / finer * (finer - 0.5)) ** 2 - 0.8, 0.0))
 
     def transformed(self, modes: NDArray[np.int64]) -> Array:
-        """The kernel's integral over its cells times exp(i x mode), for a cell of unit width."""
+        """Return the Fourier transform of the kernel at mode numbers, for cells of unit width."""
         rest = self.beta**2 - (math.pi * self.width * modes / self.cells) ** 2
         root = np.sqrt(np.abs(rest)) + 1e-12
         return np.asarray(
@@ -70,8 +71,8 @@ class Axis:
 
     @property
     def squared_error(self) -> float:
-        """Return the relative aliasing error for modes of equal size."""
-        # Periods of the grid that are looked at.
+        """Square of the relative aliasing error, for modes of equal size."""
+        # Periods of the grid whose aliases are added.
         periods = np.array([*range(-8, 0), *range(1, 9)])
         repeats = self.modes + self.cells * periods[:, None]
         return float(np.mean(np.sum((self.transformed(repeats) / self.transformed(self.modes)) ** 2, axis=0)))
@@ -83,21 +84,21 @@ class Axis:
 
     @property
     def factors(self) -> NDArray[np.float32]:
-        """Return the factor of each mode; cell 0 of the grid is at a phase of minus half a turn."""
+        """Factor of each mode. Cell 0 of the grid is at the angle -pi."""
         return ((-1.0) ** (self.modes % 2) / self.transformed(self.modes)).astype(np.float32)
 
 
 @cache
 def axes_for(shape: tuple[int, ...], error: float) -> tuple[Axis, ...]:
-    """Grid and the narrowest kernel for so many modes (along y, along x) and a relative error."""
-    # Cells of the grid over modes.
+    """Return the axes (y, x) for numbers of modes, with the narrowest kernel that meets a relative error."""
+    # Number of cells over number of modes.
     oversampling = 1.25
-    # Cells under a kernel that there may be.
+    # Possible widths of the kernel in cells.
     widths = range(3, 13)
     for width in widths:
         axes = tuple(
             Axis(
-                # Of 2, 3 and 5 alone, as a real one's are.
+                # `real=True` gives products of 2, 3 and 5 only.
                 scipy.fft.next_fast_len(max(math.ceil(oversampling * n), 2 * width), real=True),
                 width,
                 np.arange(n) - n // 2,
@@ -111,19 +112,22 @@ def axes_for(shape: tuple[int, ...], error: float) -> tuple[Axis, ...]:
 
 @cache
 def pieces_of(width: int, beta: float) -> tuple[NDArray[np.float32], ...]:
-    """The kernel as a polynomial for each tap, over where within its cell from -1 to 1 the point lies."""
+    """Return the coefficients of the kernel's polynomial for each tap.
+
+    Its argument is the position of the point within a cell, from -1 to 1.
+    """
     count = width + MORE_COEFFICIENTS
     nodes = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     pieces = []
     for tap in range(width):
-        share = (nodes + (2 * tap + 1 - width)) / width
-        values = i0(beta * np.sqrt(np.maximum(1.0 - share**2, 0.0))) / i0(beta)
+        position = (nodes + (2 * tap + 1 - width)) / width
+        values = i0(beta * np.sqrt(np.maximum(1.0 - position**2, 0.0))) / i0(beta)
         pieces.append(np.polyfit(nodes, values, count - 1).astype(np.float32))
     return tuple(pieces)
 
 
 class TermsTransform:
-    """Nonuniform transform of type 2, or of type 1, its conjugate transpose; methods as FINUFFT's plans have.
+    """Nonuniform Fourier transform of type 2 or 1, with the methods of a plan of FINUFFT.
 
     Parameters
     ----------
@@ -131,9 +135,9 @@ class TermsTransform:
         2: the sum over modes (k, l) of modes[k, l] exp(-i (k y + l x)) at points (y, x). 1: its conjugate
         transpose.
     shape
-        Number of terms, then of modes along y and x, from -n // 2 on.
+        Number of terms, and of modes along y and x. Mode numbers begin at -n // 2.
     error
-        Relative L2 error, of modes that are all alike.
+        Relative L2 error, for modes of equal size.
     """
 
     def __init__(self, kind: int, shape: tuple[int, ...], error: float) -> None:
@@ -146,17 +150,17 @@ class TermsTransform:
         self._steps = tuple(steps_for(axis.cells, "complex64") for axis in self._axes)
 
     def setpts(self, y: NDArray[np.float32], x: NDArray[np.float32]) -> None:
-        """Set the points, angles within half a turn; the arrays are kept."""
+        """Set the points, as angles from -pi to pi. The arrays are not copied."""
         self._points = y, x
 
     def execute(self, data: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """Transform.
+        """Return the transform of modes (type 2) or of values at points (type 1).
 
         Parameters
         ----------
         data
-            Modes, shape (terms, along y, along x), or values at points, shape (terms, points); of one term
-            the first axis may be left out, as it is of what comes back.
+            Modes, shape (terms, ny, nx), or values at points, shape (terms, points). With one term the first
+            axis may be omitted; the result then has no such axis either.
         """
         terms = self._shape[0]
         given = data.reshape(self._shape) if self._kind == 2 else data.reshape(terms, -1)
@@ -166,17 +170,19 @@ class TermsTransform:
     def weighted(
         self, data: NDArray[np.complex64], factors: NDArray[np.complex64], weights: NDArray[np.complex64]
     ) -> NDArray[np.complex64]:
-        """Type 2: the sum over terms of weights times the transform of factors times modes; type 1: its
-        conjugate transpose. Nothing of each term leaves the processor's cache but the grid.
+        """Return the sum over terms of weights times the transform of factors times modes (type 2).
+
+        Type 1 is the conjugate transpose. Besides the grid, intermediate values of terms stay in the
+        processor's cache.
 
         Parameters
         ----------
         data
-            Modes that all terms share, shape (along y, along x), or values at points, shape (points,).
+            Modes that all terms share, shape (ny, nx), or values at points, shape (points,).
         factors
-            Of modes, shape (terms, along y, along x).
+            Factors of the modes, shape (terms, ny, nx).
         weights
-            Of points, shape (terms, points).
+            Weights of the points, shape (terms, points).
         """
         return self._carried(*map(np.ascontiguousarray, (data[None], factors, weights)))[0]
 
@@ -201,13 +207,13 @@ class TermsTransform:
 
     @property
     def _rows_of_modes(self) -> tuple[slice, slice]:
-        """Rows of the grid that hold modes; the others are 0, or not needed."""
+        """Rows of the grid that contain modes. The other rows are 0 (type 2) or not needed (type 1)."""
         cells, count = self._axes[0].cells, self._shape[1]
         return slice(0, count - count // 2), slice(cells - count // 2, cells)
 
     def _transform(self, grid: NDArray[np.float32], rows: slice, axis: int) -> None:
-        """Fast Fourier transform of rows of the grid along themselves, or of all columns, in place."""
+        """Transform rows of the grid (axis 1), or columns (axis 0), in place."""
         start, stop, _ = rows.indices(self._cells[1 - axis])
-        # Samples of an axis, and the two rooms of its passes.
-        room = thread_buffer("cells", (3, max(self._cells[:2]) * SAMPLE), "complex64")
-        transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, room[0], room[1:])
+        # The samples of an axis, and two buffers for its passes.
+        buffers = thread_buffer("cells", (3, max(self._cells[:2]) * SAMPLE), "complex64")
+        transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, buffers[0], buffers[1:])

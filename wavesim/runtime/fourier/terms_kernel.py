@@ -1,9 +1,9 @@
-"""Compiled loops of :mod:`wavesim.runtime.fourier.terms`: between points and a grid, all terms at once.
+"""Compiled loops of :mod:`wavesim.runtime.fourier.terms`: interpolation between points and a grid.
 
-A cell of the grid holds real and imaginary part of every term, one after the other, filled up to whole
-vectors of eight numbers. Weights of taps are made for a block of points at a time, in loops over the points.
-What a point then does with its taps is too short for a loop that a compiler would turn into vector
-instructions: two functions write these themselves, as LLVM has them for every processor.
+All terms are processed at once. A cell of the grid holds the real and imaginary parts of all terms, padded to
+whole vectors of eight numbers. Weights of taps are computed for a block of points at a time, in loops over
+the points. The loop over the taps of a point is too short for a compiler to use vector instructions. Two
+functions therefore generate these instructions through LLVM.
 """
 
 # mypy: disable-error-code="misc"
@@ -25,20 +25,20 @@ from lensdesign.raytrace.cached_kernels import cached_njit
 _jit = cached_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 LANES = 8
-"""Numbers of float32 that a vector holds."""
+"""Number of float32 numbers in a vector."""
 
 MORE_COEFFICIENTS = 2
-"""Of a tap's polynomial, than there are taps."""
+"""Number of coefficients of a tap's polynomial, minus the number of taps."""
 
 _BLOCK = 256
-"""Points whose weights are made at a time."""
+"""Number of points whose weights are computed at a time."""
 
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _FUSED = ("contract",)
 
 
 class _Taps:
-    """Vectors of the cells around a point, and weights along y and x, while code is made."""
+    """Generates code for the cells around a point, as vectors, and for the weights along y and x."""
 
     def __init__(self, context: Any, builder: Any, given: types.BaseTuple, values: Any) -> None:
         self.builder, self.width = builder, len(given[0])
@@ -65,18 +65,18 @@ class _Taps:
         return self.builder.gep(start, [bytes_on])
 
     def _alike(self, weights: Any, tap: int, point: Any) -> Any:
-        """A vector of one weight."""
+        """Return a vector whose numbers are all the weight of a tap."""
         stride = cgutils.unpack_tuple(self.builder, weights.strides)[0]
         row = self._moved(weights.data, self.builder.mul(stride, self._whole(tap)))
         row = self.builder.bitcast(row, ir.FloatType().as_pointer())
         weight = self.builder.load(self.builder.gep(row, [point]))
         nothing = ir.Constant(_VECTOR, ir.Undefined)
         one = self.builder.insert_element(nothing, weight, ir.Constant(ir.IntType(32), 0))
-        places = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-        return self.builder.shuffle_vector(one, nothing, places)
+        first = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        return self.builder.shuffle_vector(one, nothing, first)
 
     def cell(self, row: int, column: int) -> Any:
-        """Return the position of one of the cells around the point."""
+        """Return a pointer to one of the cells around the point."""
         offset = self._sum_of_products(((self._whole(row), 0), (self._whole(column), 1)))
         return self.builder.bitcast(self._moved(self.first, offset), _VECTOR.as_pointer())
 
@@ -97,9 +97,9 @@ class _Taps:
 def _gather_vector(
     _: Any, pieces: Any, grid: Any, down: Any, across: Any, y: Any, x: Any, lane: Any, point: Any, own: Any
 ) -> Any:
-    """own[lane:] = sum over taps (t, s) of down[t, point] across[s, point] grid[y + t, x + s, lane:]."""
+    """Set own[lane:] to the sum over t, s of down[t, point] across[s, point] grid[y + t, x + s, lane:]."""
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         taps = _Taps(context, builder, signature.args, values)
         total = ir.Constant(_VECTOR, [0.0] * LANES)
         for s in range(taps.width):
@@ -111,16 +111,19 @@ def _gather_vector(
         return context.get_dummy_value()
 
     whole = types.intp
-    return types.void(pieces, grid, down, across, whole, whole, whole, whole, own), made
+    return types.void(pieces, grid, down, across, whole, whole, whole, whole, own), codegen
 
 
 @intrinsic
 def _spread_vector(
     _: Any, pieces: Any, grid: Any, down: Any, across: Any, y: Any, x: Any, lane: Any, point: Any, own: Any
 ) -> Any:
-    """The transpose: grid[y + t, x + s, lane:] += down[t, point] across[s, point] own[lane:]."""
+    """Add down[t, point] across[s, point] own[lane:] to grid[y + t, x + s, lane:] for all taps (t, s).
 
-    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    This is the transpose of :func:`_gather_vector`.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         taps = _Taps(context, builder, signature.args, values)
         given = taps.load(taps.own)
         for s in range(taps.width):
@@ -131,7 +134,7 @@ def _spread_vector(
         return context.get_dummy_value()
 
     whole = types.intp
-    return types.void(pieces, grid, down, across, whole, whole, whole, whole, own), made
+    return types.void(pieces, grid, down, across, whole, whole, whole, whole, own), codegen
 
 
 @_jit
@@ -144,15 +147,15 @@ def _weigh(
     first: NDArray,
     weight: NDArray,
 ) -> None:
-    """First cell and weights of taps along one axis; cell 0 is at half a turn back."""
+    """Compute the first cell and the weights of the taps along one axis; cell 0 is at the angle -pi."""
     per_turn = cells / (2.0 * math.pi)
     width = len(pieces)
     part = empty(_BLOCK, float32)
     for j in range(stop - start):
-        place = (angles[start + j] + math.pi) * per_turn
-        low = ceil(place - 0.5 * width)
+        position = (angles[start + j] + math.pi) * per_turn
+        low = ceil(position - 0.5 * width)
         first[j] = int64(low)
-        part[j] = float32(2.0 * (low - place) + (width - 1))
+        part[j] = float32(2.0 * (low - position) + (width - 1))
     for t in range(width):
         piece = pieces[t]
         for j in range(stop - start):
@@ -176,20 +179,20 @@ def gather(
     weights: NDArray | None,
     values: NDArray,
 ) -> None:
-    """Values at points from those on a periodic grid.
+    """Interpolate values at points from a periodic grid.
 
     Parameters
     ----------
     grid
         Shape (rows, columns, numbers of a cell), float32.
     y, x
-        Angles of points.
+        Angles of the points.
     pieces
-        Along y and along x; for each tap its polynomial's coefficients, the highest first.
+        Coefficients of the polynomial of each tap along y and along x, the highest order first.
     weights
-        Shape (terms, points), with which terms are added up; None leaves them apart.
+        Weights of the terms in a sum, shape (terms, points); None: no sum.
     values
-        Shape (terms, points), or (1, points) of a sum, complex64; changed in place.
+        Result, changed in place: complex64, shape (terms, points), or (1, points) for a sum.
     """
     rows, columns, numbers = grid.shape
     width = len(pieces[0])
@@ -233,7 +236,7 @@ def spread(
     weights: NDArray | None,
     values: NDArray,
 ) -> None:
-    """The conjugate transpose of :func:`gather`: adds to the grid."""
+    """Add values at points to a grid: the conjugate transpose of :func:`gather`."""
     rows, columns, numbers = grid.shape
     width = len(pieces[0])
     first_y, first_x = empty(_BLOCK, int64), empty(_BLOCK, int64)
@@ -276,9 +279,10 @@ def put_modes(
     along_x: NDArray,
     grid: NDArray,
 ) -> None:
-    """Modes, shape (terms, along y, along x), times a factor of each axis onto their cells of a grid.
+    """Write modes, shape (terms, ny, nx), times a factor of each axis to their cells of a grid.
 
-    With factors of this shape the modes are one term, shape (1, along y, along x), which they multiply.
+    If `factors` of this shape are given, modes have the shape (1, ny, nx), and each term is their product
+    with its factors.
     """
     terms = modes.shape[0] if factors is None else factors.shape[0]
     for i in range(modes.shape[1]):
@@ -300,7 +304,7 @@ def take_modes(
     along_x: NDArray,
     grid: NDArray,
 ) -> None:
-    """The conjugate transpose of :func:`put_modes`: changes the modes."""
+    """Compute modes from a grid, in place: the conjugate transpose of :func:`put_modes`."""
     terms = modes.shape[0] if factors is None else factors.shape[0]
     for i in range(modes.shape[1]):
         if factors is not None:

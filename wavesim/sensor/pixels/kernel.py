@@ -1,4 +1,4 @@
-"""Compiled loops exposure_sum pixels: one intensity of several exposures, and pixels that disagree."""
+"""Compiled loops over pixels: intensity from several exposures, contradicting frames, hot and dead pixels."""
 
 # mypy: disable-error-code="misc"
 
@@ -82,7 +82,7 @@ def outlying_pixels(
     dead_noise: float,
     lit: float,
 ) -> NDArray:
-    """Return masks (3, ny, nx): brighter than all eight neighbours, lit, and dark among lit neighbours."""
+    """Return masks (3, ny, nx): far above all eight neighbours, lit, and dark among lit neighbours."""
     height, width = intensity.shape
     found = empty((3, height, width), dtype="?")
     for i in range(height):

@@ -11,23 +11,23 @@ from hypothesis import strategies as st
 from wavesim.calibration.joint.line_search import LARGEST_EXTENSION, MOST_TRIALS, LineSearch
 
 
-def trials(price: Callable[[float], float], slope: float, first: float) -> tuple[LineSearch, list[float]]:
-    line, tried = LineSearch(price(0.0), slope, first), []
+def trials(cost: Callable[[float], float], slope: float, first: float) -> tuple[LineSearch, list[float]]:
+    line, tried = LineSearch(cost(0.0), slope, first), []
     while (length := line.next()) is not None:
         tried.append(length)
-        line.add(length, price(length))
+        line.add(length, cost(length))
     return line, tried
 
 
 @given(least=st.floats(0.2, 4.0), depth=st.floats(0.1, 1.0), first=st.floats(0.5, 3.0))
 def test_a_parabola_is_found_in_three_trials(least: float, depth: float, first: float) -> None:
-    def price(length: float) -> float:
+    def cost(length: float) -> float:
         return 1.0 + depth * ((length / least - 1.0) ** 2 - 1.0)
 
-    line, tried = trials(price, -2.0 * depth / least, first)
+    line, tried = trials(cost, -2.0 * depth / least, first)
     assert len(tried) <= 4
     assert line.best <= LARGEST_EXTENSION**2 * first
-    gained = price(0.0) - price(line.best)
+    gained = cost(0.0) - cost(line.best)
     assert gained > 0.85 * depth
 
 
