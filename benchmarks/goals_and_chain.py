@@ -36,7 +36,8 @@ from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.merits.registry import merit_from_table
-from tolerancing.prediction.losses import DRAWS, drawn_losses, loss_chains, loss_paths
+from tolerancing.prediction.losses import DRAWS, loss_chains, loss_paths
+from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import sample_perturbations
 from wavesim.scene.placement import Placement
 
@@ -189,7 +190,7 @@ def predicted(goal: str) -> str:
     study = load_study(DESIGNS / "as_built_tolerances.toml").study
     merit = merit_from_table(LOSS, "benchmark")
     assert isinstance(merit, ReconstructionLoss)
-    chains, amounts, found = loss_chains(lens_of(REFERENCE), merit), drawn_losses(study, DRAWS), []
+    chains, amounts, found = loss_chains(lens_of(REFERENCE), merit), drawn_amounts(study, DRAWS), []
     for compensators in ((), COMPENSATORS):
         own = study.model_copy(update={"compensators": compensators})
         paths = loss_paths(lens_of(goal), own, merit)

@@ -24,13 +24,12 @@ from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differ
 from tolerancing.prediction.system import amounts_of, columns_of
 from tolerancing.prediction.wavefront_prediction import (
     Judged,
+    drawn_batch,
     first_order,
     is_predicted_wavefront,
-    replace_draws,
     study_derivatives,
 )
 from tolerancing.statistics.response import Response, fit_response
-from tolerancing.study.evaluate import sample_perturbations
 from tolerancing.study.study import Study
 
 PROBES, PROBE_SCALES, EXTREME_RAYS = 512, (0.5, 1.0, 2.0), 3
@@ -147,9 +146,7 @@ class StudyScoreModel:
         self._starts = np.array([own.start for own in columns])
         self._base = np.zeros(count)
         self._base[self._starts] = self._centre
-        # Number of Sobol draws that estimate the yield of a budget.
-        draws = 8192
-        self.batch = sample_perturbations(replace_draws(study, draws), range(draws))
+        self.batch = drawn_batch(study)
         self._deviations = amounts_of(self.batch) - self._base
         self._of_change = np.repeat(np.arange(len(columns)), [own.stop - own.start for own in columns])
         probes = [self._base + scale * self._deviations[:PROBES] for scale in PROBE_SCALES]

@@ -26,9 +26,8 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.compensation import bounded_least_squares
 from tolerancing.prediction.derivatives import figures_on, first_by
 from tolerancing.prediction.paths import Paths
-from tolerancing.prediction.system import Changes, amounts_of, changes_of, columns_of
-from tolerancing.prediction.wavefront_prediction import replace_draws
-from tolerancing.study.evaluate import sample_perturbations
+from tolerancing.prediction.system import Changes, changes_of, columns_of
+from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.study import Study
 from wavesim.pupil import LinearisedChain
 from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
@@ -204,12 +203,7 @@ def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = 
     draws
         Number of lenses.
     """
-    return float(np.mean(expected_losses(lens, study, merit, drawn_losses(study, draws))))
-
-
-def drawn_losses(study: Study, draws: int) -> Array:
-    """Return amounts of the study's perturbations, drawn by a Sobol sequence; shape (draws, d)."""
-    return amounts_of(sample_perturbations(replace_draws(study, draws), range(draws)))
+    return float(np.mean(expected_losses(lens, study, merit, drawn_amounts(study, draws))))
 
 
 def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:

@@ -208,16 +208,15 @@ def predict(
     return WavefrontPrediction(found, len(amounts), tuple(p.column for p in study.perturbations))
 
 
-def drawn_batch(study: Study, every: int = 1) -> PerturbationBatch:
-    """Return the lenses that predictions draw, or every n-th of them."""
-    # Sobol draws of a study's perturbations.
-    draws = 8192
-    return sample_perturbations(replace_draws(study, draws), range(0, draws, every))
+def drawn_batch(study: Study, every: int = 1, draws: int = 8192) -> PerturbationBatch:
+    """Return lenses of a study that a Sobol sequence draws, or every n-th of them."""
+    by_sobol = study.model_copy(update={"draws": "sobol", "trials": draws})
+    return sample_perturbations(by_sobol, range(0, draws, every))
 
 
-def drawn_amounts(study: Study) -> Array:
+def drawn_amounts(study: Study, draws: int = 8192) -> Array:
     """Return the amounts of the changes of the drawn lenses, shape (draws, d)."""
-    return amounts_of(drawn_batch(study))
+    return amounts_of(drawn_batch(study, draws=draws))
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,11 +262,6 @@ def study_derivatives(lens: Lens, study: Study, judged: Sequence[Judged], second
     models = at(own, *adapted)[1]
     left = tuple(less_model(field, model) for field, model in zip(fields, models, strict=True))
     return StudyDerivatives(tuple(judged), changes, compensation, left)
-
-
-def replace_draws(study: Study, count: int) -> Study:
-    """Return the study with draws by a Sobol sequence of `count` points."""
-    return study.model_copy(update={"draws": "sobol", "trials": count})
 
 
 def mean_squares(field: FieldDifferentials, amounts: Array) -> Array:

@@ -23,9 +23,8 @@ from lensdesign.raytrace.gradients import GradientTrace, Variable
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import figures_on
 from tolerancing.prediction.paths import Figures, Paths
-from tolerancing.prediction.system import Changes, amounts_of, changes_of
-from tolerancing.prediction.wavefront_prediction import replace_draws
-from tolerancing.study.evaluate import sample_perturbations
+from tolerancing.prediction.system import Changes, changes_of
+from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.study import Study
 
 STEP, DIFFERENCE_STEP = 1e-30, 1e-4
@@ -67,7 +66,7 @@ class Scatter:
         """Amount of each change in each drawn lens, shape (draws, d)."""
         # Number of Sobol draws that estimate the yield in a search.
         search_draws = 2048
-        return amounts_of(sample_perturbations(replace_draws(self.study, search_draws), range(search_draws)))
+        return drawn_amounts(self.study, search_draws)
 
 
 class DesignPoint:

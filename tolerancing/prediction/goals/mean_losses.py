@@ -22,7 +22,8 @@ from lensdesign.optimization.as_built import LossValues
 from lensdesign.optimization.problem import DesignProblem
 from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.prediction.goals.design import DIFFERENCE_STEP, bent, rim_heights, sized
-from tolerancing.prediction.losses import LossChains, drawn_losses, loss_chains, loss_paths
+from tolerancing.prediction.losses import LossChains, loss_chains, loss_paths
+from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study
 
@@ -102,7 +103,7 @@ class SearchedLosses:
     def _amounts(self) -> Array:
         # Lenses, drawn by a Sobol sequence, over which a search takes the mean.
         search_draws = 32
-        return drawn_losses(self.study, search_draws)
+        return drawn_amounts(self.study, search_draws)
 
     def values(self, problem: DesignProblem, point: Array, derivatives: bool) -> LossValues:
         """Return the mean losses of the lens at a point of the unit box.
