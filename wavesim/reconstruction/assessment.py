@@ -255,15 +255,16 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
 def may_be_stagnated(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> bool:
-    """Return whether the search for an amplitude object ended above the noise, perhaps in a local minimum."""
+    """Return whether the search for an amplitude object may have ended in a local minimum.
+
+    Whether it left more than the noise is for :func:`excess_of` to say.
+    """
     if settings.kind != "amplitude" or isinstance(case.engine, Tiled):
         return False
     if found.stopped_because == "noise" or len(found.residual_maps) < len(case.recorded):
         return False
     # After few iterations of a search that has not converged, more iterations are the remedy.
-    if found.stopped_because == "iterations" and len(found.misfit) < STAGE_ITERATIONS:
-        return False
-    return excess_of(case, found.residual_maps) > 1.0
+    return found.stopped_because != "iterations" or len(found.misfit) >= STAGE_ITERATIONS
 
 
 def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:

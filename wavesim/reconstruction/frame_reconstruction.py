@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -466,16 +467,17 @@ def _leave_local_minimum(
 ) -> Reconstructed:
     """Return the best of an amplitude object, one without an upper limit, and one from a growing aperture.
 
-    The limit of 1 may be too low where the scale is fitted to an object that is bright everywhere.
+    Nothing is searched once an object leaves no more than the noise. The limit of 1 may be too low where the
+    scale is fitted to an object that is bright everywhere.
     """
     excess = excess_of(case, found.residual_maps)
-    others = [lambda: _solve_with_growing_aperture(case, settings, engine, reporter)]
+    searches = [partial(_solve_with_growing_aperture, case, settings, engine, reporter)]
     if settings.scale is None:
-        others.insert(0, lambda: _solve(case, settings, engine, reporter, start, bounded=False))
-    for solve in others:
+        searches = [partial(_solve, case, settings, engine, reporter, start, bounded=False), *searches]
+    for search in searches:
         if excess <= 1.0:
             break
-        other = solve()
+        other = search()
         other_excess = excess_of(case, other.residual_maps)
         if other_excess < BETTER * excess:
             found, excess = other, other_excess

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wavesim.sensor.measurement import Measurement
 
@@ -44,17 +45,22 @@ def aperture_stages(recorded: Sequence[Measurement]) -> Iterator[list[Measuremen
     list of Measurement
         All planes, with an infinite standard deviation outside of the circle.
     """
+    radii = [_relative_radius(plane) for plane in recorded]
     for fraction in np.geomspace(FIRST_RADIUS, 1.0, STAGES):
-        yield [_within(plane, float(fraction)) for plane in recorded]
+        yield [_within(plane, radius <= fraction) for plane, radius in zip(recorded, radii, strict=True)]
 
 
-def _within(plane: Measurement, fraction: float) -> Measurement:
-    """Return a measurement whose pixels outside of a circle are unknown."""
+def _relative_radius(plane: Measurement) -> NDArray[np.float64]:
+    """Return the distance of each pixel from the centroid of the light, over half the longer side."""
     assert plane.sigma is not None
     rows, columns = (np.arange(count, dtype=float) for count in plane.amplitude.shape)
     weight = np.where(np.isfinite(plane.sigma), plane.amplitude.astype(float) ** 2, 0.0)
     total = max(float(weight.sum()), np.finfo(float).tiny)
     row, column = float(weight.sum(1) @ rows) / total, float(weight.sum(0) @ columns) / total
-    radius = 0.5 * fraction * max(plane.amplitude.shape)
-    inside = (rows[:, None] - row) ** 2 + (columns - column) ** 2 <= radius**2
+    return np.hypot(rows[:, None] - row, columns - column) / (0.5 * max(plane.amplitude.shape))
+
+
+def _within(plane: Measurement, inside: NDArray[np.bool_]) -> Measurement:
+    """Return a measurement whose pixels outside of a region are unknown."""
+    assert plane.sigma is not None
     return replace(plane, sigma=np.where(inside, plane.sigma, np.inf).astype(plane.sigma.dtype))

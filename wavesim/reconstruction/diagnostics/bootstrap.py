@@ -157,10 +157,14 @@ def uncertainty(
         others += _equivalent_objects(found, other, lit)
         if progress is not None:
             progress(index + 1, len(starts) + repeats)
+    noise = [_noise_levels(plane) for plane in recorded]
     results = []
     for index, sequence in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
         random = np.random.default_rng(sequence)
-        noisy_planes = [_noisy(plane, a, random) for plane, a in zip(recorded, clean, strict=True)]
+        noisy_planes = [
+            _noisy(plane, amplitude, levels, random)
+            for plane, amplitude, levels in zip(recorded, clean, noise, strict=True)
+        ]
         repeat = reconstruct(
             engine, illumination, noisy_planes, iterations=iterations, start=found.transmission, **settings
         )
@@ -168,7 +172,7 @@ def uncertainty(
         if progress is not None:
             progress(len(starts) + index + 1, len(starts) + repeats)
     by_noise = np.asarray(np.mean(np.abs(np.asarray(results) - own) ** 2, axis=0), float)
-    by_start = _variance([found.transmission.values, *others])
+    by_start = _variance([own, *others])
     not_included = (
         "errors that all starts have in common are not included: a wrong model of lens, light or camera, and "
         "the part of the rounding of edges by the total variation that a second reconstruction does not show"
@@ -250,24 +254,28 @@ def _equivalent_objects(
     return [aligned]
 
 
-def _noisy(plane: Measurement, amplitude: RealArray, random: np.random.Generator) -> Measurement:
-    """Return a record of modelled amplitudes with the noise of another record.
-
-    The variance of an intensity is taken as a function of the intensity, which the record's pixels sample.
-    """
+def _noise_levels(plane: Measurement) -> tuple[Array, Array]:
+    """Return intensities, and the variance of each of them, as the pixels of a record sample it."""
     assert plane.sigma is not None
     known = np.isfinite(plane.sigma)
     recorded, variance = plane.amplitude[known].astype(float), intensity_deviation(plane)[known] ** 2
     bins = np.minimum(200.0 * recorded / max(float(recorded.max()), np.finfo(float).tiny), 199.0).astype(int)
     counts = np.bincount(bins)
-    levels, variances = (
+    intensity, mean_variance = (
         np.bincount(bins, values)[counts > 0] / counts[counts > 0] for values in (recorded**2, variance)
     )
+    return intensity, mean_variance
+
+
+def _noisy(
+    plane: Measurement, amplitude: RealArray, levels: tuple[Array, Array], random: np.random.Generator
+) -> Measurement:
+    """Return a record of modelled amplitudes with the noise of another record and its noise levels."""
+    assert plane.sigma is not None
     intensity = amplitude.astype(float) ** 2
-    intensity += np.sqrt(np.interp(intensity, levels, variances)) * random.standard_normal(intensity.shape)
-    noisy = recorded_intensity(
-        plane.distance_mm, intensity, np.where(known, np.interp(intensity, levels, variances), np.inf)
-    )
+    intensity += np.sqrt(np.interp(intensity, *levels)) * random.standard_normal(intensity.shape)
+    variance = np.where(np.isfinite(plane.sigma), np.interp(intensity, *levels), np.inf)
+    noisy = recorded_intensity(plane.distance_mm, intensity, variance)
     assert noisy.sigma is not None
     dtype = plane.amplitude.dtype
     return replace(plane, amplitude=noisy.amplitude.astype(dtype), sigma=noisy.sigma.astype(dtype))
