@@ -1,8 +1,9 @@
 """Nonuniform Fourier transform of several terms on one plane at once, in single precision.
 
 Each term is divided by the Fourier transform of a kernel. A fast Fourier transform then gives its values on
-a somewhat finer grid. The value at a point is the sum of the cells around it, weighted by the kernel. See
-A. H. Barnett, J. Magland, L. af Klinteberg, SIAM J. Sci. Comput. 41, C479 (2019). The kernel is a
+a somewhat finer grid. The value at a point is the sum of the cells around it, weighted by the kernel. The
+grid is periodic, and a halo behind its end repeats its first cells for points whose kernel reaches beyond the
+end. See A. H. Barnett, J. Magland, L. af Klinteberg, SIAM J. Sci. Comput. 41, C479 (2019). The kernel is a
 Kaiser-Bessel window, whose Fourier transform is known (J. I. Jackson, C. H. Meyer, D. G. Nishimura,
 A. Macovski, IEEE Trans. Med. Imaging 10, 473, 1991). Its shape parameter follows P. J. Beatty,
 D. G. Nishimura, J. M. Pauly, IEEE Trans. Med. Imaging 24, 799 (2005).
@@ -24,9 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from lensdesign.common.arrays import Array
-from wavesim.runtime.fourier.cells import transform_cells
-from wavesim.runtime.fourier.panels import aligned, steps_for, thread_buffer
-from wavesim.runtime.fourier.passes import SAMPLE
+from wavesim.runtime.fourier.lanes import CACHE_LINE
 from wavesim.runtime.fourier.terms_kernel import (
     LANES,
     MORE_COEFFICIENTS,
@@ -145,9 +144,9 @@ class TermsTransform:
         self._axes = axes_for(shape[1:], error)
         self._pieces = tuple(pieces_of(axis.width, axis.beta) for axis in self._axes)
         self._onto = (*(axis.places for axis in self._axes), *(axis.factors for axis in self._axes))
-        numbers = LANES * math.ceil(2 * shape[0] / LANES)
-        self._cells = (*(axis.cells for axis in self._axes), numbers)
-        self._steps = tuple(steps_for(axis.cells, "complex64") for axis in self._axes)
+        self._cells = self._axes[0].cells, self._axes[1].cells
+        # Number of cells of the halo, which every kernel that begins within the grid reaches at most.
+        self._halo = self._axes[0].width - 1
 
     def setpts(self, y: NDArray[np.float32], x: NDArray[np.float32]) -> None:
         """Set the points, as angles from -pi to pi. The arrays are not copied."""
@@ -187,17 +186,18 @@ class TermsTransform:
         return self._carried(*map(np.ascontiguousarray, (data[None], factors, weights)))[0]
 
     def _carried(self, data: Any, factors: Any, weights: Any) -> NDArray[np.complex64]:
-        grid, count = aligned(self._cells, np.complex64), self._shape[0] if factors is None else 1
-        grid[...] = 0.0
+        grid, count = self._empty_grid(), self._shape[0] if factors is None else 1
         if self._kind == 2:
             put_modes(data, factors, *self._onto, grid)
             for rows in self._rows_of_modes:
                 self._transform(grid, rows, 1)
             self._transform(grid, slice(None), 0)
+            self._fill_halo(grid)
             result = np.empty((count, len(self._points[0])), np.complex64)
-            gather(grid, *self._points, self._pieces, weights, result)
+            gather(grid, self._cells, *self._points, self._pieces, weights, result)
         else:
-            spread(grid, *self._points, self._pieces, weights, data)
+            spread(grid, self._cells, *self._points, self._pieces, weights, data)
+            self._add_halo(grid)
             self._transform(grid, slice(None), 0)
             for rows in self._rows_of_modes:
                 self._transform(grid, rows, 1)
@@ -205,15 +205,43 @@ class TermsTransform:
             take_modes(result, factors, *self._onto, grid)
         return result
 
+    def _empty_grid(self) -> NDArray[np.float32]:
+        """Return a grid of zeros with its halo, shape (rows, columns, numbers of a cell).
+
+        It begins at a cache line, since a vector that crosses the border of two lines takes twice the time.
+        """
+        numbers = LANES * math.ceil(2 * self._shape[0] / LANES)
+        shape = (*(cells + self._halo for cells in self._cells), numbers)
+        room = np.zeros(4 * math.prod(shape) + CACHE_LINE, np.uint8)
+        start = -room.ctypes.data % CACHE_LINE
+        return room[start : start + 4 * math.prod(shape)].view(np.float32).reshape(shape)
+
+    def _fill_halo(self, grid: NDArray[np.float32]) -> None:
+        """Copy the first cells along both axes to the halo."""
+        (rows, columns), halo = self._cells, self._halo
+        grid[:, columns:] = grid[:, :halo]
+        grid[rows:] = grid[:halo]
+
+    def _add_halo(self, grid: NDArray[np.float32]) -> None:
+        """Add the halo to the first cells along both axes: the transpose of :meth:`_fill_halo`."""
+        (rows, columns), halo = self._cells, self._halo
+        grid[:halo] += grid[rows:]
+        grid[:, :halo] += grid[:, columns:]
+
     @property
     def _rows_of_modes(self) -> tuple[slice, slice]:
         """Rows of the grid that contain modes. The other rows are 0 (type 2) or not needed (type 1)."""
-        cells, count = self._axes[0].cells, self._shape[1]
+        cells, count = self._cells[0], self._shape[1]
         return slice(0, count - count // 2), slice(cells - count // 2, cells)
 
     def _transform(self, grid: NDArray[np.float32], rows: slice, axis: int) -> None:
-        """Transform rows of the grid (axis 1), or columns (axis 0), in place."""
-        start, stop, _ = rows.indices(self._cells[1 - axis])
-        # The samples of an axis, and two buffers for its passes.
-        buffers = thread_buffer("cells", (3, max(self._cells[:2]) * SAMPLE), "complex64")
-        transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, buffers[0], buffers[1:])
+        """Transform the cells of some rows along an axis, in place."""
+        cells = grid.view(np.complex64)[: self._cells[0], : self._cells[1], : self._shape[0]][rows]
+        # Type 1 has positive exponents. Neither type is divided by the number of cells.
+        if self._kind == 2:
+            transformed = scipy.fft.fft(cells, axis=axis, overwrite_x=True)
+        else:
+            transformed = scipy.fft.ifft(cells, axis=axis, norm="forward", overwrite_x=True)
+        # SciPy may write the result to the array that it was given, but does not promise it.
+        if transformed.ctypes.data != cells.ctypes.data:
+            cells[...] = transformed

@@ -147,14 +147,18 @@ def _weigh(
     first: NDArray,
     weight: NDArray,
 ) -> None:
-    """Compute the first cell and the weights of the taps along one axis; cell 0 is at the angle -pi."""
+    """Compute the first cell and the weights of the taps along one axis; cell 0 is at the angle -pi.
+
+    The first cell lies within the period of the grid. The last one may lie in the halo.
+    """
     per_turn = cells / (2.0 * math.pi)
     width = len(pieces)
     part = empty(_BLOCK, float32)
     for j in range(stop - start):
         position = (angles[start + j] + math.pi) * per_turn
         low = ceil(position - 0.5 * width)
-        first[j] = int64(low)
+        cell = int64(low)
+        first[j] = cell if 0 <= cell < cells else cell % cells
         part[j] = float32(2.0 * (low - position) + (width - 1))
     for t in range(width):
         piece = pieces[t]
@@ -166,13 +170,9 @@ def _weigh(
 
 
 @_jit
-def _within(first: int, cells: int, width: int) -> bool:
-    return first >= 0 and first + width <= cells
-
-
-@_jit
 def gather(
     grid: NDArray,
+    cells: tuple[int, int],
     y: NDArray,
     x: NDArray,
     pieces: tuple[Any, Any],
@@ -184,7 +184,9 @@ def gather(
     Parameters
     ----------
     grid
-        Shape (rows, columns, numbers of a cell), float32.
+        Shape (rows, columns, numbers of a cell), float32, with a halo that repeats its first cells.
+    cells
+        Rows and columns of one period, without the halo.
     y, x
         Angles of the points.
     pieces
@@ -194,27 +196,18 @@ def gather(
     values
         Result, changed in place: complex64, shape (terms, points), or (1, points) for a sum.
     """
-    rows, columns, numbers = grid.shape
-    width = len(pieces[0])
+    numbers, width = grid.shape[2], len(pieces[0])
     first_y, first_x = empty(_BLOCK, int64), empty(_BLOCK, int64)
     down, across = empty((width, _BLOCK), float32), empty((width, _BLOCK), float32)
     own = empty(numbers, float32)
     for start in range(0, y.shape[0], _BLOCK):
         stop = min(start + _BLOCK, y.shape[0])
-        _weigh(y, start, stop, rows, pieces[0], first_y, down)
-        _weigh(x, start, stop, columns, pieces[1], first_x, across)
+        _weigh(y, start, stop, cells[0], pieces[0], first_y, down)
+        _weigh(x, start, stop, cells[1], pieces[1], first_x, across)
         for j in range(stop - start):
             top, left = first_y[j], first_x[j]
-            if _within(top, rows, width) and _within(left, columns, width):
-                for lane in range(0, numbers, LANES):
-                    _gather_vector(pieces[0], grid, down, across, top, left, lane, j, own)
-            else:
-                own[:] = 0.0
-                for t in range(width):
-                    for s in range(width):
-                        for k in range(numbers):
-                            cell = grid[(top + t) % rows, (left + s) % columns, k]
-                            own[k] += down[t, j] * across[s, j] * cell
+            for lane in range(0, numbers, LANES):
+                _gather_vector(pieces[0], grid, down, across, top, left, lane, j, own)
             if weights is None:
                 for r in range(values.shape[0]):
                     values[r, start + j] = complex64(complex(own[2 * r], own[2 * r + 1]))
@@ -230,22 +223,22 @@ def gather(
 @_jit
 def spread(
     grid: NDArray,
+    cells: tuple[int, int],
     y: NDArray,
     x: NDArray,
     pieces: tuple[Any, Any],
     weights: NDArray | None,
     values: NDArray,
 ) -> None:
-    """Add values at points to a grid: the conjugate transpose of :func:`gather`."""
-    rows, columns, numbers = grid.shape
-    width = len(pieces[0])
+    """Add values at points to a grid and its halo: the conjugate transpose of :func:`gather`."""
+    numbers, width = grid.shape[2], len(pieces[0])
     first_y, first_x = empty(_BLOCK, int64), empty(_BLOCK, int64)
     down, across = empty((width, _BLOCK), float32), empty((width, _BLOCK), float32)
     own = zeros(numbers, float32)
     for start in range(0, y.shape[0], _BLOCK):
         stop = min(start + _BLOCK, y.shape[0])
-        _weigh(y, start, stop, rows, pieces[0], first_y, down)
-        _weigh(x, start, stop, columns, pieces[1], first_x, across)
+        _weigh(y, start, stop, cells[0], pieces[0], first_y, down)
+        _weigh(x, start, stop, cells[1], pieces[1], first_x, across)
         for j in range(stop - start):
             top, left = first_y[j], first_x[j]
             if weights is None:
@@ -258,15 +251,8 @@ def spread(
                     weight = weights[r, start + j]
                     own[2 * r] = weight.real * value.real + weight.imag * value.imag
                     own[2 * r + 1] = weight.real * value.imag - weight.imag * value.real
-            if _within(top, rows, width) and _within(left, columns, width):
-                for lane in range(0, numbers, LANES):
-                    _spread_vector(pieces[0], grid, down, across, top, left, lane, j, own)
-            else:
-                for t in range(width):
-                    for s in range(width):
-                        for k in range(numbers):
-                            weight = down[t, j] * across[s, j]
-                            grid[(top + t) % rows, (left + s) % columns, k] += weight * own[k]
+            for lane in range(0, numbers, LANES):
+                _spread_vector(pieces[0], grid, down, across, top, left, lane, j, own)
 
 
 @_jit

@@ -74,6 +74,28 @@ def test_errors_are_below_what_is_asked_for(shape: tuple[int, ...], error: float
     assert relative(back, summed_back(noise((shape[0], 700), 2), y, x, shape)) < error
 
 
+@pytest.mark.parametrize(("shape", "error"), [((1, 18, 18), 5e-4), ((4, 5, 3), 1e-5), ((5, 2, 18), 1e-2)])
+def test_few_modes_whose_kernels_often_reach_over_the_end_of_the_grid(
+    shape: tuple[int, ...], error: float
+) -> None:
+    """Points lie around both ends of both axes, some of them a rounding error beyond half a turn."""
+    ends = np.random.default_rng(6).choice([-np.pi, np.pi], (2, 900))
+    inwards = np.abs(np.random.default_rng(7).normal(size=ends.shape)) * 0.4
+    inwards[:, ::9] = 0.0
+    y, x = (ends - np.sign(ends) * np.minimum(inwards, np.pi)).astype(np.float32)
+    width, cells = axes_for(shape[1:], error)[0].width, [axis.cells for axis in axes_for(shape[1:], error)]
+    beyond = np.pi * (1.0 - width / np.array(cells))
+    assert np.mean((abs(y) > beyond[0]) | (abs(x) > beyond[1])) > 0.5
+    assert float(y.max()) > np.pi
+    given_modes, given_values = noise(shape, 1), noise((shape[0], len(y)), 2)
+    there, back = both_ways(shape, error, y, x)
+    assert relative(there, summed(given_modes, y, x)) < error
+    assert relative(back, summed_back(given_values, y, x, shape)) < error
+    left = np.vdot(given_values.astype(complex), there)
+    right = np.vdot(back.astype(complex), given_modes)
+    assert abs(left - right) < ROUNDING * np.linalg.norm(there) * np.linalg.norm(given_values)
+
+
 @given(
     terms=st.integers(1, 9),
     rows=st.integers(10, 40),
