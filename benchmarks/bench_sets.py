@@ -39,7 +39,7 @@ def _rows(folder: Path) -> list[Row]:
     wall, cpu = time.perf_counter(), time.process_time()
     found = calibrate_frames(lens, frames, kind="amplitude", patch_mm=about["patch_mm"])
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.bench)
+    after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.state)
     for name, value, deviation in zip(found.parameters, found.values, found.deviations or (), strict=True):
         print(f"{name} = {value:.4g} +- {deviation:.2g}")
     noise = found.misfit_of_noise or np.nan

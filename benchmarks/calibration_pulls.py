@@ -70,7 +70,7 @@ def pulls(case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
         reconstruct_frames(
             lens, seen.frames, truth=seen.target.transmission, calibration=bench, **given, **TILES
         )
-        for bench in (None, found.bench)
+        for bench in (None, found.state)
     ]
     told = [f"{one.truth['object_correlation'] or 0.0:.4f}" for one in objects]
     told.append(str(len(found.parameters) - len(found.nominal)))

@@ -39,7 +39,7 @@ from tolerancing.merits.registry import merit_from_table
 from tolerancing.prediction.losses import DRAWS, loss_chains, loss_paths
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import sample_perturbations
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 Array = np.ndarray[Any, Any]
 
@@ -122,7 +122,7 @@ def lens_of(goal: str) -> Lens:
 
 
 @cache
-def perturbed(goal: str) -> tuple[Chain, list[Placement]]:
+def perturbed(goal: str) -> tuple[Chain, list[SystemState]]:
     """The twin of a lens, and as many perturbations of it as there are trials."""
     twin = scaled(lens_of(goal), 1.0 / SCALE)
     study = load_study(DESIGNS / "as_built_tolerances.toml").study
@@ -133,7 +133,7 @@ def perturbed(goal: str) -> tuple[Chain, list[Placement]]:
             values[:, column] *= SCALE
     context = Context(twin, Sampling(plane_distance_mm=twin.sensor.plane_distances_mm[0]))
     batch = context.perturbed(study.perturbations, values)
-    return Chain(twin, PLACE_MM, STOP_MM, "amplitude"), context.placements(batch, None)
+    return Chain(twin, PLACE_MM, STOP_MM, "amplitude"), context.states(batch, None)
 
 
 def measured(path: Path) -> list[dict[str, Any]]:

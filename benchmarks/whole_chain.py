@@ -17,7 +17,7 @@ from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
-from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 DECENTERS_MM, TILTS_DEG = (0.0, 0.00125, 0.005, 0.01, 0.02, 0.05), (0.02, 0.1, 0.2, 0.3, 0.5)
 WIDTHS_UM, REGION_MM, ITERATIONS = (0.775, 1.55), 0.05, 40
@@ -36,7 +36,7 @@ def twin() -> None:
         batch = PerturbationBatch((parameter,), np.array(values)[:, None])
         in_plane = plane.scores(Context(lens, Sampling()), batch)
         for value, other in zip(values, in_plane, strict=True):
-            seen = chain.record(Placement(Pose(**{name: value})), None, 12, None)
+            seen = chain.record(SystemState(Pose(**{name: value})), None, 12, None)
             found = chain.reconstruct(seen, ReconstructionEngine("eikonal"), iterations=ITERATIONS)
             print(f"{name}, {value:g}: {found.contrasts[0]:.3f}, {other:.3f}", flush=True)
 
@@ -50,11 +50,11 @@ def main() -> None:
     print("decenter mm, tilt deg: correlation, contrast of 0.775 um lines; correlation by the true model")
     poses = [Pose(decenter_y_mm=d) for d in DECENTERS_MM] + [Pose(tilt_x_deg=t) for t in TILTS_DEG]
     for pose in poses:
-        system = Placement(pose)
+        system = SystemState(pose)
         planes_seen = chain.record(system, None, 12, None)
         nominal, true = (
             chain.reconstruct(planes_seen, engine, model=model, iterations=ITERATIONS)
-            for model in (NOMINAL, system)
+            for model in (AS_DESIGNED, system)
         )
         print(
             f"{pose.decenter_y_mm:g}, {pose.tilt_x_deg:g}: {nominal.correlation:.3f}, "

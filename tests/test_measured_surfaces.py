@@ -22,8 +22,8 @@ from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, correlation, relative_error
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.rays.interfaces import surface_map
-from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
+from wavesim.scene.system_state import SystemState
 
 PAPER = load_design("designs/paper_singlet.toml")
 WAVELENGTH_UM = 0.532
@@ -89,7 +89,7 @@ def test_path_difference_follows_from_the_nominal_rays(surface: int) -> None:
     x, y = rays.hits[:, surface, :2].T
     for scale in (0.02, 0.01):
         um = {3: scale, 7: 0.5 * scale, 12: -scale}
-        found = sampler.pupil(Placement(surface_perturbations=figured(surface, um))).opd_mm
+        found = sampler.pupil(SystemState(surface_perturbations=figured(surface, um))).opd_mm
         right = -change * figure_from_zernike(um, SEMI_MM[surface]).sag(x, y)
         assert np.std(right) > 1e-6 * scale / 0.02
         left.append(float(np.max(np.abs(found - right))))

@@ -18,9 +18,10 @@ from .reconstruction.phase_retrieval import retrieve
 from .reconstruction.refocusing import refocus_field
 from .scene.engine import Engine
 from .scene.patches import patch_scene
-from .scene.placement import Placement
 from .scene.scene import Scene
 from .scene.settings import ImageSettings, ReconstructionSettings
+from .scene.state_files import read_state, write_state
+from .scene.system_state import SystemState
 from .sensor.exposures import Electronics
 from .sensor.frame_sets import read_frames
 from .sensor.frames import Frame, FrameSettings, write_frame
@@ -41,12 +42,12 @@ __all__ = [
     "Imaged",
     "Measurement",
     "PatchChain",
-    "Placement",
     "PupilSampler",
     "ReconstructionPupil",
     "ReconstructionSettings",
     "SamplingWarning",
     "Scene",
+    "SystemState",
     "calibrate_frames",
     "choose",
     "engine_for",
@@ -57,6 +58,7 @@ __all__ = [
     "propagate",
     "psf",
     "read_frames",
+    "read_state",
     "reconstruct",
     "reconstruct_frames",
     "refocus",
@@ -68,5 +70,6 @@ __all__ = [
     "usaf_chart",
     "write_frame",
     "write_pyramid",
+    "write_state",
     "write_zoom_page",
 ]

@@ -33,7 +33,7 @@ from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
-from wavesim.scene.placement import NOMINAL
+from wavesim.scene.system_state import AS_DESIGNED
 
 SEED = 2
 NOISE_SEED = 1000
@@ -116,12 +116,12 @@ def _chain(scale: float, name: str, kind: Kind) -> tuple[Chain, Any, Any, list[s
     lens = twin(scale)
     context, batch, groups = trials(lens, scale, SEED)
     chain = Chain(lens, place.middle_mm, place.stop_mm, kind)
-    return chain, thing(chain), context.placements(batch, None), groups
+    return chain, thing(chain), context.states(batch, None), groups
 
 
 def _row(scale: float, place: str, kind: Kind, trial: int, calibrated: bool) -> dict[str, Any]:
     chain, true, systems, groups = _chain(scale, place, kind)
-    system = NOMINAL if trial < 0 else systems[trial]
+    system = AS_DESIGNED if trial < 0 else systems[trial]
     row = {
         "scale": scale,
         "place": place,

@@ -18,12 +18,12 @@ import numpy as np
 import scipy.fft
 
 from lensdesign.lens.lens import Lens, Sensor
-from wavesim import Electronics, Engine, Field, Grid, Measurement, Placement, engine_for, reconstruct
+from wavesim import Electronics, Engine, Field, Grid, Measurement, SystemState, engine_for, reconstruct
 from wavesim.calibration.known_object import calibrate
-from wavesim.scene import Bench
-from wavesim.scene.scene import placed_scene
+from wavesim.calibration.mounting_parameters import PLANE_DISTANCE, RIGID, WORKING_DISTANCE
+from wavesim.scene.scene import placed_light, placed_scene
 from wavesim.sensor import Recording, image_patch, recorded_planes
-from wavesim.sensor.mounting import PLANE_DISTANCE, RIGID, WORKING_DISTANCE, light_on, planes_at
+from wavesim.sensor.measurement import placed_planes
 from wavesim.sensor.recording import recorded_scene
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.illumination import field_stop, plane_wave
@@ -104,24 +104,25 @@ class Chain:
         scene = exit_scene(self.lens, self.patch, self.sensor, self.planes_mm[0])
         return engine_for(scene, "eikonal", error=TILE_ERROR)
 
-    def recorded(self, system: Placement, transmission: Array, seed: int) -> list[Measurement]:
+    def recorded(self, system: SystemState, transmission: Array, seed: int) -> list[Measurement]:
         """What the sensor records behind a perturbed lens."""
         noise = np.random.SeedSequence(seed)
         electronics = Electronics(full_well_electrons=ELECTRONS / 0.8, bits=12)
-        bench = Bench(system)
-        recording = Recording(self.planes_mm, electronics, noise, 0.8, exposures=EXPOSURES, bench=bench)
+        recording = Recording(self.planes_mm, electronics, noise, 0.8, exposures=EXPOSURES, state=system)
         lit = self.light.with_values(self.light.values * transmission)
         scene = recorded_scene(self.lens, self.patch, self.sensor, recording)
         engine = engine_for(scene, "eikonal", error=TILE_ERROR)
         windows = [self.sensor] * len(self.planes_mm)
-        return recorded_planes(image_patch(engine, light_on(lit, system), self.sensor, windows, recording)[0])
+        return recorded_planes(
+            image_patch(engine, placed_light(lit, system), self.sensor, windows, recording)[0]
+        )
 
-    def found(self, planes: Sequence[Measurement], bench: Bench | None = None) -> tuple[Array, float]:
+    def found(self, planes: Sequence[Measurement], bench: SystemState | None = None) -> tuple[Array, float]:
         """Transmission of the object found with the nominal or a calibrated lens, and the misfit."""
         engine, light = self.engine, self.light
         if bench is not None:
-            engine = engine_for(placed_scene(engine.scene, bench.placement), "eikonal", error=TILE_ERROR)
-            light, planes = light_on(light, bench), planes_at(planes, bench)
+            engine = engine_for(placed_scene(engine.scene, bench), "eikonal", error=TILE_ERROR)
+            light, planes = placed_light(light, bench), placed_planes(planes, bench)
         found = reconstruct(
             engine,
             light.with_values(light.values.astype(np.complex64)),
@@ -134,7 +135,7 @@ class Chain:
         )
         return found.transmission.values, found.misfit[-1]
 
-    def mounting(self, planes: Sequence[Measurement], known: Array) -> Bench:
+    def mounting(self, planes: Sequence[Measurement], known: Array) -> SystemState:
         """The lens as mounted, from what was recorded of a known object."""
         names = (*RIGID, WORKING_DISTANCE, *(PLANE_DISTANCE.format(n + 1) for n in range(len(planes))))
         return calibrate(
@@ -144,7 +145,7 @@ class Chain:
             known=Field(self.grid, known, self.light.wavelength_um),
             parameters=names,
             fill_factor=1.0,
-        ).bench
+        ).state
 
     def correlation(self, found: Array, true: Array) -> float:
         """Largest correlation of two objects over shift and focus, as the lens passes them."""

@@ -61,12 +61,12 @@ def pupil_figures(
     InputError
         If rays do not arrive.
     """
-    placement = what_if.placement(lens)
+    state = what_if.state(lens)
     # Line widths, as multiples of the resolution wavelength / (2 NA).
     widths = tuple(float(w * _resolution_um(lens)) for w in (1.0, 1.25, 1.6, 2.0, 2.8))
     found = []
     for height in heights_mm:
-        registered = refocus(_sampler(lens, float(height), samples).pupil(placement))
+        registered = refocus(_sampler(lens, float(height), samples).pupil(state))
         pupil = registered.pupil
         inside = pupil.valid_on_grid > 0.0
         x, y = registered.shift_um.tolist()
@@ -131,7 +131,7 @@ def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | 
         If rays do not arrive.
     """
     chain = _chain(lens, height_mm, samples)
-    actual = chain.perturbed(what_if.placement(lens)).returned(_chart(chain), "focus").values
+    actual = chain.perturbed(what_if.state(lens)).returned(_chart(chain), "focus").values
     return PatchPicture(chain.patch_um, np.abs(actual) ** 2, _nominal(lens, height_mm, samples))
 
 

@@ -11,7 +11,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
-from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 MOVES = (
     ("decenter_x_mm", "decenter x", "mm", 0.1, 0.0005),
@@ -64,7 +64,7 @@ class WhatIf:
         """Return the deviations that apply to a lens."""
         return WhatIf({k: v for k, v in self.values.items() if _has(lens, k.rpartition(".")[0])})
 
-    def placement(self, lens: Lens, wavelength_um: float | None = None) -> Placement:
+    def state(self, lens: Lens, wavelength_um: float | None = None) -> SystemState:
         """Return the state of lens and bench with these deviations.
 
         Raises
@@ -73,7 +73,7 @@ class WhatIf:
             If a value is not allowed, or the thermal data of a glass are not known.
         """
         if not self.values:
-            return NOMINAL
+            return AS_DESIGNED
         perturbed = []
         for key in self.values:
             target, _, parameter = key.rpartition(".")
@@ -82,7 +82,7 @@ class WhatIf:
             except ValueError as error:
                 raise InputError(f"{key}: {error}") from error
         batch = batch_of(perturbed, np.array([list(self.values.values())]), 0.0, 0)
-        return batch.placements(lens, wavelength_um or lens.wavelengths_um[0])[0]
+        return batch.states(lens, wavelength_um or lens.wavelengths_um[0])[0]
 
 
 def _has(lens: Lens, target: str) -> bool:

@@ -67,7 +67,7 @@ def what_if(lens: Workbench | Lens) -> Values:
             try:
                 value = parsed("number", str(message["text"])) or 0.0
                 changed = bench.what_if.with_value(key, value)
-                changed.placement(bench.lens)
+                changed.state(bench.lens)
             except InputError as error:
                 pane.refused = {key: str(error)}
                 return

@@ -17,7 +17,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from tolerancing.merits.line_pairs import BARS
 from tolerancing.merits.pupil import Axis
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
     from wavesim import Engine, Measurement, PupilSampler
@@ -130,21 +130,20 @@ class Chain:
         return self.light.with_values(self.light.values * self.transmission)
 
     def recording(
-        self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
+        self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
     ) -> Recording:
         """Return the recording settings of a perturbed system; parameters as for :meth:`record`."""
         from wavesim import Electronics
-        from wavesim.scene import Bench
         from wavesim.sensor import Recording
 
         # Signal of the brightest pixel, as a fraction of full well.
         full_well_fraction = 0.8
         full_well = {} if electrons is None else {"full_well_electrons": electrons / full_well_fraction}
         electronics = Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
-        return Recording(self.planes_mm, electronics, noise, full_well_fraction, bench=Bench(system))
+        return Recording(self.planes_mm, electronics, noise, full_well_fraction, state=system)
 
     def record(
-        self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence
+        self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence
     ) -> list[Measurement]:
         """Simulate the recorded amplitudes of one perturbed system, labelled with the nominal distances.
 
@@ -170,13 +169,13 @@ class Chain:
         """
         from wavesim import Measurement, SamplingWarning
         from wavesim.engines.choosing import engine_for
+        from wavesim.scene.scene import placed_light
         from wavesim.sensor import FootprintWarning, SaturationWarning, image_patch, recorded_planes
-        from wavesim.sensor.mounting import light_on
         from wavesim.sensor.recording import fields_on_sensor, recorded_scene
         from wavesim.sensor.sensor import light_on_pixels
 
         recording = self.recording(system, electrons, bits, noise)
-        field, windows = light_on(self.object_field, system), [self.sensor] * len(self.planes_mm)
+        field, windows = placed_light(self.object_field, system), [self.sensor] * len(self.planes_mm)
         with warnings.catch_warnings():
             for category in (FootprintWarning, SamplingWarning, SaturationWarning):
                 warnings.simplefilter("ignore", category)

@@ -27,7 +27,7 @@ from tolerancing.merits.context import Context
 from tolerancing.merits.line_pairs import NOISE_STREAM
 from tolerancing.merits.pupil import Axis, Orientation
 from tolerancing.perturbations.batch import PerturbationBatch
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
     from wavesim import Measurement
@@ -150,7 +150,7 @@ class ReconstructedContrast(Merit):
         self.check(context.lens)
         key = (self.line_width_um, self.orientation, self.ground, self.patch_mm, self.wavelength_um)
         chain = context.cached(("chain", *key), lambda: self._chain(context.lens))
-        systems = context.placements(batch, self.wavelength_um)
+        systems = context.states(batch, self.wavelength_um)
         numbers = batch.trial_numbers or (0,) * len(batch)
         scores = []
         # Spawn key of the frames' noise, which differs from the keys 0 and 1 of line pairs at level ``wave``.
@@ -179,7 +179,7 @@ class ReconstructedContrast(Merit):
         return Chain(lens, patch, sets, width_um, self.ground)
 
     def _score(
-        self, chain: Chain, system: Placement, planes: Sequence[Measurement], refocused: bool
+        self, chain: Chain, system: SystemState, planes: Sequence[Measurement], refocused: bool
     ) -> float:
         """Return the contrast of the worse set of bars, reconstructed from one trial's planes."""
         from wavesim import refocus

@@ -20,7 +20,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import IRREGULARITIES, PerturbedParameter
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
@@ -93,9 +93,9 @@ def model_pupil(
 
 def _model(
     lens: Lens, compensators: tuple[Compensator, ...], values: Array, pivot_z_mm: float, wavelength_um: float
-) -> Placement:
+) -> SystemState:
     batch = PerturbationBatch(compensators, np.asarray(values, float)[None], pivot_z_mm)
-    (model,) = batch.placements(lens, wavelength_um)
+    (model,) = batch.states(lens, wavelength_um)
     return model
 
 

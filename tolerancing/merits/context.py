@@ -12,7 +12,7 @@ from lensdesign.common.section import Positive, Section
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
     import numpy as np
@@ -180,12 +180,10 @@ class Context:
         # Sample objects are cached, so equal samples have the same identity.
         return self.cached_for(batch, ("rays", field_points_mm, wavelength, id(stop)), compute)
 
-    def placements(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Placement]:
+    def states(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[SystemState]:
         """Return the perturbed systems of a batch."""
         wavelength = self.wavelength_um(wavelength_um)
-        return self.cached_for(
-            batch, ("placements", wavelength), lambda: batch.placements(self.lens, wavelength)
-        )
+        return self.cached_for(batch, ("states", wavelength), lambda: batch.states(self.lens, wavelength))
 
     def pupils(
         self,
@@ -235,7 +233,7 @@ class Context:
 
         def raw() -> list[ReconstructionPupil]:
             sampler = self.sampler(field_mm, wavelength)
-            return [sampler.pupil(one) for one in self.placements(batch, wavelength)]
+            return [sampler.pupil(one) for one in self.states(batch, wavelength)]
 
         pupils = self.cached_for(batch, ("pupils", field_mm, wavelength), raw)
         if not (compensated and self.compensators):
@@ -256,7 +254,7 @@ class Context:
         """Propagate a patch through each trial's lens and back through the nominal or the adapted lens."""
 
         def compute() -> list[PerturbedPatch]:
-            return [chain.perturbed(one) for one in self.placements(batch, wavelength_um)]
+            return [chain.perturbed(one) for one in self.states(batch, wavelength_um)]
 
         patches = self.cached_for(batch, ("patches", chain), compute)
         if not (compensated and self.compensators):

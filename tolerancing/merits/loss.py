@@ -90,7 +90,7 @@ class ReconstructionLoss(PupilMerit):
                 ("adapted", *key), lambda: _AdaptedModel(context, chains, self.wavelength_um)
             )
         scores = []
-        for system in context.placements(batch, self.wavelength_um):
+        for system in context.states(batch, self.wavelength_um):
             waves = [chain.meridian.waves(system) for chain in chains]
             scores.append(expected_loss(chains, model.residual(waves) if model else waves))
         return np.array(scores)
@@ -153,5 +153,5 @@ class _AdaptedModel:
 
     def _waves(self, values: Array) -> list[list[Array]]:
         batch = self._context.perturbed(self._compensators, values[None])
-        (system,) = self._context.placements(batch, self._wavelength_um)
+        (system,) = self._context.states(batch, self._wavelength_um)
         return [chain.meridian.waves(system) for chain in self._chains]

@@ -18,7 +18,7 @@ from tolerancing.merits.base import LARGEST_SCORE, Merit
 from tolerancing.merits.containment import run_user_code
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
     from tolerancing.merits.arrival import Arrival
@@ -33,7 +33,7 @@ class Trial:
     ----------
     lens : Lens
         The nominal lens.
-    placement : Placement
+    state : SystemState
         Pose, surface perturbations, shifts of object and sensor, wavelength.
     deltas : dict of str to float
         Deviations from nominal by the columns of the perturbations, in their units.
@@ -42,12 +42,17 @@ class Trial:
     """
 
     lens: Lens
-    placement: Placement
+    state: SystemState
     deltas: dict[str, float]
     number: int | None
     _context: Context
     _batch: PerturbationBatch
     _wavelength_um: float | None
+
+    @property
+    def placement(self) -> SystemState:
+        """Former name of `state`, which merits of earlier versions use."""
+        return self.state
 
     def rays(self, *field_points_mm: tuple[float, float]) -> Arrival:
         """Trace rays from object points through the stop to the sensor; arrays have shape (1, rays, ...)."""
@@ -117,7 +122,7 @@ class PythonMerit(Merit):
 
     def scores(self, context: Context, batch: PerturbationBatch) -> NDArray[np.float64]:
         function = self._runnable()
-        systems = context.placements(batch, self.wavelength_um)
+        systems = context.states(batch, self.wavelength_um)
 
         def score(trial: Trial) -> float:
             return run_user_code(lambda: _number(function(trial), self.function), self.file_name)
@@ -134,11 +139,11 @@ class PythonMerit(Merit):
             raise InputError(self._refusal)
         return function_of(self._source, self.function)
 
-    def _trial(self, context: Context, one: PerturbationBatch, system: Placement) -> Trial:
+    def _trial(self, context: Context, one: PerturbationBatch, system: SystemState) -> Trial:
         columns = [p.column for p in one.parameters]
         return Trial(
             lens=context.lens,
-            placement=system,
+            state=system,
             deltas=dict(zip(columns, one.values[0].tolist(), strict=True)),
             number=one.trial_numbers[0] if one.trial_numbers else None,
             _context=context,

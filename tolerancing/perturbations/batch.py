@@ -23,7 +23,7 @@ from tolerancing.perturbations.parameters import (
     TILTS,
     PerturbedParameter,
 )
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 LATERAL = ("decenter_x_mm", "decenter_y_mm")
 
@@ -180,18 +180,18 @@ class PerturbationBatch:
         """True if the object, the sensor or the temperature is perturbed."""
         return any(p.target in ("object", "sensor", "environment") for p in self.parameters)
 
-    def placements(self, lens: Lens, wavelength_um: float) -> list[Placement]:
+    def states(self, lens: Lens, wavelength_um: float) -> list[SystemState]:
         """Return the perturbed systems, one for each trial, each with its wavelength."""
-        return [one._placement(lens, wavelength_um) for one in self.single_trials()]
+        return [one._state(lens, wavelength_um) for one in self.single_trials()]
 
-    def _placement(self, lens: Lens, wavelength_um: float) -> Placement:
+    def _state(self, lens: Lens, wavelength_um: float) -> SystemState:
         surfaces = self.surface_perturbations(lens, wavelength_um)
-        return Placement(
+        return SystemState(
             pose=Pose(**_first(vars(self.poses()))),
             surface_perturbations={i: SurfacePerturbation(**_first(vars(p))) for i, p in surfaces.items()},
             object_shift_mm=tuple(self.object_shift_mm(lens)[0].tolist()),
             sensor_shift_mm=tuple(self.sensor_shift_mm(lens)[0].tolist()),
-            plane_distances_mm=tuple(self.plane_distances_mm(lens)[0].tolist()),
+            plane_distance_errors_mm=tuple(self.plane_distances_mm(lens)[0].tolist()),
             sensor_tilt_deg=tuple(self.sensor_tilt_deg()[0].tolist()),
             wavelength_um=wavelength_um + float(self.wavelength_shift_um()[0]),
         )

@@ -15,8 +15,8 @@ from tolerancing.perturbations.batch import radius_delta_mm
 from tolerancing.perturbations.irregularity import INDICES, draw_shape, peak_to_valley
 from tolerancing.perturbations.parameters import RADII, Perturbation
 from tolerancing.study.files import load_study
+from wavesim.calibration.mounting_parameters import RIGID, WORKING_DISTANCE
 from wavesim.calibration.parameters import all_names
-from wavesim.sensor.mounting import RIGID, WORKING_DISTANCE
 
 
 class Priors(NamedTuple):

@@ -6,21 +6,24 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.notebook import html_table
-from lensdesign.common.toml_files import did_you_mean
+from lensdesign.common.section import Finite, Section, tuples
+from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose
 from wavesim.calibration.parameters import Unknowns, all_names
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
-from wavesim.scene.bench import Bench
-from wavesim.scene.placement import Placement
 from wavesim.scene.settings import StopOrigin
-from wavesim.sensor.mounting import mounting_of, mounting_table, read_table
+from wavesim.scene.state_files import STATE, read_json, state_of_file, state_table
+from wavesim.scene.system_state import SystemState
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +35,8 @@ class Calibrated:
 
     Attributes
     ----------
-    bench : Bench
-        The calibrated bench: lens, light and camera.
+    state : SystemState
+        The calibrated state of lens, light and camera.
     parameters : tuple of str
         Names of the n parameters that were sought.
     values : tuple of float
@@ -85,11 +88,11 @@ class Calibrated:
     >>> taken = image(lens, "tissue", planes_mm=(0.03,), decenter_x_mm=0.005, **patch)
     >>> known = taken.target.transmission
     >>> found = calibrate_frames(lens, taken.frames, known=known, parameters="decenter_x_mm", **patch)
-    >>> round(found.mounting.pose.decenter_x_mm, 3), found.misfit < found.misfit_before
+    >>> round(found.state.pose.decenter_x_mm, 3), found.misfit < found.misfit_before
     (0.005, True)
     """
 
-    bench: Bench
+    state: SystemState
     parameters: tuple[str, ...]
     values: tuple[float, ...]
     deviations: tuple[float, ...] | None
@@ -109,11 +112,6 @@ class Calibrated:
     field_stop_mm: float | None = None
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
     field_stop_from: StopOrigin = "patch"
-
-    @property
-    def mounting(self) -> Placement:
-        """Mounting of the lens on the calibrated bench."""
-        return self.bench.placement
 
     @property
     def poorly_determined(self) -> tuple[str, ...]:
@@ -165,7 +163,7 @@ class Calibrated:
         deviations = self.deviations or (None,) * len(self.parameters)
         stop_parameters = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
         return {
-            "mounting": mounting_table(self.mounting),
+            STATE: state_table(self.state),
             "values": dict(zip(self.parameters, self.values, strict=True)),
             "applied": dict(self.applied or zip(self.parameters, self.values, strict=True)),
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
@@ -194,7 +192,7 @@ class Calibrated:
         return f"Calibrated({', '.join(f'{name} {value}' for name, value in self._rows())})"
 
     def _repr_html_(self) -> str:
-        return html_table("Bench as it is", self._rows())
+        return html_table("SystemState as it is", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
@@ -230,7 +228,7 @@ def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, flo
     InputError
         If the file cannot be read, or its field stop is invalid.
     """
-    table = read_table(path)
+    table = read_json(path)
     if table.get("field_stop_from", "patch") == "patch":
         return None
     values = [table.get("field_stop_mm"), *(table.get("field_stop_at_mm") or [])]
@@ -256,33 +254,51 @@ def stop_warning_of(path: str | os.PathLike[str]) -> str:
     InputError
         If the file cannot be read.
     """
-    return str(read_table(path).get("field_stop_doubt") or "")
+    return str(read_json(path).get("field_stop_doubt") or "")
 
 
-def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
-    """Return the bench that `wavesim calibrate` has found.
+class _Mounting(Section):
+    """Mounting of the lens in files of earlier versions, which have no state."""
+
+    decenter_x_mm: Finite = 0.0
+    decenter_y_mm: Finite = 0.0
+    tilt_x_deg: Finite = 0.0
+    tilt_y_deg: Finite = 0.0
+    pivot_z_mm: Finite = 0.0
+    working_distance_mm: Finite = 0.0
+    plane_distances_mm: Annotated[tuple[Finite, ...], BeforeValidator(tuples)] = ()
+
+
+def read_calibration(path: str | os.PathLike[str], lens: Lens) -> SystemState:
+    """Return the state of the system that `wavesim calibrate` has found.
 
     Parameters
     ----------
     path
-        File calibration.json, or a file with only a mounting.
+        File calibration.json of this version or an earlier one, or any file with a state
+        (:func:`wavesim.write_state`).
     lens
         The design that was calibrated.
-
-    Returns
-    -------
-    Bench
-        The calibrated bench.
 
     Raises
     ------
     InputError
-        If the file cannot be read, contains no calibration, or belongs to another lens.
+        If the file cannot be read, contains no state, or belongs to another lens.
     """
-    table = read_table(path)
-    mounting, values = mounting_of(table["mounting"], path), table.get("applied", table.get("values"))
-    if values is None:
-        return Bench(mounting)
+    table = read_json(path)
+    if STATE in table or not isinstance(table.get("mounting"), dict):
+        return state_of_file(table, path, lens)
+    mounting = validate(_Mounting, table["mounting"], Path(path)).model_dump()
+    planes, farther = mounting.pop("plane_distances_mm"), mounting.pop("working_distance_mm")
+    state = SystemState(
+        Pose(**mounting), object_shift_mm=(0.0, 0.0, 0.0 - farther), plane_distance_errors_mm=planes
+    )
+    values = table.get("applied", table.get("values"))
+    return state if values is None else Unknowns(lens, state, _numbers(values, path, lens)).state
+
+
+def _numbers(values: Any, path: str | os.PathLike[str], lens: Lens) -> dict[str, float]:
+    """Return the values of parameters that a lens can have; distances of planes are in the mounting."""
     if not isinstance(values, dict):
         raise InputError(f"{path}: values: must be a table of numbers")
     allowed = all_names(lens)
@@ -295,5 +311,4 @@ def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
             )
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{path}: values: {name} = {value!r}: must be a finite number")
-    kept = {name: float(value) for name, value in values.items() if name not in ignored}
-    return Unknowns(lens, Bench(mounting), kept).bench
+    return {name: float(value) for name, value in values.items() if name not in ignored}

@@ -36,9 +36,9 @@ from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Engine
-from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import noise_misfit
@@ -79,7 +79,7 @@ class CalibrationProblem:
         Nominal scene to the pixels of the nearest plane.
     recorded : tuple of Measurement
         Measured planes.
-    start : Placement
+    start : SystemState
         Nominal mounting.
     """
 
@@ -94,7 +94,7 @@ class CalibrationProblem:
         self.framed = framed = patch_of_frames(lens, frames, settings)
         self.recorded = tuple(recorded_planes(frames))
         self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
-        self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
+        self.start = SystemState(Pose(pivot_z_mm=settings.pivot_z_mm))
         self._light = light_of_frames(self.scene, framed.frames, framed.light)
         self._engines: dict[str, Engine] = {}
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
@@ -242,7 +242,7 @@ def search_bench(
         )
         raise KeyboardInterrupt(f"interrupted after {run.saved} mountings; {outcome}") from None
     return Calibrated(
-        bench=found.unknowns.bench,
+        state=found.unknowns.state,
         parameters=run.names,
         values=tuple(found.estimates.tolist()),
         deviations=tuple(found.deviations.tolist()),

@@ -16,6 +16,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
 from wavesim.calibration.known_object import calibrate
+from wavesim.calibration.mounting_parameters import RIGID, parameter_names, validate_parameters
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
@@ -25,17 +26,18 @@ from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.linear_model import LinearModel
 from wavesim.reconstruction.problem import validate_frames
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
-from wavesim.scene.bench import Bench, LightErrors
-from wavesim.scene.scene import placed_scene
+from wavesim.scene.light_errors import LightErrors
+from wavesim.scene.scene import placed_light, placed_scene
 from wavesim.scene.settings import (
     CalibrationSettings,
     FramedSettings,
     ReconstructionSettings,
     SettingError,
 )
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import planes_of_frames
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.mounting import RIGID, light_on, parameter_names, planes_at, validate_parameters
+from wavesim.sensor.measurement import placed_planes
 from wavesim.sensor.recording import Progress
 from wavesim.targets.patch import lit, lit_patch, read_object
 
@@ -97,7 +99,7 @@ def calibrate_frames(
     Returns
     -------
     Calibrated
-        The bench, the estimates, and the verdict. Give `bench` to :func:`wavesim.reconstruct_frames` as
+        The bench, the estimates, and the verdict. Give `state` to :func:`wavesim.reconstruct_frames` as
         `calibration`.
 
     Raises
@@ -185,7 +187,7 @@ def _calibrated(
         known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
         return _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
     start, checkpoint_path = (
-        Unknowns(lens, Bench(problem.start)),
+        Unknowns(lens, problem.start),
         None if folder is None else folder / CHECKPOINT,
     )
     if empty is None:
@@ -206,7 +208,7 @@ def calibrate_empty(
     empty: Sequence[Frame],
     settings: CalibrationSettings | None = None,
     *,
-    start: Bench | None = None,
+    start: SystemState | None = None,
     priors: Mapping[str, float] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
@@ -247,7 +249,7 @@ def calibrate_empty(
     everything = problem.parameters("all", light_order=LIGHT_ORDER_ALONE)
     requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
     parameters_sought = tuple(p for p in everything if p.group == "light" or p in requested)
-    unknowns = Unknowns(lens, replace(start or Bench(problem.start), light=LightErrors()))
+    unknowns = Unknowns(lens, replace(start or problem.start, light=LightErrors()))
     checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(problem.framed.light.grid.shape, np.float32)
     found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known)
@@ -333,16 +335,16 @@ def _with_verdict(
     """Return the result with the verdict of a reconstruction."""
     settings_given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     reconstruction = reconstruct_frames(
-        lens, frames, ReconstructionSettings(**settings_given), calibration=found.bench, progress=progress
+        lens, frames, ReconstructionSettings(**settings_given), calibration=found.state, progress=progress
     )
     return replace(found, verdict=reconstruction.verdict)
 
 
 def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated, known: Field) -> Calibrated:
     """Return the result with the verdict for a known object on the bench found."""
-    bench, settings = found.bench, problem.settings
-    engine = problem.make(placed_scene(problem.scene, bench.placement))
-    light, planes = light_on(problem.framed.light, bench), planes_at(problem.recorded, bench)
+    state, settings = found.state, problem.settings
+    engine = problem.make(placed_scene(problem.scene, state))
+    light, planes = placed_light(problem.framed.light, state), placed_planes(problem.recorded, state)
     model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor)
     if settings.scale is None:
         model.scale = LinearModel(model, np.asarray(known.values), True).scale

@@ -22,28 +22,25 @@ from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.gauss_newton import GaussNewton, Minimum
-from wavesim.calibration.response import RealArray, Response, mounting_response
-from wavesim.engines.choosing import engine_for
-from wavesim.fields.field import Field
-from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.scene.bench import Bench
-from wavesim.scene.engine import Engine
-from wavesim.scene.placement import NOMINAL, Placement
-from wavesim.scene.scene import Scene, placed_scene
-from wavesim.sensor.measurement import Measurement, noise_misfit
-from wavesim.sensor.mounting import (
+from wavesim.calibration.mounting_parameters import (
     DECENTERS,
     RIGID,
     TILTS,
-    light_on,
-    planes_at,
     validate_parameters,
     values_of,
     with_values,
 )
+from wavesim.calibration.response import RealArray, Response, mounting_response
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene, placed_light, placed_scene
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
+from wavesim.sensor.measurement import Measurement, noise_misfit, placed_planes
 
 Make = Callable[[Scene], Engine]
-Progress = Callable[[str, int, Placement, float], None]
+Progress = Callable[[str, int, SystemState, float], None]
 
 DECENTER_RANGE, TILT_RANGE_DEG, DISTANCE_RANGE = 0.1, 5.0, 0.02
 """Range of the search: decenters over the lens's diameter, tilts in deg, distances over that of the
@@ -65,7 +62,7 @@ def calibrate(
     parameters: Sequence[str] = RIGID,
     scale: float | None = None,
     fill_factor: float = 0.0,
-    start: Placement = NOMINAL,
+    start: SystemState = AS_DESIGNED,
     make: Make = eikonal_tiles,
     most_mountings: int = 80,
     progress: Progress | None = None,
@@ -127,7 +124,7 @@ def calibrate(
         n for n, v, r in zip(parameters, found.point, search_range, strict=True) if abs(v) > 0.999 * r
     )
     return Calibrated(
-        bench=Bench(fine_search.mounting(found.point)),
+        state=fine_search.mounting(found.point),
         parameters=tuple(parameters),
         values=tuple(found.point.tolist()),
         deviations=None,
@@ -164,17 +161,17 @@ class _MountingProblem:
     fill_factor: float
     make: Make
 
-    def blurred(self, mounting: Placement, names: Sequence[str]) -> Response:
+    def blurred(self, mounting: SystemState, names: Sequence[str]) -> Response:
         """Return the response of blurred intensities."""
         # Blur of the coarse search, wider than the fringes at the border of the field stop's shadow.
         coarse_blur_pixels = 8.0
         return self._response(mounting, names, coarse_blur_pixels)
 
-    def frames(self, mounting: Placement, names: Sequence[str]) -> Response:
+    def frames(self, mounting: SystemState, names: Sequence[str]) -> Response:
         """Return the response of the frames themselves."""
         return self._response(mounting, names, 0.0)
 
-    def _response(self, mounting: Placement, names: Sequence[str], blur_pixels: float) -> Response:
+    def _response(self, mounting: SystemState, names: Sequence[str], blur_pixels: float) -> Response:
         return mounting_response(
             self._model(mounting),
             np.asarray(self.known.values),
@@ -184,11 +181,11 @@ class _MountingProblem:
             fits_scale=self.scale is None,
         )
 
-    def _model(self, mounting: Placement) -> ForwardModel:
+    def _model(self, mounting: SystemState) -> ForwardModel:
         return ForwardModel(
             self.make(placed_scene(self.scene, mounting)),
-            light_on(self.illumination, mounting),
-            planes_at(self.recorded, mounting),
+            placed_light(self.illumination, mounting),
+            placed_planes(self.recorded, mounting),
             self.scale,
             self.fill_factor,
         )
@@ -200,8 +197,8 @@ class _MountingSearch:
     def __init__(
         self,
         name: str,
-        respond: Callable[[Placement, Sequence[str]], Response],
-        start: Placement,
+        respond: Callable[[SystemState, Sequence[str]], Response],
+        start: SystemState,
         parameters: tuple[str, ...],
         progress: Progress | None,
     ) -> None:
@@ -209,7 +206,7 @@ class _MountingSearch:
         self.parameters, self.progress = parameters, progress
         self.trail: list[tuple[tuple[float, ...], float]] = []
 
-    def mounting(self, point: Array) -> Placement:
+    def mounting(self, point: Array) -> SystemState:
         return with_values(self.start, self.parameters, list(point))
 
     def search(self, search_range: Array, most_evaluations: int) -> Minimum:

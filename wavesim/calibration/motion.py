@@ -9,15 +9,15 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.lens.poses import rotation_matrix
+from wavesim.calibration.mounting_parameters import DECENTERS, TILTS
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
-from wavesim.scene.placement import Placement
-from wavesim.sensor.mounting import DECENTERS, TILTS
+from wavesim.scene.system_state import SystemState
 
 ComplexArray = NDArray[np.complexfloating]
 
 
-def motion(field: Field, mounting: Placement, parameter: str) -> ComplexArray:
+def motion(field: Field, mounting: SystemState, parameter: str) -> ComplexArray:
     """Return the change of a field per unit of a rigid parameter if its sources moved with the lens.
 
     The generator of the motion is -d/dx for a shift along x, and -(w x (r - c)) . grad for a rotation w

@@ -16,8 +16,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
-from wavesim.scene.bench import Bench, Orders
-from wavesim.sensor.mounting import (
+from wavesim.calibration.mounting_parameters import (
     DECENTERS,
     PLANE_DISTANCE,
     RIGID,
@@ -25,6 +24,8 @@ from wavesim.sensor.mounting import (
     WORKING_DISTANCE,
     with_values,
 )
+from wavesim.scene.light_errors import Orders
+from wavesim.scene.system_state import SystemState
 
 Group = Literal["light", "lens", "mounting", "camera"]
 
@@ -63,14 +64,14 @@ class Unknowns:
     ----------
     lens : Lens
         The nominal lens.
-    fixed : Bench
-        Bench with the values that are not sought.
+    fixed : SystemState
+        State with the values that are not sought.
     values : mapping
         Values that are sought, by name.
     """
 
     lens: Lens
-    fixed: Bench = field(default_factory=Bench)
+    fixed: SystemState = field(default_factory=SystemState)
     values: Mapping[str, float] = field(default_factory=dict)
 
     def changed(self, names: Sequence[str], values: Sequence[float]) -> Unknowns:
@@ -82,8 +83,8 @@ class Unknowns:
         return np.array([self.values.get(name, 0.0) for name in names])
 
     @property
-    def bench(self) -> Bench:
-        """Bench with these values."""
+    def state(self) -> SystemState:
+        """State of the system with these values."""
         result = self.fixed
         for add_group in (_with_light, _with_camera, _with_lens, _with_mounting):
             result = add_group(self, result)
@@ -276,38 +277,38 @@ def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
     return found
 
 
-def _with_light(unknowns: Unknowns, bench: Bench) -> Bench:
-    values, light = unknowns.values, bench.light
+def _with_light(unknowns: Unknowns, state: SystemState) -> SystemState:
+    values, light = unknowns.values, state.light
     x, y = (values.get(f"light_tilt_{a}_deg", own) for a, own in zip("xy", light.tilt_deg, strict=True))
     modes = {"amplitude": dict(light.amplitude), "phase": dict(light.phase_waves)}
     for name, value in values.items():
         if match := LIGHT_MODE.fullmatch(name):
             modes[match[1]][light_orders(name)] = value
     found = replace(light, tilt_deg=(x, y), amplitude=modes["amplitude"], phase_waves=modes["phase"])
-    return replace(bench, light=found)
+    return replace(state, light=found)
 
 
-def _with_camera(unknowns: Unknowns, bench: Bench) -> Bench:
+def _with_camera(unknowns: Unknowns, state: SystemState) -> SystemState:
     values = unknowns.values
     planes = max(
         (int(n.split("_")[1]) for n in values if n.startswith("plane_") and "_distance_" not in n), default=0
     )
-    shifts = [*bench.plane_shifts_um, *((0.0, 0.0),) * planes]
-    backgrounds = [*bench.plane_backgrounds, *(0.0,) * planes]
+    shifts = [*state.plane_shifts_um, *((0.0, 0.0),) * planes]
+    backgrounds = [*state.plane_backgrounds, *(0.0,) * planes]
     for n in range(planes):
         x, y = (
             values.get(f"plane_{n + 1}_shift_{a}_um", own) for a, own in zip("xy", shifts[n], strict=True)
         )
         shifts[n] = (x, y)
         backgrounds[n] = max(values.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
-    counts = max(planes, len(bench.plane_shifts_um)), max(planes, len(bench.plane_backgrounds))
+    counts = max(planes, len(state.plane_shifts_um)), max(planes, len(state.plane_backgrounds))
     return replace(
-        bench, plane_shifts_um=tuple(shifts[: counts[0]]), plane_backgrounds=tuple(backgrounds[: counts[1]])
+        state, plane_shifts_um=tuple(shifts[: counts[0]]), plane_backgrounds=tuple(backgrounds[: counts[1]])
     )
 
 
-def _with_lens(unknowns: Unknowns, bench: Bench) -> Bench:
-    deltas = dict(bench.placement.surface_perturbations)
+def _with_lens(unknowns: Unknowns, state: SystemState) -> SystemState:
+    deltas = dict(state.surface_perturbations)
     for n, surface in enumerate(unknowns.lens.surfaces):
         prefix = f"surface_{n + 1}_"
         changes = {
@@ -322,20 +323,15 @@ def _with_lens(unknowns: Unknowns, bench: Bench) -> Bench:
             perturbation["figure"] = figure_from_zernike(terms, surface.semi_diameter_mm)
         if perturbation:
             deltas[n] = replace(deltas.get(n, SurfacePerturbation()), **perturbation)
-    return replace(bench, placement=replace(bench.placement, surface_perturbations=deltas))
+    return replace(state, surface_perturbations=deltas)
 
 
-def _with_mounting(unknowns: Unknowns, bench: Bench) -> Bench:
+def _with_mounting(unknowns: Unknowns, state: SystemState) -> SystemState:
     names = [
         n
         for n in unknowns.values
         if n in (*RIGID, WORKING_DISTANCE) or n.startswith(PLANE_DISTANCE.split("{}")[0])
     ]
-    placement = bench.placement
-    x, y = (
-        unknowns.values.get(n, own) for n, own in zip(SENSOR_TILTS, placement.sensor_tilt_deg, strict=True)
-    )
-    placement = replace(placement, sensor_tilt_deg=(x, y))
-    if names:
-        placement = with_values(placement, names, unknowns.of(names).tolist())
-    return replace(bench, placement=placement)
+    x, y = (unknowns.values.get(n, own) for n, own in zip(SENSOR_TILTS, state.sensor_tilt_deg, strict=True))
+    state = replace(state, sensor_tilt_deg=(x, y))
+    return with_values(state, names, unknowns.of(names).tolist()) if names else state

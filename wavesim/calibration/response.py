@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wavesim.calibration.motion import gradient, motion
+from wavesim.calibration.mounting_parameters import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
-from wavesim.scene.placement import Placement
-from wavesim.sensor.mounting import WORKING_DISTANCE, plane_of
+from wavesim.scene.system_state import SystemState
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -57,7 +57,7 @@ class Response:
 def mounting_response(
     model: ForwardModel,
     transmission: ComplexArray,
-    mounting: Placement,
+    mounting: SystemState,
     parameters: Sequence[str],
     *,
     blur_pixels: float = 0.0,
@@ -131,7 +131,7 @@ def _response(recorded: RealArray, modelled: RealArray, changes: RealArray, scal
 
 
 def _exit_field_change(
-    model: ForwardModel, lit: Field, exit_field: Field, mounting: Placement, name: str
+    model: ForwardModel, lit: Field, exit_field: Field, mounting: SystemState, name: str
 ) -> ComplexArray:
     """Return the change of the field on the exit grid per unit of a parameter of lens or object."""
     if name == WORKING_DISTANCE:

@@ -18,6 +18,7 @@ from wavesim.scene.settings import ImageSettings
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
+    from wavesim.scene.system_state import SystemState
     from wavesim.sensor.imaging import Imaged
     from wavesim.sensor.recording import Recording
 
@@ -29,6 +30,13 @@ def image(
     object_: Annotated[
         str, typer.Option("--object", help="usaf, star, phase, tissue, empty, or FILE (a picture).")
     ] = "usaf",
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            help="Deviations of the system from the design: calibration.json of `wavesim calibrate`, or any "
+            "file with a state. Omit the options for such deviations."
+        ),
+    ] = None,
     all_wavelengths: Annotated[
         bool, typer.Option(help="Record at each wavelength of the design, each in its own subfolder.")
     ] = False,
@@ -47,9 +55,10 @@ def image(
 
     remove_unfinished(output)
     lens = load_design(design)
+    true_state = None if state is None else _read_state(state, lens)
     name, summaries = lens.title or design.stem, list[dict[str, Any]]()
     for folder, chosen in _runs(lens, settings, output, all_wavelengths):
-        summaries.append(_recorded(lens, name, object_, chosen, folder, as_json))
+        summaries.append(_recorded(lens, name, object_, chosen, true_state, folder, as_json))
         if not as_json:
             _print(summaries[-1], folder)
     if as_json:
@@ -70,8 +79,20 @@ def _runs(
     ]
 
 
+def _read_state(path: Path, lens: Lens) -> SystemState:
+    from wavesim.calibration.calibrated import read_calibration
+
+    return read_calibration(path, lens)
+
+
 def _recorded(
-    lens: Lens, name: str, object_: str, settings: ImageSettings, output: Path, as_json: bool
+    lens: Lens,
+    name: str,
+    object_: str,
+    settings: ImageSettings,
+    state: SystemState | None,
+    output: Path,
+    as_json: bool,
 ) -> dict[str, Any]:
     """Record frames, write the files, and return the summary."""
     from wavesim.sensor.imaging import image as record
@@ -80,7 +101,9 @@ def _recorded(
     on_estimate = None if as_json else memory_teller(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        imaged = record(lens, object_, settings, folder=output, progress=tell, on_estimate=on_estimate)
+        imaged = record(
+            lens, object_, settings, state=state, folder=output, progress=tell, on_estimate=on_estimate
+        )
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     summary = {"design": name} | _summary(imaged) | {"warnings": messages}
@@ -90,6 +113,8 @@ def _recorded(
 
 
 def _summary(imaged: Imaged) -> dict[str, Any]:
+    from wavesim.scene.state_files import STATE, state_table
+
     patch, recording, settings = imaged.patch, imaged.recording, imaged.settings
     return {
         "object": {
@@ -113,9 +138,12 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
             "pixels": list(imaged.sensor.pixels),
             **recording.electronics.model_dump(mode="json", exclude_none=True),
             "seed": recording.seed,
-            "stage_errors_mm": list(recording.stage_errors_mm),
-            "shift_um": list(recording.shift_um),
+            "stage_errors_mm": [
+                recording.state.sensor_pose(n).distance_mm for n in range(len(recording.plane_distances_mm))
+            ],
+            "shift_um": list(settings.shift_um),
         },
+        STATE: state_table(recording.state),
         "frames": [
             {
                 "file": name,

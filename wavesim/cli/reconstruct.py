@@ -20,7 +20,6 @@ from wavesim.cli.bench_files import read_empty, read_priors
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.options import AsJson, Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
-from wavesim.scene.placement import Placement
 from wavesim.scene.settings import (
     STOP_ORIGINS,
     CalibrationSettings,
@@ -31,6 +30,7 @@ from wavesim.scene.settings import (
     ReconstructionSettings,
     StopOrigin,
 )
+from wavesim.scene.system_state import SystemState
 
 SHOWN_DISPLACEMENT = 0.2
 """Smallest displacement that is printed (samples). JSON also contains smaller ones."""
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from wavesim.fields.field import Field
     from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
-    from wavesim.scene.bench import Bench
+    from wavesim.scene.system_state import SystemState
     from wavesim.sensor.frames import Frame
     from wavesim.targets.usaf import UsafElement
 
@@ -101,7 +101,7 @@ def reconstruct(
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
-        bench = None if calibration is None else _calibrated_before(calibration, lens)
+        state = None if calibration is None else _calibrated_before(calibration, lens)
         stop_from, settings = _stop_of(calibration, settings)
         stop_doubt = _stop_doubt(calibration) if stop_from == "calibration" else ""
         pictures = [read_frames(frames, of_frames, lens=lens)]
@@ -109,13 +109,13 @@ def reconstruct(
             without, folder = read_empty(empty, of_frames, lens), output / subfolder
             expected = read_priors(priors, lens)
             calibrated = _calibrated(
-                lens, pictures[0], without, expected, settings, folder, free.calibrate, bench
+                lens, pictures[0], without, expected, settings, folder, free.calibrate, state
             )
             if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
                 settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
                 stop_from, stop_doubt = "frames", calibrated.stop_warning
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
-            bench = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
+            state = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
         with progress() as tell:
@@ -125,7 +125,7 @@ def reconstruct(
                 pictures.pop(),
                 settings,
                 truth=truth,
-                calibration=bench,
+                calibration=state,
                 folder=output,
                 progress=tell,
                 on_estimate=on_estimate,
@@ -152,8 +152,8 @@ def reconstruct(
     raise typer.Exit(0 if found.verdict.explained else 1)
 
 
-def _calibrated_before(path: Path, lens: Lens) -> Bench:
-    """Return the bench of an earlier calibration. Its many modules are imported only if needed."""
+def _calibrated_before(path: Path, lens: Lens) -> SystemState:
+    """Return the state of an earlier calibration. Its many modules are imported only if needed."""
     from wavesim.calibration.calibrated import read_calibration
 
     return read_calibration(path, lens)
@@ -186,14 +186,14 @@ def _calibrated(
     settings: ReconstructionSettings,
     output: Path,
     calibrates: bool,
-    bench: Bench | None,
+    state: SystemState | None,
 ) -> Calibrated:
     """Calibrate the bench from frames, or the light alone from empty frames; an interrupted run continues.
 
-    With a bench that is calibrated already, the light alone is sought anew.
+    With a state that is calibrated already, the light alone is sought anew.
     """
     from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
-    from wavesim.scene.bench import Bench
+    from wavesim.scene.system_state import SystemState
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     sought = CalibrationSettings(**given | {"kind": settings.kind})
@@ -210,7 +210,7 @@ def _calibrated(
                 judges=False,  # the reconstruction that follows is
             )
         validate_same_frames(empty, frames)
-        start = bench or Bench(Placement(settings.pose))
+        start = state or SystemState(settings.pose)
         return calibrate_empty(
             lens, empty, sought, start=start, folder=output, progress=tell, parameters="light"
         )
@@ -223,15 +223,15 @@ def _write_and_print(
     kind: str,
     output: Path,
     as_json: bool,
-) -> Bench:
-    """Write and print a calibration, and return its bench."""
+) -> SystemState:
+    """Write and print a calibration, and return its state."""
     from wavesim.cli.calibrate import print_calibration, write_calibration
 
     summary = write_calibration(found, paths, frames, {"object": kind, "warnings": []}, output)
     if not as_json:
         print_calibration(found, summary, output)
         print()
-    return found.bench
+    return found.state
 
 
 def _messages(caught: list[warnings.WarningMessage]) -> list[str]:

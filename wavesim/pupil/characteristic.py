@@ -28,7 +28,7 @@ from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
 from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.placement import NOMINAL, Placement, placed
+from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ class PupilSampler:
         self.grid = self.nominal.grid
         self._map = self.nominal.aiming_map()
 
-    def pupil(self, placement: Placement | Pose = NOMINAL) -> ReconstructionPupil:
+    def pupil(self, state: SystemState | Pose = AS_DESIGNED) -> ReconstructionPupil:
         """Return the reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
 
         A quasi-Newton iteration with the nominal Jacobian finds the perturbed ray that ends near s(p), at s'.
@@ -295,7 +295,7 @@ class PupilSampler:
 
         Parameters
         ----------
-        placement
+        state
             Lens, object, sensor and light; or the pose of the lens alone. At another wavelength the
             difference of the paths in waves counts, V'/wavelength' - V/wavelength. It is returned as a length
             at the nominal wavelength.
@@ -312,7 +312,7 @@ class PupilSampler:
         RayAimError
             If aiming does not converge.
         """
-        place, wavelength = placed(placement), self.grid.wavelength_um
+        place, wavelength = state_of(state), self.grid.wavelength_um
         system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
             raise InputError(

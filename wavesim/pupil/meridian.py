@@ -29,7 +29,7 @@ from wavesim.pupil.characteristic import ray_derivatives
 from wavesim.pupil.pupil import ComplexArray
 from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 PIXELS_PER_SAMPLE = 4
 """Number of pixels of each plane that are used for each sample of the object; others are omitted evenly."""
@@ -141,12 +141,12 @@ class Meridian:
         distances = self.planes_mm or self.lens.sensor.plane_distances_mm
         return tuple(self._plane(*numbered) for numbered in enumerate(distances))
 
-    def waves(self, placement: Placement) -> list[Array]:
+    def waves(self, state: SystemState) -> list[Array]:
         """Return the path change through a perturbed lens in waves, up to a constant for each plane.
 
         Parameters
         ----------
-        placement
+        state
             Lens, object, sensor and light.
 
         Returns
@@ -161,8 +161,8 @@ class Meridian:
         InputError
             If too few rays arrive.
         """
-        system = compile_system(self.lens, self.wavelength, placement.pose, placement.surface_perturbations)
-        return [self._waves(plane, system, placement) for plane in self.planes]
+        system = compile_system(self.lens, self.wavelength, state.pose, state.surface_perturbations)
+        return [self._waves(plane, system, state) for plane in self.planes]
 
     @cached_property
     def _system(self) -> CompiledSystem:
@@ -276,10 +276,10 @@ class Meridian:
             nodes.append(np.stack([np.full(np.count_nonzero(passed), x), directions[passed]]))
         return tuple(maps), tuple(paths), tuple(nodes)
 
-    def _waves(self, plane: MeridianPlane, system: CompiledSystem, placement: Placement) -> Array:
-        across = placement.sensor_shift_mm[:2]
-        here = replace(placement, sensor_shift_mm=(*across, placement.plane_distance_mm(plane.number)))
-        ratio = self.wavelength / (placement.wavelength_um or self.wavelength)
+    def _waves(self, plane: MeridianPlane, system: CompiledSystem, state: SystemState) -> Array:
+        across = state.sensor_shift_mm[:2]
+        here = replace(state, sensor_shift_mm=(*across, state.sensor_pose(plane.number).distance_mm))
+        ratio = self.wavelength / (state.wavelength_um or self.wavelength)
         paths, nodes = [], []
         for aiming, nominal, at in zip(plane.maps, plane.paths_mm, plane.nodes, strict=True):
             found = aiming.aim(system, here)

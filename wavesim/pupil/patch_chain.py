@@ -38,7 +38,7 @@ from wavesim.pupil.patch_rays import NominalRays, nominal_rays
 from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch, ReturnedPatch
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
 from wavesim.scene.engine import ErrorTerm
-from wavesim.scene.placement import NOMINAL, Placement, placed
+from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +156,12 @@ class PatchChain:
         """
         return self.patch.bars(line_width_um, orientation, bars)
 
-    def perturbed(self, placement: Placement | Pose = NOMINAL) -> PerturbedPatch:
+    def perturbed(self, state: SystemState | Pose = AS_DESIGNED) -> PerturbedPatch:
         """Trace one perturbed lens, and return the map from the patch to its reconstruction.
 
         Parameters
         ----------
-        placement
+        state
             Lens, object, sensor and light; or the pose of the lens alone.
 
         Returns
@@ -178,7 +178,7 @@ class PatchChain:
         FoldError
             If the perturbed rays fold on the plane.
         """
-        base, place = self.rays.base, placed(placement)
+        base, place = self.rays.base, state_of(state)
         wavelength = base.grid.wavelength_um
         system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
@@ -191,14 +191,14 @@ class PatchChain:
         pupil = ReconstructionPupil(base.grid, aimed.path_mm - base.path_mm, aimed.valid)
         return PerturbedPatch(self.patch, self.rays, aimed, pupil, 1e-3 * self.lens.sensor.pixel_pitch_um)
 
-    def carried(self, object_values: ArrayLike, placement: Placement | Pose = NOMINAL) -> ComplexArray:
+    def carried(self, object_values: ArrayLike, state: SystemState | Pose = AS_DESIGNED) -> ComplexArray:
         """Return the field that the nominal lens reconstructs on the patch, without registration.
 
         Parameters
         ----------
         object_values
             Complex transmission in the shape of the patch.
-        placement
+        state
             As in :meth:`perturbed`.
 
         Returns
@@ -211,7 +211,7 @@ class PatchChain:
         InputError, SamplingError, RayAimError, FoldError
             As :meth:`perturbed` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
         """
-        return self.perturbed(placement).returned(object_values).values
+        return self.perturbed(state).returned(object_values).values
 
     def error_terms(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
         """Return the neglected effects, with estimates of the relative error of the returned field.

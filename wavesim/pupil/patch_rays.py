@@ -22,7 +22,7 @@ from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from wavesim.pupil.characteristic import PointCharacteristic, point_characteristic
 from wavesim.pupil.ray_aiming import Aimed, AimingMap, shoot
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class NominalRays:
         """Deviation of `bend_per_mm` from its mean over the stop, shape (n, d, d)."""
         return np.asarray(self.bend_per_mm - self.bend_per_mm.mean(axis=0))
 
-    def aimed(self, system: CompiledSystem, placement: Placement) -> AimedRays:
+    def aimed(self, system: CompiledSystem, state: SystemState) -> AimedRays:
         """Aim perturbed rays at the sensor points, by a quasi-Newton iteration with the nominal Jacobian.
 
         The effect of a tilted sensor on the amplitude is neglected.
@@ -125,7 +125,7 @@ class NominalRays:
         ----------
         system
             The perturbed lens.
-        placement
+        state
             Positions of object and sensor.
 
         Returns
@@ -142,10 +142,10 @@ class NominalRays:
         InputError
             If on a line the rays leave its plane, or none arrives.
         """
-        found = self.map.aim(system, placement)
+        found = self.map.aim(system, state)
         self._refuse_skew(found)
-        point = self.base.object_point_mm + placement.object_shift_mm
-        return self._with_amplitude(system, point, self.base.plane_z_mm + placement.sensor_shift_mm[2], found)
+        point = self.base.object_point_mm + state.object_shift_mm
+        return self._with_amplitude(system, point, self.base.plane_z_mm + state.sensor_shift_mm[2], found)
 
     def _with_amplitude(
         self, system: CompiledSystem, point: Array, plane_z_mm: float, found: Aimed

@@ -13,7 +13,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from lensdesign.raytrace.compiled import CompiledSystem
 from lensdesign.raytrace.rays import RayTrace, trace_compiled
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 PATH_TOLERANCE_WAVES = 1e-4
 """Largest error of an optical path difference due to aiming at a sensor point, in waves."""
@@ -75,14 +75,14 @@ class AimingMap:
     plane_z_mm: float
     reach_mm: float
 
-    def aim(self, system: CompiledSystem, placement: Placement) -> Aimed:
+    def aim(self, system: CompiledSystem, state: SystemState) -> Aimed:
         """Aim rays through a perturbed lens.
 
         Parameters
         ----------
         system
             The perturbed lens.
-        placement
+        state
             Positions of object and sensor.
 
         Returns
@@ -95,10 +95,10 @@ class AimingMap:
         RayAimError
             If aiming does not converge.
         """
-        shift = np.asarray(placement.sensor_shift_mm)
-        inverse, plane_z = self.inverse_per_mm, self.plane_z_mm + placement.sensor_shift_mm[2]
-        point = self.object_point_mm + placement.object_shift_mm
-        own = tilted_points(self.points_mm, placement.sensor_tilt_deg)
+        shift = np.asarray(state.sensor_shift_mm)
+        inverse, plane_z = self.inverse_per_mm, self.plane_z_mm + state.sensor_shift_mm[2]
+        point = self.object_point_mm + state.object_shift_mm
+        own = tilted_points(self.points_mm, state.sensor_tilt_deg)
         targets, depth = own[:2] + shift[:2, None], own[2]
         flat, cosines = not np.any(depth), self.cosines
         index = float(system.index[0, -1])

@@ -28,8 +28,8 @@ from scipy.ndimage import gaussian_filter
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import reconstruct
-from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, noise_misfit

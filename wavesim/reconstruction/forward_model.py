@@ -36,8 +36,8 @@ from wavesim.reconstruction.recording.exit_field import (
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
-from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Operator, Tiled
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, full_weight_sigma, weights_of
 

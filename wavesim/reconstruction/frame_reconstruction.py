@@ -57,12 +57,11 @@ from wavesim.reconstruction.stopped_down import (
 )
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
-from wavesim.scene.bench import Bench
 from wavesim.scene.engine import SAFETY, Engine, Tiled
 from wavesim.scene.light import Light
-from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.recording import Progress
@@ -83,7 +82,7 @@ def reconstruct_frames(
     settings: ReconstructionSettings | None = None,
     *,
     truth: Field | Path | None = None,
-    calibration: Placement | Bench | None = None,
+    calibration: SystemState | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     on_estimate: Callable[[Memory], None] | None = None,
@@ -106,7 +105,7 @@ def reconstruct_frames(
         Transmission of the true object on the patch's samples, or its file or folder. The result is compared
         with it.
     calibration
-        Bench or mounting of the lens, from :func:`wavesim.calibrate_frames`. Default: as designed.
+        SystemState or mounting of the lens, from :func:`wavesim.calibrate_frames`. Default: as designed.
     folder
         Folder of the checkpoint (`CHECKPOINT`) and of arrays that do not fit in memory. The same call
         continues an interrupted run. The checkpoint is not removed.

@@ -34,14 +34,13 @@ from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint, digest_of, key_of
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
-from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.light import Light
-from wavesim.scene.placement import Placement
-from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
+from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.exposures import electrons_of, rounding_fraction
 from wavesim.sensor.frame_sets import (
     PlaneFrames,
@@ -51,8 +50,7 @@ from wavesim.sensor.frame_sets import (
     validate_same_pitch,
 )
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.measurement import Measurement
-from wavesim.sensor.mounting import light_on, planes_at
+from wavesim.sensor.measurement import Measurement, placed_planes
 from wavesim.sensor.same_pictures import validate_distinct_pictures
 from wavesim.sensor.windows import (
     LEAST_DIVERSITY,
@@ -170,7 +168,7 @@ def reconstruction_problem(
     frames: Sequence[Frame],
     settings: ReconstructionSettings,
     truth: Field | Path | None,
-    calibration: Placement | Bench | None,
+    calibration: SystemState | None,
     folder: Path | None,
 ) -> ReconstructionProblem:
     """Read and check all inputs of a reconstruction; the arguments are those of `reconstruct_frames`.
@@ -181,10 +179,10 @@ def reconstruction_problem(
         If an input is invalid or inputs contradict each other, or the arrays do not fit in memory.
     """
     limit = memory_limit(settings.memory_gb)
-    bench = None if calibration is None else bench_of(calibration)
-    if bench is not None and settings.pose != Pose():
+    state = None if calibration is None else state_of(calibration)
+    if state is not None and settings.pose != Pose():
         raise SettingError("{calibration} says how the lens is mounted: give no decenter, tilt or despace")
-    pose = settings.pose if bench is None else bench.placement.pose
+    pose = settings.pose if state is None else state.pose
     framed = patch_of_frames(lens, frames, settings, pose)
     patch, light = framed.patch, framed.light
     if settings.method == "paper" and len(framed.planes_mm) < 2:
@@ -196,9 +194,9 @@ def reconstruction_problem(
     charts = usaf_charts_of(patch, settings.chart_at_mm) if settings.usaf else ()
     scene = exit_scene(lens, patch, framed.sensor, framed.planes_mm[0], pose)
     recorded = recorded_planes(frames)
-    if bench is not None:
-        scene, light = placed_scene(scene, bench.placement), light_on(light, bench)
-        recorded = planes_at(recorded, bench)
+    if state is not None:
+        scene, light = placed_scene(scene, state), placed_light(light, state)
+        recorded = placed_planes(recorded, state)
     recorded, held_out = hold_out(recorded, settings.hold_out_plane)
     frame_light = light_of_frames(scene, framed.frames, light)
     # A source whose width is to be found counts as extended until the width is known.
@@ -247,16 +245,16 @@ def reconstruction_problem(
         memory=memory,
         predicted_error=predicted_error,
         engine_of_error=engine_of_error,
-        calibrated=bench is not None,
+        calibrated=state is not None,
         rounding=max(rounding_fraction(frame) for frame in framed.frames),
-        light_behind=lambda other: _light_behind(other, settings, bench),
+        light_behind=lambda other: _light_behind(other, settings, state),
     )
 
 
-def _light_behind(patch: Patch, settings: ReconstructionSettings, bench: Bench | None) -> Field:
+def _light_behind(patch: Patch, settings: ReconstructionSettings, state: SystemState | None) -> Field:
     """Return the light on the object behind a patch's field stop, on the bench as calibrated."""
     light = lit(patch, settings)
-    return light if bench is None else light_on(light, bench)
+    return light if state is None else placed_light(light, state)
 
 
 def _shown_part(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:

@@ -1,8 +1,7 @@
-from .bench import Bench, LightErrors
 from .engine import Cost, Engine, ErrorTerm, Tiled
 from .light import Light
+from .light_errors import LightErrors
 from .patches import patch_scene
-from .placement import Placement
 from .scene import Scene, placed_scene
 from .settings import (
     CalibrationSettings,
@@ -11,9 +10,10 @@ from .settings import (
     ReconstructionSettings,
     SettingError,
 )
+from .state_files import read_state, write_state
+from .system_state import SystemState
 
 __all__ = [
-    "Bench",
     "CalibrationSettings",
     "Cost",
     "Engine",
@@ -22,11 +22,13 @@ __all__ = [
     "ImageSettings",
     "Light",
     "LightErrors",
-    "Placement",
     "ReconstructionSettings",
     "Scene",
     "SettingError",
+    "SystemState",
     "Tiled",
     "patch_scene",
     "placed_scene",
+    "read_state",
+    "write_state",
 ]

@@ -17,9 +17,9 @@ from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
 from lensdesign.lens.shapes.registry import parameters
-from wavesim.scene.bench import Bench, LightErrors, Orders
-from wavesim.scene.placement import Placement
+from wavesim.scene.light_errors import LightErrors, Orders
 from wavesim.scene.source import Source
+from wavesim.scene.system_state import SystemState
 
 Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
 Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
@@ -86,8 +86,8 @@ class BenchSettings(Section):
             raise ValueError("must be finite, and above -1")
         return errors
 
-    def bench(self, lens: Lens, pose: Pose, planes: int) -> Bench:
-        """Return the bench with these deviations, for a number of recording planes.
+    def state(self, lens: Lens, pose: Pose, planes: int) -> SystemState:
+        """Return the state with these deviations, for a number of recording planes.
 
         Raises
         ------
@@ -104,17 +104,19 @@ class BenchSettings(Section):
             raise InputError(
                 f"plane_shift_um: {len(shifts)} shifts are given, but there are only {planes} planes"
             )
-        placement = Placement(
+        light = LightErrors(
+            self.light_error_deg, modes_of(self.light_amplitude), modes_of(self.light_phase_waves)
+        )
+        return SystemState(
             pose,
             surface_perturbations(lens, self.perturb),
             object_shift_mm=(0.0, 0.0, 0.0 - self.working_distance_error_mm),
             sensor_tilt_deg=self.sensor_tilt_deg,
+            light=light,
+            plane_shifts_um=shifts,
+            plane_backgrounds=backgrounds * planes if len(backgrounds) == 1 else backgrounds,
+            source=Source(self.source_deg, self.bandwidth_nm),
         )
-        light = LightErrors(
-            self.light_error_deg, modes_of(self.light_amplitude), modes_of(self.light_phase_waves)
-        )
-        fractions = backgrounds * planes if len(backgrounds) == 1 else backgrounds
-        return Bench(placement, light, shifts, fractions, Source(self.source_deg, self.bandwidth_nm))
 
     def errors(self) -> dict[str, Any]:
         """Return the settings that differ from their defaults, by name."""

@@ -14,8 +14,8 @@ from lensdesign.errors import InputError, validate_choice, validate_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
-from wavesim.fields.field import Grid
-from wavesim.scene.placement import Placement
+from wavesim.fields.field import Field, Grid
+from wavesim.scene.system_state import SystemState
 
 Coating = Literal["ideal", "bare"]
 
@@ -25,7 +25,7 @@ class Scene:
     """A lens, and the two grids between which a field is propagated.
 
     :func:`wavesim.patch_scene` makes the scene of a patch of the object. All positions of a scene are actual
-    ones; :func:`placed_scene` derives them from a nominal scene and a placement.
+    ones; :func:`placed_scene` derives them from a nominal scene and a state.
 
     Attributes
     ----------
@@ -105,25 +105,31 @@ class Scene:
         return 2e3 * np.pi / self.wavelength_um
 
 
-def placed_scene(nominal: Scene, placement: Placement) -> Scene:
-    """Return the scene with lens, object and wavelength as placed; the exit grid does not move."""
-    wavelength = placement.wavelength_um or nominal.wavelength_um
+def placed_scene(nominal: Scene, state: SystemState) -> Scene:
+    """Return the scene with lens, object and wavelength of a state; the exit grid does not move."""
+    wavelength = state.wavelength_um or nominal.wavelength_um
     same = wavelength == nominal.wavelength_um
     return replace(
         nominal,
         lens=nominal.lens if same else _with_indices_of(nominal.lens, nominal.wavelength_um),
-        object_grid=placed_object(nominal.object_grid, placement),
+        object_grid=placed_object(nominal.object_grid, state),
         wavelength_um=wavelength,
-        pose=placement.pose,
-        surface_perturbations=placement.surface_perturbations,
+        pose=state.pose,
+        surface_perturbations=state.surface_perturbations,
     )
 
 
-def placed_object(nominal: Grid, placement: Placement) -> Grid:
+def placed_object(nominal: Grid, state: SystemState) -> Grid:
     """Return the object grid at its actual position."""
-    x, y, z = placement.object_shift_mm
+    x, y, z = state.object_shift_mm
     centre = nominal.centre_mm[0] + x, nominal.centre_mm[1] + y
     return replace(nominal, z_mm=nominal.z_mm + z, centre_mm=centre)
+
+
+def placed_light(nominal: Field, state: SystemState) -> Field:
+    """Return the illumination with its errors, on the displaced object; it moves with the object."""
+    nominal, wavelength = state.light.on(nominal), state.wavelength_um or nominal.wavelength_um
+    return Field(placed_object(nominal.grid, state), nominal.values, wavelength, nominal.index)
 
 
 def _with_indices_of(lens: Lens, wavelength_um: float) -> Lens:

@@ -3,7 +3,6 @@ from .frame_sets import read_frames, recorded_planes
 from .frames import Frame, FrameSettings, read_frame, write_frame
 from .imaging import Imaged, image
 from .measurement import Measurement, recorded_intensity
-from .mounting import mounting_table
 from .recording import Recording, drop_parts, image_patch
 from .sensor import (
     FootprintWarning,
@@ -35,7 +34,6 @@ __all__ = [
     "interference_on_pixels",
     "light_on_pixels",
     "merged_intensity",
-    "mounting_table",
     "plane_seeds",
     "read_frame",
     "read_frames",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,15 @@ from wavesim.fields.field import Field
 from wavesim.runtime.inventory import need_of
 from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
-from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.light import Light
-from wavesim.scene.placement import Placement
-from wavesim.scene.scene import Scene
+from wavesim.scene.scene import Scene, placed_light
 from wavesim.scene.settings import ImageSettings, SettingError
+from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.exposures import Electronics
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.memory import imaging_arrays
-from wavesim.sensor.mounting import light_on
 from wavesim.sensor.pixels.errors import PixelErrors
 from wavesim.sensor.recording import PARTS, Progress, Recording, image_patch, recorded_scene
 from wavesim.sensor.windows import (
@@ -118,7 +116,7 @@ def image(
     object_: str | Field = "usaf",
     settings: ImageSettings | None = None,
     *,
-    placement: Placement | Pose | Bench | None = None,
+    state: SystemState | Pose | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     on_estimate: Callable[[Memory], None] | None = None,
@@ -135,7 +133,7 @@ def image(
         complex transmission of an object on a plane. The grid of a transmission is used as the patch.
     settings
         All settings; default: `ImageSettings()`.
-    placement
+    state
         Deviations of lens, object, sensor and light from the design, instead of those in `settings`. Frames
         state the plane distances of the stage and the true wavelength of the light.
     folder
@@ -175,19 +173,19 @@ def image(
     """
     settings = (settings or ImageSettings()).replaced(**changes)
     validate_lengths(lens, settings)
-    recording = _recording(lens, settings, placement)
-    true_placement, planes = recording.bench.placement, recording.plane_distances_mm
+    recording = _recording(lens, settings, state)
+    true_state, planes = recording.state, recording.plane_distances_mm
     patch, light = _patch_and_light(lens, object_, settings)
-    light = recording.bench.light.on(light)
     target = _target(lens, patch, object_, settings)
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
-    sensor = sensor_window(lens, patch, planes, pixels, true_placement)
-    check_footprint(lens, patch, sensor, planes, true_placement)
+    sensor = sensor_window(lens, patch, planes, pixels, true_state)
+    check_footprint(lens, patch, sensor, planes, true_state)
     windows = [
-        light_window(lens, patch, sensor, plane, recording.bench.at_plane(index))
+        light_window(lens, patch, sensor, plane, recording.state.at_plane(index))
         for index, plane in enumerate(planes)
     ]
-    behind_object = light_on(light.with_values(light.values * target.transmission.values), true_placement)
+    light = placed_light(light, true_state)
+    behind_object = light.with_values(light.values * target.transmission.values)
     del light  # as large as the object field, which is kept
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as hand_over_tiles:
@@ -265,20 +263,32 @@ def _target(lens: Lens, patch: Patch, object_: str | Field, settings: ImageSetti
     )
 
 
-def _bench(
-    lens: Lens, settings: ImageSettings, placement: Placement | Pose | Bench | None, planes: int
-) -> Bench:
-    if placement is None:
-        return settings.bench(lens, settings.pose, planes)
-    if settings.pose != Pose() or settings.differs:
+def _true_state(
+    lens: Lens, settings: ImageSettings, state: SystemState | Pose | None, planes: int
+) -> SystemState:
+    """Return the given state or that of the settings, with the errors of the stage."""
+    if state is None:
+        true = settings.state(lens, settings.pose, planes)
+    elif settings.pose != Pose() or settings.differs:
         raise SettingError(
-            "{placement}: defines the mounting of the lens, the light and the sensor; omit the settings of "
+            "{state}: defines the mounting of the lens, the light and the sensor; omit the settings of "
             "decenter, tilt and despace, and of errors of light, lens and sensor"
         )
-    return bench_of(placement)
+    else:
+        true = state_of(state)
+    errors_mm, (x_um, y_um) = settings.stage_error_mm, settings.shift_um
+    if any(errors_mm):
+        errors_mm = errors_mm * planes if len(errors_mm) == 1 else errors_mm
+        distances = (error + true.sensor_pose(n).distance_mm for n, error in enumerate(errors_mm))
+        true = replace(true, plane_distance_errors_mm=tuple(distances))
+    if x_um or y_um:  # the sensor moves by the same shift from each plane to the next
+        own = [*true.plane_shifts_um, *((0.0, 0.0),) * planes][:planes]
+        shifts = tuple((x + n * x_um, y + n * y_um) for n, (x, y) in enumerate(own))
+        true = replace(true, plane_shifts_um=shifts)
+    return true
 
 
-def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose | Bench | None) -> Recording:
+def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | None) -> Recording:
     """Return the recording model that the settings describe."""
     planes, errors = settings.planes_mm or lens.sensor.plane_distances_mm, settings.stage_error_mm
     if len(errors) not in (1, len(planes)):
@@ -304,10 +314,8 @@ def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose 
         validate(Electronics, electronics, "sensor"),
         settings.seed if settings.noise else None,
         settings.peak_fill,
-        errors * len(planes) if len(errors) == 1 else errors,
-        settings.shift_um,
         exposures,
-        _bench(lens, settings, placement, len(planes)),
+        _true_state(lens, settings, state, len(planes)),
         pixels,
         exposure_errors * len(exposures) if len(exposure_errors) == 1 else exposure_errors,
     )

@@ -8,8 +8,8 @@ from dataclasses import replace
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import Scene
 from wavesim.scene.source import SourceMode
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.runtime.threads import row_blocks
+from wavesim.scene.system_state import SystemState
 
 Array = NDArray[np.floating[Any]]
 
@@ -41,7 +42,7 @@ class Measurement:
     background : ndarray, shape (ny, nx), optional
         Background intensity on each pixel, in the unit of the squared amplitude.
     tilt_deg : (x, y)
-        Tilt of the sensor about its centre, see :class:`wavesim.scene.Placement`.
+        Tilt of the sensor about its centre, see :class:`wavesim.SystemState`.
 
     Examples
     --------
@@ -68,6 +69,26 @@ class Measurement:
         if self.sigma is None or np.all(np.isfinite(self.sigma)):
             return None
         return np.asarray(np.isfinite(self.sigma))
+
+
+def placed_planes(nominal: Sequence[Measurement], state: SystemState) -> list[Measurement]:
+    """Return measurements at the true positions of their planes, with the backgrounds of a state."""
+    return [_placed_plane(plane, state, index) for index, plane in enumerate(nominal)]
+
+
+def _placed_plane(plane: Measurement, state: SystemState, index: int) -> Measurement:
+    fraction, background = state.background(index), None
+    if fraction:
+        mean = np.mean(np.square(plane.amplitude), dtype=float)
+        background = np.full_like(plane.amplitude, fraction * mean)
+    pose = state.sensor_pose(index)
+    return replace(
+        plane,
+        distance_mm=plane.distance_mm + pose.distance_mm,
+        shift_mm=pose.shift_mm,
+        tilt_deg=pose.tilt_deg,
+        background=background,
+    )
 
 
 def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) -> Measurement:

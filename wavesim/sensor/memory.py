@@ -30,7 +30,7 @@ def imaging_arrays(
     """
     across, down = sensor.pixels
     frames = len(windows) * len(recording.exposures)
-    modes = len(recording.bench.source.modes(engine.scene.wavelength_um))
+    modes = len(recording.state.source.modes(engine.scene.wavelength_um))
     sums = 0 if modes == 1 else 2 * len(windows)
     objects, carrying = engine.scene.object_grid.shape, Phase.CARRYING
     # Memory of the process itself: libraries and compiled loops.

@@ -27,10 +27,10 @@ from wavesim.fields.propagator import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.runtime.checkpoint import digest_of, key_of
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.bench import AS_DESIGNED, Bench
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.source import SourceMode
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.exposures import Electronics, Seed, plane_seeds
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.incoherent import added_modes, of_mode
@@ -70,14 +70,10 @@ class Recording:
         Seed of the noise; None for frames without noise.
     peak_fill : float
         Expected electrons in the brightest pixel at an exposure of 1, as a fraction of full well.
-    stage_errors_mm : tuple of float
-        True minus stated distance of each plane from the lens.
-    shift_um : (x, y)
-        Lateral shift of the sensor from one plane to the next.
     exposures : tuple of float
         Exposures of the frames of each plane, relative to the exposure that reaches `peak_fill`.
-    bench : Bench
-        Further position errors of planes and sensor, tilt of the sensor, light source, and backgrounds.
+    state : SystemState
+        True position of the sensor on each plane relative to the stated one, light source, and backgrounds.
     pixel_errors : PixelErrors
         Non-uniformity of the pixels.
     exposure_errors : tuple of float
@@ -88,22 +84,10 @@ class Recording:
     electronics: Electronics
     seed: Seed | None = 0
     peak_fill: float = 0.8
-    stage_errors_mm: tuple[float, ...] = ()
-    shift_um: tuple[float, float] = (0.0, 0.0)
     exposures: tuple[float, ...] = (1.0,)
-    bench: Bench = AS_DESIGNED
+    state: SystemState = AS_DESIGNED
     pixel_errors: PixelErrors = ALIKE
     exposure_errors: tuple[float, ...] = ()
-
-    def error_mm(self, index: int) -> float:
-        """Return the true minus the stated distance of a plane from the lens."""
-        stage_error = self.stage_errors_mm[index] if self.stage_errors_mm else 0.0
-        return stage_error + self.bench.placement.plane_distance_mm(index)
-
-    def sensor_centre_um(self, index: int) -> tuple[float, float]:
-        """Return the position (x, y) of the sensor's centre on a plane."""
-        x_mm, y_mm = self.bench.shift_mm(index)
-        return index * self.shift_um[0] + 1e3 * x_mm, index * self.shift_um[1] + 1e3 * y_mm
 
 
 def image_patch(
@@ -158,7 +142,7 @@ def image_patch(
         raise InputError(
             f"make: missing; engine {engine.name} needs a function that makes an engine for each plane"
         )
-    if isinstance(engine, Tiled) and any(recording.bench.placement.sensor_tilt_deg):
+    if isinstance(engine, Tiled) and any(recording.state.sensor_tilt_deg):
         raise InputError(
             f"sensor_tilt_deg: must be 0 with engine {engine.name}; use another engine for a tilted sensor"
         )
@@ -182,7 +166,7 @@ def image_patch(
             scratch=scratch,
         )
 
-    modes = recording.bench.source.modes(behind_object.wavelength_um)
+    modes = recording.state.source.modes(behind_object.wavelength_um)
     light = light_of_mode(modes[0], "") if len(modes) == 1 else added_modes(modes, light_of_mode)
     frames, fraction_beyond = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
@@ -190,7 +174,7 @@ def image_patch(
     for index, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
         fraction_beyond = beyond if index == 0 else fraction_beyond
         frames += frames_of_light(
-            _with_background(intensity, recording.bench.background(index)),
+            _with_background(intensity, recording.state.background(index)),
             sensor,
             recording.plane_distances_mm[index],
             behind_object.wavelength_um,
@@ -267,15 +251,15 @@ def drop_parts(folder: Path) -> None:
 
 def _plane_grid(lens: Lens, window: Sensor, index: int, recording: Recording) -> Grid:
     """Return the grid of a window at the true position of stage and sensor, without the sensor's tilt."""
-    z_mm = lens.exit_vertex_z_mm + recording.plane_distances_mm[index] + recording.error_mm(index)
-    x_um, y_um = recording.sensor_centre_um(index)
-    return replace(sensor_grid(window, z_mm, OVERSAMPLING), centre_mm=(1e-3 * x_um, 1e-3 * y_um))
+    pose = recording.state.sensor_pose(index)
+    z_mm = lens.exit_vertex_z_mm + recording.plane_distances_mm[index] + pose.distance_mm
+    return replace(sensor_grid(window, z_mm, OVERSAMPLING), centre_mm=pose.shift_mm)
 
 
 def recorded_scene(lens: Lens, patch: Patch, window: Sensor, recording: Recording) -> Scene:
     """Return the scene between a patch and a window on the first plane, at their true positions."""
     nominal = Scene(lens, patch.grid, _plane_grid(lens, window, 0, recording), patch.wavelength_um)
-    return placed_scene(nominal, recording.bench.placement)
+    return placed_scene(nominal, recording.state)
 
 
 def fields_on_sensor(
@@ -303,7 +287,7 @@ def fields_on_sensor(
     first = engine.forward(behind_object)
     for index, window in enumerate(windows):
         grid = _plane_grid(engine.scene.lens, window, index, recording)
-        tilt_deg = recording.bench.placement.sensor_tilt_deg
+        tilt_deg = recording.state.sensor_tilt_deg
         yield on_sensor(first if grid == first.grid else propagate(first, grid), tilt_deg)
 
 

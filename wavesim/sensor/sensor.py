@@ -55,7 +55,7 @@ def on_sensor(field: Field, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Field
     field
         Field on a plane perpendicular to the axis.
     tilt_deg : (x, y)
-        Tilt of the sensor, see :class:`wavesim.scene.Placement`.
+        Tilt of the sensor, see :class:`wavesim.SystemState`.
 
     Raises
     ------

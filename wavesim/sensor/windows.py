@@ -19,9 +19,9 @@ from wavesim.engines.registry import AUTO, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES
 from wavesim.scene.engine import Engine
 from wavesim.scene.light import Light
-from wavesim.scene.placement import NOMINAL, Placement, placed
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import EngineSettings
+from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
 from wavesim.sensor.sensor import FootprintWarning, sensor_grid
 from wavesim.targets.patch import Patch
 
@@ -75,7 +75,7 @@ def imaging_engine(
 
 
 def footprint_mm(
-    lens: Lens, patch: Patch, plane_distance_mm: float, placement: Placement | Pose = NOMINAL
+    lens: Lens, patch: Patch, plane_distance_mm: float, state: SystemState | Pose = AS_DESIGNED
 ) -> float:
     """Return the diameter, in mm, of a disc about the sensor's centre that contains a patch's light.
 
@@ -86,7 +86,7 @@ def footprint_mm(
     DesignError
         If no ray passes the lens.
     """
-    state = placed(placement)
+    state = state_of(state)
     x, y, z = state.object_shift_mm
     # Light of a displaced object crosses the nominal object plane outside the field stop by this margin.
     margin = math.hypot(x, y) + abs(z) * math.tan(math.asin(min(lens.object.numerical_aperture, 0.99)))
@@ -102,7 +102,7 @@ def sensor_window(
     patch: Patch,
     plane_distances_mm: Sequence[float],
     pixels: int | tuple[int, int] | None = None,
-    placement: Placement | Pose = NOMINAL,
+    state: SystemState | Pose = AS_DESIGNED,
 ) -> Sensor:
     """Return the central window of the design's sensor that a patch illuminates.
 
@@ -114,7 +114,7 @@ def sensor_window(
         Distances of the recording planes from the exit vertex.
     pixels
         Number of pixels along each side, or (across, down). Default: enough for the footprint on all planes.
-    placement
+    state
         Position errors of lens, object and sensor.
 
     Raises
@@ -133,7 +133,7 @@ def sensor_window(
     if pixels is not None and not 1 <= pixels <= min(whole.pixels):
         raise InputError(f"pixels = {pixels}: must be from 1 to the sensor's {min(whole.pixels)}")
     if pixels is None:
-        widest = max(footprint_mm(lens, patch, z, placement) for z in plane_distances_mm)
+        widest = max(footprint_mm(lens, patch, z, state) for z in plane_distances_mm)
         pixels = scipy.fft.next_fast_len(math.ceil(1e3 * WINDOW_MARGIN * widest / whole.pixel_pitch_um))
     across, down = (min(pixels, most) for most in whole.pixels)
     return whole.replaced(pixels=(across, down), plane_distances_mm=tuple(sorted(plane_distances_mm)))
@@ -144,7 +144,7 @@ def check_footprint(
     patch: Patch,
     sensor: Sensor,
     plane_distances_mm: Sequence[float],
-    placement: Placement | Pose = NOMINAL,
+    state: SystemState | Pose = AS_DESIGNED,
 ) -> None:
     """Check that a patch's light falls on the sensor.
 
@@ -159,7 +159,7 @@ def check_footprint(
         If a smaller fraction lies outside.
     """
     for distance in plane_distances_mm:
-        width = footprint_mm(lens, patch, distance, placement)
+        width = footprint_mm(lens, patch, distance, state)
         lost = _fraction_outside(width, sensor.size_mm)
         if lost <= 0.0:
             continue
@@ -245,10 +245,10 @@ def exit_scene(
 
 
 def light_window(
-    lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, placement: Placement | Pose = NOMINAL
+    lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, state: SystemState | Pose = AS_DESIGNED
 ) -> Sensor:
     """Return a sensor window, widened where necessary to cover all light of a patch on a plane."""
-    width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, placement)
+    width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, state)
     needed = scipy.fft.next_fast_len(math.ceil(1e3 * width / sensor.pixel_pitch_um))
     across, down = (max(n, needed) for n in sensor.pixels)
     return sensor.replaced(pixels=(across, down))

@@ -52,7 +52,7 @@ def figure_2g(work: Work) -> Made:
 
 def _wavefront(nominal: Lens, made: Lens, height_mm: float) -> tuple[float, float]:
     """Root mean square and Strehl ratio of what is left, shift and focus taken out."""
-    from wavesim import Placement, PupilSampler, refocus, rms_waves, strehl
+    from wavesim import PupilSampler, SystemState, refocus, rms_waves, strehl
 
     figures = {
         number: SurfacePerturbation(figure=figure)
@@ -60,7 +60,7 @@ def _wavefront(nominal: Lens, made: Lens, height_mm: float) -> tuple[float, floa
         if (figure := surface_figure(surface)) is not None
     }
     sampler = PupilSampler(nominal, field_mm=(0.0, height_mm))
-    pupil = refocus(sampler.pupil(Placement(surface_perturbations=figures))).pupil
+    pupil = refocus(sampler.pupil(SystemState(surface_perturbations=figures))).pupil
     return rms_waves(pupil), strehl(pupil)
 
 

@@ -15,8 +15,8 @@ from paper.style import BLUE, RED, faint_panel, styled_figure
 from paper.twin import twin
 from wavesim import (
     Field,
-    Placement,
     ReconstructionSettings,
+    SystemState,
     engine_for,
     propagate,
     reconstruct_frames,
@@ -111,7 +111,7 @@ def _by_object(one: Shot, distance_mm: float) -> Field:
         object_pitch_um=chosen.object_pitch_um,
         iterations=15,
     )
-    there = Placement(object_shift_mm=(0.0, 0.0, distance_mm))
+    there = SystemState(object_shift_mm=(0.0, 0.0, distance_mm))
     return reconstruct_frames(one.lens, one.imaged.frames, settings, calibration=there).transmission
 
 

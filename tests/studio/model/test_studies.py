@@ -19,10 +19,9 @@ def test_a_trial_is_seen_as_it_was_scored(paper_lens: Lens, tmp_path: Path) -> N
     found = trials_so_far(tmp_path)
     assert found is not None
     assert list(found.trials) == [0, 1, 2, 3]
-    placement = trial_what_if(tmp_path, 2).placement(paper_lens)
+    state = trial_what_if(tmp_path, 2).state(paper_lens)
     worst = max(
-        rms_waves(refocus(PupilSampler(paper_lens, (0.0, h)).pupil(placement)).pupil)
-        for h in (0.0, 1.05, 1.5)
+        rms_waves(refocus(PupilSampler(paper_lens, (0.0, h)).pupil(state)).pupil) for h in (0.0, 1.05, 1.5)
     )
     column = [merit.kind for merit in made.study.merits].index("rms_waves")
     assert worst == pytest.approx(found.scores[2, column], rel=0.3)  # without the irregularities

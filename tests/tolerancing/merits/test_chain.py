@@ -69,7 +69,7 @@ def test_noise_takes_contrast_and_belongs_to_the_trial(context, quiet):
 def system_of(lens, target, parameter, value):
     one = PerturbedParameter(target=target, parameter=parameter)
     batch = PerturbationBatch((one,), np.array([[value]]))
-    return batch.placements(lens, lens.wavelengths_um[0])[0]
+    return batch.states(lens, lens.wavelengths_um[0])[0]
 
 
 def scene_of(chain, system):

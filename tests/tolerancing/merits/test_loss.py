@@ -58,7 +58,7 @@ def test_losses_are_those_of_the_whole_chain(twin, context):
     true, found = thing(chain), []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for number, system in enumerate(context.placements(batch, None)):
+        for number, system in enumerate(context.states(batch, None)):
             back, _ = chain.found(chain.recorded(system, true, number))
             found.append(chain.correlation(back, true))
     assert losses[0] < 1e-3 < losses[1] < 0.05 < losses[2]

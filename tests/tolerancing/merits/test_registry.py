@@ -17,7 +17,7 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.study.evaluate import context_of, decide_levels, score_trials
 from tolerancing.study.files import load_study
 from tolerancing.study.scoring import score_batch
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 SAMPLING = Sampling(rings=3, arms=8, pupil_samples=64)
 PARAMETERS = (
@@ -182,7 +182,7 @@ def test_a_longer_wave_is_a_lens_of_other_indices_and_scaled_path(context):
     assert 5.0 < waves[2] / waves[1] < 15.0
     # Without dispersion and lens a longer wave is the same path in fewer waves.
     sampler = context.sampler((0.0, 0.0), 0.532)
-    longer = sampler.pupil(Placement(wavelength_um=0.5325))
+    longer = sampler.pupil(SystemState(wavelength_um=0.5325))
     path = sampler.nominal.path_mm * (0.532 / 0.5325 - 1.0)
     assert longer.opd_mm == pytest.approx(path, abs=1e-9)
 

@@ -97,7 +97,7 @@ def test_batch_becomes_poses_and_surface_perturbations(paper_lens):
     surfaces = batch.surface_perturbations(paper_lens, 0.532)
     assert list(surfaces) == [1]
     assert surfaces[1].conic.tolist() == conic.tolist()
-    system = batch.placements(paper_lens, 0.532)[3]
+    system = batch.states(paper_lens, 0.532)[3]
     assert system.pose == Pose(tilt_x_deg=float(tilt[3]), pivot_z_mm=4.5)
     assert system.surface_perturbations == {
         1: SurfacePerturbation(radius_mm=float(radius[3]), conic=float(conic[3]))
@@ -108,13 +108,13 @@ def test_batch_becomes_poses_and_surface_perturbations(paper_lens):
 
 @pytest.mark.parametrize("name", LENS_PARAMETERS)
 def test_every_parameter_of_the_lens_reaches_its_place(paper_lens, name):
-    (system,) = one("lens", name, 0.25).placements(paper_lens, 0.532)
+    (system,) = one("lens", name, 0.25).states(paper_lens, 0.532)
     assert system.pose == Pose(**{name: 0.25})
 
 
 @pytest.mark.parametrize("name", SURFACE_DELTAS)
 def test_every_delta_of_a_surface_reaches_its_place(paper_lens, name):
-    (system,) = one("surface 1", name, 0.25).placements(paper_lens, 0.532)
+    (system,) = one("surface 1", name, 0.25).states(paper_lens, 0.532)
     assert system.surface_perturbations == {0: SurfacePerturbation(**{name: 0.25})}
 
 
@@ -134,13 +134,13 @@ def test_parameters_of_a_biconic_reach_its_rays(paper_lens):
         alone = trace(expected, *points, 0.532)
         assert moved.position[k] == pytest.approx(alone.position, abs=1e-12)
         assert moved.opl[k] == pytest.approx(alone.opl, abs=1e-12)
-    single = batch.placements(lens, 0.532)[1].surface_perturbations[1]
+    single = batch.states(lens, 0.532)[1].surface_perturbations[1]
     assert single.shape == pytest.approx({"radius_x_mm": -0.14, "conic_x": 0.1})
 
 
 def test_object_sensor_and_light_reach_their_places(paper_lens):
     def system(target, name):
-        return one(target, name, 0.25).placements(paper_lens, 0.532)[0]
+        return one(target, name, 0.25).states(paper_lens, 0.532)[0]
 
     assert system("object", "working_distance_mm").object_shift_mm == (0.0, 0.0, -0.25)
     assert system("object", "decenter_y_mm").object_shift_mm == (0.0, 0.25, 0.0)

@@ -54,8 +54,8 @@ def test_traced_pupils_agree(lens: Lens, target: str, name: str, size: float) ->
         p.model_copy(update={"seat": "back"}) if "roll" in name else p for p in asked((target, name))
     ]
     batch = batch_of(perturbed, np.array([[size]]), 0.0, seed=3)
-    (placement,) = batch.placements(lens, 0.532)
-    pupil = refocus(PupilSampler(lens, FIELD, samples=96).pupil(placement)).pupil
+    (state,) = batch.states(lens, 0.532)
+    pupil = refocus(PupilSampler(lens, FIELD, samples=96).pupil(state)).pupil
     known = differentials(lens, perturbed, np.array([size]), [FIELD])
     amounts, (field,) = known.changes.amounts(batch)[0], known.fields
     (waves,) = field.waves(amounts[None])

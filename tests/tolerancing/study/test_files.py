@@ -190,7 +190,7 @@ def test_byte_order_marks_are_passed_over(write_study, full_study):
 def test_a_study_is_read_again_from_its_files(write_study, full_study, tmp_path):
     deviations = tmp_path / "measured.csv"
     deviations.write_text("part,radius\n1,0.001\n2,-0.002\n3,0.004\n")
-    (tmp_path / "mine.py").write_text("def tilt(trial):\n    return trial.placement.pose.tilt_x_deg\n")
+    (tmp_path / "mine.py").write_text("def tilt(trial):\n    return trial.state.pose.tilt_x_deg\n")
     text = full_study.replace(
         'distribution = "truncated_normal"\nsigma = 0.01\nlimit = 0.02',
         'distribution = "empirical"\nfile = "measured.csv"\ncolumn = "radius"',

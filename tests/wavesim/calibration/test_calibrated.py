@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from wavesim.calibration.calibrated import Calibrated, stop_warning_of
-from wavesim.scene.bench import Bench
 from wavesim.scene.settings import StopOrigin
+from wavesim.scene.system_state import SystemState
 
 
 def calibrated(applied: dict[str, float], origin: StopOrigin = "frames") -> Calibrated:
     names, values = tuple(applied), tuple(applied.values())
-    found = Calibrated(Bench(), names, values, None, None, 0.1, 0.1, (), (), "converged", None)
+    found = Calibrated(SystemState(), names, values, None, None, 0.1, 0.1, (), (), "converged", None)
     return replace(found, applied=applied, field_stop_mm=0.02, field_stop_from=origin)
 
 

@@ -20,8 +20,9 @@ from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.calibration.pulls import independent_pulls
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.scene.bench import Bench, LightErrors
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
 
 TRUE = {
@@ -32,7 +33,9 @@ TRUE = {
     "light_amplitude_10": -0.06,
     "light_amplitude_02": 0.04,
 }
-BENCH = Bench(light=LightErrors((0.5, -0.3), {(1, 0): -0.06, (0, 2): 0.04}, {(2, 0): 0.05, (1, 1): -0.03}))
+BENCH = SystemState(
+    light=LightErrors((0.5, -0.3), {(1, 0): -0.06, (0, 2): 0.04}, {(2, 0): 0.05, (1, 1): -0.03})
+)
 SETTINGS = CalibrationSettings(patch_mm=0.04, error=0.1, parameters="light", kind="amplitude")
 
 
@@ -42,9 +45,7 @@ def lens() -> Lens:
 
 
 def frames_of(lens: Lens, thing: str) -> tuple[Frame, ...]:
-    made = image(
-        lens, thing, placement=BENCH, patch_mm=0.04, exposures=(1.0, 30.0), engine="eikonal", error=0.1
-    )
+    made = image(lens, thing, state=BENCH, patch_mm=0.04, exposures=(1.0, 30.0), engine="eikonal", error=0.1)
     return made.frames
 
 
@@ -84,7 +85,7 @@ def test_their_light_holds_while_the_rest_is_sought(
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     light = read_calibration(path, lens).light
-    assert light == found.bench.light
+    assert light == found.state.light
     assert light.tilt_deg == pytest.approx((0.5, -0.3), rel=0.05)
 
 
@@ -112,9 +113,9 @@ def test_frames_of_another_light_pitch_or_plane_are_refused(
 def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames are made with every pixel, through one field behind the lens."""
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
-    bench = Bench(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
+    bench = SystemState(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
     small: dict[str, Any] = {"patch_mm": 0.04, "engine": "eikonal", "error": 0.1}
-    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0), **small).frames
+    frames = image(lens, "star", state=bench, exposures=(1.0, 30.0), **small).frames
     taken: list[int] = []
 
     def spied(self: SparsePixels, *given: Any) -> ForwardModel:

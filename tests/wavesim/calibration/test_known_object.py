@@ -13,16 +13,16 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.known_object import calibrate
+from wavesim.calibration.mounting_parameters import values_of
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
-from wavesim.scene.placement import Placement
-from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.scene import Scene, placed_light, placed_scene
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement
-from wavesim.sensor.mounting import light_on, values_of
 
-TRUE = Placement(Pose(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0))
+TRUE = SystemState(Pose(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0))
 RIGID = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")
 
 
@@ -46,7 +46,7 @@ def bench() -> Bench:
     scene, light, bars, _ = bars_under_stop()
     known = Field(scene.object_grid, bars.astype(np.complex64), 0.532)
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = ForwardModel(tiles(placed_scene(scene, TRUE)), light_on(light, TRUE), blank, 1.0)
+    model = ForwardModel(tiles(placed_scene(scene, TRUE)), placed_light(light, TRUE), blank, 1.0)
     seen = [
         Measurement(plane.distance_mm, amplitude.astype(np.float32))
         for plane, amplitude in zip(blank, model.amplitudes(known.values), strict=True)

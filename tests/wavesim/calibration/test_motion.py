@@ -9,9 +9,9 @@ import pytest
 
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.motion import motion
+from wavesim.calibration.mounting_parameters import values_of, with_values
 from wavesim.fields.field import Field, Grid
-from wavesim.scene.placement import Placement
-from wavesim.sensor.mounting import values_of, with_values
+from wavesim.scene.system_state import SystemState
 
 
 def plane_wave(grid: Grid, direction: np.ndarray) -> np.ndarray:
@@ -32,7 +32,7 @@ def test_a_plane_wave_moves_as_its_sources_do(parameter: str) -> None:
     """The field at a point is what it was where that point came from."""
     grid = Grid((64, 64), 0.6e-3, 0.4)
     direction = periodic_direction(grid, 9, -5)
-    mounting = Placement(Pose(pivot_z_mm=0.15, decenter_x_mm=0.004))
+    mounting = SystemState(Pose(pivot_z_mm=0.15, decenter_x_mm=0.004))
     found = motion(Field(grid, plane_wave(grid, direction), 0.532), mounting, parameter)
 
     def moved(amount: float) -> np.ndarray:

@@ -7,18 +7,18 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.lens.poses import Pose
+from wavesim.calibration.mounting_parameters import parameter_names, values_of, with_values
 from wavesim.calibration.response import mounting_response
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.scene.placement import Placement
-from wavesim.scene.scene import Scene, placed_scene
-from wavesim.sensor.measurement import Measurement
-from wavesim.sensor.mounting import light_on, parameter_names, planes_at, values_of, with_values
+from wavesim.scene.scene import Scene, placed_light, placed_scene
+from wavesim.scene.system_state import SystemState
+from wavesim.sensor.measurement import Measurement, placed_planes
 
 NAMES = parameter_names(2)
 STEPS = dict.fromkeys(NAMES, 5e-5) | {"tilt_x_deg": 0.01, "tilt_y_deg": 0.01, "working_distance_mm": 2e-4}
-HERE = Placement(Pose(decenter_x_mm=1e-3, tilt_y_deg=0.2), plane_distances_mm=(1e-3, 0.0))
+HERE = SystemState(Pose(decenter_x_mm=1e-3, tilt_y_deg=0.2), plane_distance_errors_mm=(1e-3, 0.0))
 
 
 class Bench:
@@ -39,12 +39,12 @@ class Bench:
             Measurement(0.6, np.ones(exit_grid.shape)),
         ]
 
-    def model(self, mounting: Placement, fill_factor: float = 0.0) -> ForwardModel:
+    def model(self, mounting: SystemState, fill_factor: float = 0.0) -> ForwardModel:
         engine = engine_for(placed_scene(self.scene, mounting), "eikonal", error=0.3)
-        planes = planes_at(self.recorded, mounting)
-        return ForwardModel(engine, light_on(self.light, mounting), planes, 1.0, fill_factor)
+        planes = placed_planes(self.recorded, mounting)
+        return ForwardModel(engine, placed_light(self.light, mounting), planes, 1.0, fill_factor)
 
-    def response(self, mounting: Placement, fill_factor: float = 0.0, **settings: float) -> np.ndarray:
+    def response(self, mounting: SystemState, fill_factor: float = 0.0, **settings: float) -> np.ndarray:
         model = self.model(mounting, fill_factor)
         return mounting_response(model, self.transmission, mounting, (), **settings).residual
 
@@ -91,6 +91,6 @@ def test_unknown_pixels_do_not_count(bench: Bench) -> None:
         sigma[100:110, 100:110] = np.inf
         amplitude[100:110, 100:110] = 1e3
         spoilt.append(Measurement(plane.distance_mm, amplitude, sigma))
-    masked = ForwardModel(model.engine, model.illumination, planes_at(spoilt, HERE), 1.0, 0.0)
+    masked = ForwardModel(model.engine, model.illumination, placed_planes(spoilt, HERE), 1.0, 0.0)
     after = mounting_response(masked, bench.transmission, HERE, NAMES[:1], blur_pixels=2.0)
     assert after.misfit == pytest.approx(before.misfit, rel=0.02)

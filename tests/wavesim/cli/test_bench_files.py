@@ -16,12 +16,13 @@ from wavesim import image
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.cli.bench_files import read_priors
 from wavesim.fields.files import write_field
-from wavesim.scene.bench import Bench, LightErrors
+from wavesim.scene.light_errors import LightErrors
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import write_frame
 
 Command = Callable[..., tuple[object, str, str]]
 
-LIGHT = Bench(light=LightErrors((0.5, -0.3), {(1, 0): -0.06}, {(2, 0): 0.05}))
+LIGHT = SystemState(light=LightErrors((0.5, -0.3), {(1, 0): -0.06}, {(2, 0): 0.05}))
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_design(lens, folder / "twin.toml")
     for thing in ("star", "empty"):
         little_noise = {"full_well_electrons": 1e6, "bits": 16}
-        made = image(lens, thing, placement=LIGHT, patch_mm=0.04, engine="eikonal", error=0.3, **little_noise)
+        made = image(lens, thing, state=LIGHT, patch_mm=0.04, engine="eikonal", error=0.3, **little_noise)
         (folder / thing).mkdir()
         for number, frame in enumerate(made.frames, start=1):
             write_frame(frame, folder / thing / f"frame_{number}.tif")

@@ -18,7 +18,7 @@ from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import frame_reconstruction
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
-from wavesim.scene.bench import Bench
+from wavesim.scene.system_state import SystemState
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
 
@@ -53,7 +53,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     assert found["mounting"]["tilt_y_deg"] == pytest.approx(0.8, rel=0.05)
     assert found["misfit"] < 1.5 * found["misfit_of_noise"] + 0.02 < found["misfit_before"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
-    mounting = read_calibration(tmp_path / "calibration.json", load_design(data / "twin.toml")).placement
+    mounting = read_calibration(tmp_path / "calibration.json", load_design(data / "twin.toml"))
     assert mounting.pose.tilt_y_deg == found["mounting"]["tilt_y_deg"]
 
     quick = (
@@ -165,10 +165,10 @@ def test_both_in_one_run(
     path = tmp_path / "calibration" / "calibration.json"
     assert sorted(one.name for one in path.parent.iterdir()) == ["calibration.json", "calibration.png"]
     (taken_bench,), written = given, read_calibration(path, load_design(data / "twin.toml"))
-    assert isinstance(taken_bench, Bench)
+    assert isinstance(taken_bench, SystemState)
     assert taken_bench.light == written.light
     assert taken_bench.plane_shifts_um == written.plane_shifts_um
-    assert taken_bench.placement.pose == written.placement.pose
+    assert taken_bench.pose == written.pose
     code, _, err = run_wavesim(monkeypatch, capsys, "reconstruct", *command, "--calibration", path)
     assert code == 2
     assert "give only one of them" in err

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lensdesign import Pose, scaled
-from wavesim import Placement
+from wavesim import SystemState
 from wavesim.pupil import LinearisedChain, Meridian
 from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
 
@@ -17,11 +17,11 @@ def draws(request, paper_lens):
     return ChainDraws(LinearisedChain(meridian, request.param))
 
 
-def coefficients(chain, placement):
+def coefficients(chain, state):
     """Of the polynomials that changes of path are."""
     meridian, found = chain.meridian, []
     x = meridian.coordinates_mm / (0.5 * PATCH_MM)
-    for plane, waves in zip(meridian.planes, meridian.waves(placement), strict=True):
+    for plane, waves in zip(meridian.planes, meridian.waves(state), strict=True):
         row, column = np.nonzero(np.abs(plane.matrix) > 0.0)
         terms = polynomial_terms(x[column], plane.cosines[row, column])
         found.append(np.linalg.lstsq(terms, waves[row, column], rcond=None)[0])
@@ -31,7 +31,7 @@ def coefficients(chain, placement):
 @pytest.fixture(scope="module")
 def cases():
     return [
-        Placement(pose) for pose in (Pose(decenter_y_mm=2e-3), Pose(tilt_x_deg=0.5), Pose(despace_mm=1e-3))
+        SystemState(pose) for pose in (Pose(decenter_y_mm=2e-3), Pose(tilt_x_deg=0.5), Pose(despace_mm=1e-3))
     ]
 
 

@@ -29,7 +29,7 @@ from wavesim.pupil.characteristic import PupilSampler, point_characteristic
 from wavesim.pupil.pupil import ReconstructionPupil, refocus, rms_waves
 from wavesim.pupil.ray_aiming import RayAimError
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 
 Array = NDArray[np.float64]
 Surfaces = Mapping[int, SurfacePerturbation] | None
@@ -123,7 +123,7 @@ def test_to_shift_the_lens_is_to_shift_object_and_sensor_the_other_way(
     off_axis_sampler: PupilSampler, x: float, y: float, z: float
 ) -> None:
     lens = off_axis_sampler.pupil(Pose(decenter_x_mm=x, decenter_y_mm=y, despace_mm=z))
-    rest = off_axis_sampler.pupil(Placement(object_shift_mm=(-x, -y, -z), sensor_shift_mm=(-x, -y, -z)))
+    rest = off_axis_sampler.pupil(SystemState(object_shift_mm=(-x, -y, -z), sensor_shift_mm=(-x, -y, -z)))
     assert largest_difference_mm(lens, rest) < 1e-11
 
 
@@ -143,7 +143,7 @@ def test_a_small_decenter_follows_the_gradients_of_the_path(sampler: PupilSample
 
 def test_a_moved_object_is_found_back(sampler: PupilSampler, off_axis_sampler: PupilSampler) -> None:
     for each in (sampler, off_axis_sampler):
-        result = refocus(each.pupil(Placement(object_shift_mm=(0.002, -0.001, 0.003))))
+        result = refocus(each.pupil(SystemState(object_shift_mm=(0.002, -0.001, 0.003))))
         np.testing.assert_allclose(result.shift_um, [2.0, -1.0], atol=0.01)
         assert result.refocus_um == pytest.approx(3.0, abs=0.01)
         assert rms_waves(result.pupil) < 1e-3
@@ -182,7 +182,7 @@ def aimed_ray(
 
 def largest_error_mm(sampler: PupilSampler, pose: Pose, surfaces: Surfaces) -> float:
     """Error of some path differences, against rays that a root finder aimed."""
-    pupil = sampler.pupil(Placement(pose, surfaces or {}))
+    pupil = sampler.pupil(SystemState(pose, surfaces or {}))
     errors = []
     for i in np.flatnonzero(pupil.valid)[:: len(pupil.valid) // 12]:
         difference = aimed_ray(sampler, i, pose, surfaces).opl[0] - sampler.nominal.path_mm[i]
@@ -271,7 +271,7 @@ def test_inner_stop_and_other_wavelengths(field: tuple[float, float], wavelength
     assert rays.hits is not None
     height = np.hypot(rays.hits[:, 1, 0], rays.hits[:, 1, 1])
     assert 5.7 < height.max() <= 6.0 + 1e-8
-    shifted = sampler.pupil(Placement(object_shift_mm=(0.0, 0.0, 0.002)))
+    shifted = sampler.pupil(SystemState(object_shift_mm=(0.0, 0.0, 0.002)))
     assert refocus(shifted).refocus_um == pytest.approx(2.0, abs=0.01)
 
 
@@ -295,9 +295,9 @@ def test_aiming_that_does_not_settle_is_refused(sampler: PupilSampler) -> None:
     ("call", "message"),
     [
         (lambda s: s.pupil(Pose(decenter_x_mm=np.array([0.0, 0.1]))), "2 trials"),
-        (lambda s: s.pupil(Placement(object_shift_mm=(0.0, 1.0))), "object_shift_mm"),
-        (lambda s: s.pupil(Placement(sensor_shift_mm=(0.0, 1.0, np.nan))), "sensor_shift_mm"),
-        (lambda s: s.pupil(Placement(sensor_tilt_deg=(0.0, 1.0, 2.0))), "sensor_tilt_deg"),
+        (lambda s: s.pupil(SystemState(object_shift_mm=(0.0, 1.0))), "object_shift_mm"),
+        (lambda s: s.pupil(SystemState(sensor_shift_mm=(0.0, 1.0, np.nan))), "sensor_shift_mm"),
+        (lambda s: s.pupil(SystemState(sensor_tilt_deg=(0.0, 1.0, 2.0))), "sensor_tilt_deg"),
         (lambda s: s.pupil(Pose(decenter_x_mm=30.0)), "no ray|too large"),
         (lambda s: PupilSampler(PAPER, samples=4), "samples = 4"),
         (lambda s: PupilSampler(PAPER, samples=True), "samples = True"),
@@ -315,10 +315,10 @@ def test_bad_input_is_named(sampler: PupilSampler, call: Callable, message: str)
 def test_a_tilted_sensor_is_a_lens_and_object_that_turn_the_other_way():
     sampler = PupilSampler(PAPER, samples=65)
     angle, plane_z = 0.4, sampler.nominal.plane_z_mm
-    tilted = sampler.pupil(Placement(sensor_tilt_deg=(0.0, angle)))
+    tilted = sampler.pupil(SystemState(sensor_tilt_deg=(0.0, angle)))
     reach, turn = plane_z - PAPER.object_z_mm, np.deg2rad(angle)
     moved = (reach * np.sin(turn), 0.0, reach * (1.0 - np.cos(turn)))
-    turned = sampler.pupil(Placement(Pose(tilt_y_deg=-angle, pivot_z_mm=plane_z), object_shift_mm=moved))
+    turned = sampler.pupil(SystemState(Pose(tilt_y_deg=-angle, pivot_z_mm=plane_z), object_shift_mm=moved))
     both = tilted.valid & turned.valid
     assert np.mean(both) > 0.9
     assert np.abs(tilted.opd_mm - turned.opd_mm)[both].max() < TOLERANCE_MM
@@ -327,5 +327,5 @@ def test_a_tilted_sensor_is_a_lens_and_object_that_turn_the_other_way():
 
 def test_a_wavelength_scales_the_path_in_waves():
     sampler = PupilSampler(PAPER, samples=33)
-    longer = sampler.pupil(Placement(wavelength_um=1.01 * WAVELENGTH_UM))
+    longer = sampler.pupil(SystemState(wavelength_um=1.01 * WAVELENGTH_UM))
     assert longer.opd_mm == pytest.approx(sampler.nominal.path_mm * (1.0 / 1.01 - 1.0), abs=1e-9)

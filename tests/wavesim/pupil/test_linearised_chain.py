@@ -5,7 +5,7 @@ import pytest
 
 from lensdesign import Pose, scaled
 from lensdesign.errors import InputError
-from wavesim import Placement
+from wavesim import SystemState
 from wavesim.pupil import LinearisedChain, Meridian, expected_loss
 
 
@@ -20,12 +20,12 @@ def chains(request, meridians):
     return [LinearisedChain(meridian, request.param) for meridian in meridians]
 
 
-def loss(chains, placement):
-    return expected_loss(chains, [chain.meridian.waves(placement) for chain in chains])
+def loss(chains, state):
+    return expected_loss(chains, [chain.meridian.waves(state) for chain in chains])
 
 
 def test_nothing_perturbed_loses_nothing(chains):
-    assert loss(chains, Placement()) == pytest.approx(0.0, abs=1e-6)
+    assert loss(chains, SystemState()) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_phase_of_the_sensor_point_alone_loses_nothing(chains):
@@ -41,14 +41,14 @@ def test_phase_of_the_sensor_point_alone_loses_nothing(chains):
 
 
 def test_both_azimuths_are_alike_on_the_axis(chains):
-    across = loss(chains, Placement(Pose(decenter_x_mm=2e-3)))
+    across = loss(chains, SystemState(Pose(decenter_x_mm=2e-3)))
     assert 0.005 < across < 1.0
-    assert loss(chains, Placement(Pose(decenter_y_mm=2e-3))) == pytest.approx(across, rel=1e-3)
-    assert loss(chains, Placement(Pose(decenter_y_mm=-2e-3))) == pytest.approx(across, rel=0.25)
+    assert loss(chains, SystemState(Pose(decenter_y_mm=2e-3))) == pytest.approx(across, rel=1e-3)
+    assert loss(chains, SystemState(Pose(decenter_y_mm=-2e-3))) == pytest.approx(across, rel=0.25)
 
 
 def test_more_of_it_loses_more(chains):
-    losses = [loss(chains, Placement(sensor_shift_mm=(size, 0.0, 0.0))) for size in (2e-4, 1e-3, 3e-3)]
+    losses = [loss(chains, SystemState(sensor_shift_mm=(size, 0.0, 0.0))) for size in (2e-4, 1e-3, 3e-3)]
     assert losses[0] < 0.02 < losses[1] < losses[2] < 1.0
 
 

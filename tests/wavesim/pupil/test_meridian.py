@@ -5,7 +5,7 @@ import pytest
 
 from lensdesign import Pose, scaled
 from lensdesign.errors import InputError
-from wavesim import Placement, PupilSampler
+from wavesim import PupilSampler, SystemState
 from wavesim.pupil import Meridian
 
 
@@ -40,7 +40,7 @@ def test_light_beyond_the_aperture_does_not_pass(along_x):
 def test_a_displaced_object_changes_the_path_by_its_cosine(along_x):
     move_mm = 2e-5
     for plane, waves in zip(
-        along_x.planes, along_x.waves(Placement(object_shift_mm=(move_mm, 0.0, 0.0))), strict=True
+        along_x.planes, along_x.waves(SystemState(object_shift_mm=(move_mm, 0.0, 0.0))), strict=True
     ):
         expected = -move_mm * 0.5 * plane.cosines / (1e-3 * along_x.wavelength)
         rest = (waves - expected)[lit(plane)]
@@ -48,7 +48,7 @@ def test_a_displaced_object_changes_the_path_by_its_cosine(along_x):
 
 
 def test_nothing_perturbed_changes_nothing(along_x):
-    for plane, waves in zip(along_x.planes, along_x.waves(Placement()), strict=True):
+    for plane, waves in zip(along_x.planes, along_x.waves(SystemState()), strict=True):
         assert np.max(np.abs(waves[lit(plane)])) < 1e-6
 
 
@@ -58,7 +58,7 @@ def test_the_path_at_the_middle_is_that_of_the_reconstruction_pupil(twin, along_
     pupil = PupilSampler(twin, plane_distance_mm=first, samples=65).pupil(pose)
     middle = (np.abs(pupil.cosines[:, 1]) < 1e-9) & pupil.valid
     x_mm = along_x.coordinates_mm
-    plane, waves = along_x.planes[0], along_x.waves(Placement(pose))[0]
+    plane, waves = along_x.planes[0], along_x.waves(SystemState(pose))[0]
     # Between the two samples about the line's middle.
     near = np.argsort(np.abs(x_mm))[:2] if len(x_mm) % 2 == 0 else [len(x_mm) // 2]
     both = np.all(lit(plane)[:, near], axis=1)

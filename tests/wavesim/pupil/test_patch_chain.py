@@ -23,8 +23,8 @@ from wavesim.pupil.pupil import refocus
 from wavesim.pupil.ray_aiming import RayAimError
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.patches import exit_grid
-from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
+from wavesim.scene.system_state import SystemState
 from wavesim.targets.patterns import band_limit
 
 Values = NDArray[np.complex128]
@@ -151,7 +151,7 @@ def test_to_shift_the_lens_is_to_shift_object_and_sensor_the_other_way(
 ) -> None:
     bars = off_axis.bars(FINE_UM)
     lens = off_axis.carried(bars, Pose(decenter_x_mm=x, decenter_y_mm=y, despace_mm=z))
-    ends = off_axis.carried(bars, Placement(object_shift_mm=(-x, -y, -z), sensor_shift_mm=(-x, -y, -z)))
+    ends = off_axis.carried(bars, SystemState(object_shift_mm=(-x, -y, -z), sensor_shift_mm=(-x, -y, -z)))
     # Rays at the very rim may be let through in one and not in the other.
     assert np.linalg.norm(lens - ends) < 2e-3 * np.linalg.norm(lens)
 
@@ -159,7 +159,7 @@ def test_to_shift_the_lens_is_to_shift_object_and_sensor_the_other_way(
 def test_a_shifted_object_shows_where_it_is(off_axis: PatchChain) -> None:
     bars = off_axis.bars(FINE_UM, "x")
     nominal = off_axis.carried(bars)
-    back = off_axis.perturbed(Placement(object_shift_mm=(0.004, -0.006, 0.003))).returned(bars, "focus")
+    back = off_axis.perturbed(SystemState(object_shift_mm=(0.004, -0.006, 0.003))).returned(bars, "focus")
     np.testing.assert_allclose(back.shift_um, [4.0, -6.0], atol=0.05)
     assert back.refocus_um == pytest.approx(3.0, abs=0.05)
     assert difference(back.values, nominal) < 0.02
@@ -192,7 +192,7 @@ def test_defocus_reverses_lines_and_refocusing_brings_them_back(
     # Half a wave between the order along the axis and the first ones.
     axial = np.sqrt(1.0 - (0.5 * WAVELENGTH_UM / FINE_UM) ** 2)
     distance_mm = 0.5e-3 * WAVELENGTH_UM / (1.0 - axial)
-    trial = chain.perturbed(Placement(object_shift_mm=(0.0, 0.0, distance_mm)))
+    trial = chain.perturbed(SystemState(object_shift_mm=(0.0, 0.0, distance_mm)))
     assert chain_contrast(trial, FINE_UM, refocused=False) < -0.3
     assert chain_contrast(trial, FINE_UM) > 0.97
     back = trial.returned(chain.bars(FINE_UM), "focus")
@@ -200,7 +200,7 @@ def test_defocus_reverses_lines_and_refocusing_brings_them_back(
 
 
 def test_surfaces_are_perturbed_too(plane: PatchChain) -> None:
-    trial = plane.perturbed(Placement(surface_perturbations={1: SurfacePerturbation(tilt_x_deg=0.2)}))
+    trial = plane.perturbed(SystemState(surface_perturbations={1: SurfacePerturbation(tilt_x_deg=0.2)}))
     assert chain_contrast(trial, FINE_UM) < 0.9
 
 
@@ -299,8 +299,8 @@ def test_folds_and_lost_rays_are_refused(line: PatchChain) -> None:
         (lambda c: PatchChain(PAPER, (0.1, 0.0), line=True), "lies at x = 0"),
         (lambda c: c.perturbed(Pose(tilt_y_deg=0.1)), "leave the plane x = 0"),
         (lambda c: c.perturbed(Pose(tilt_x_deg=np.zeros(2))), "2 trials"),
-        (lambda c: c.perturbed(Placement(object_shift_mm=(0.0, 1.0))), "object_shift_mm"),
-        (lambda c: c.perturbed(Placement(sensor_shift_mm=(0.0, 0.0, np.nan))), "sensor_shift_mm"),
+        (lambda c: c.perturbed(SystemState(object_shift_mm=(0.0, 1.0))), "object_shift_mm"),
+        (lambda c: c.perturbed(SystemState(sensor_shift_mm=(0.0, 0.0, np.nan))), "sensor_shift_mm"),
         (lambda c: c.bars(0.775, "x"), "'y' only"),
         (lambda c: c.bars(0.775, "z"), "orientation"),
         (lambda c: c.bars(5.0), "fit into the patch"),
@@ -330,7 +330,7 @@ def test_sensor_tilt_and_wavelength_are_those_of_the_pupil():
         {"wavelength_um": 0.5325},
         {"pose": Pose(tilt_x_deg=0.1), "sensor_tilt_deg": (0.1, 0.0), "wavelength_um": 0.5325},
     ):
-        place = Placement(**change)
+        place = SystemState(**change)
         patch, pupil = chain.perturbed(place).pupil, sampler.pupil(place)
         both = patch.valid & pupil.valid
         assert np.mean(both) > 0.9

@@ -13,7 +13,7 @@ from lensdesign.lens.lens import Sensor
 from wavesim.fields.propagator import propagate
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.runtime import threads
-from wavesim.scene.bench import LightErrors
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source
 from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.sensor import light_on_pixels, on_sensor

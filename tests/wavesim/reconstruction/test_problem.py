@@ -21,14 +21,13 @@ from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
-from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.light import Light
-from wavesim.scene.placement import Placement
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.imaging import image
-from wavesim.sensor.measurement import Measurement, noise_misfit
-from wavesim.sensor.mounting import planes_at
+from wavesim.sensor.measurement import Measurement, noise_misfit, placed_planes
 from wavesim.sensor.windows import exit_scene
 from wavesim.targets.patch import lit_patch
 
@@ -36,7 +35,7 @@ BENCH = GOLDEN / "bench"
 SETTINGS = ReconstructionSettings(kind="amplitude", patch_mm=0.16)
 
 
-def stated(lens: Lens) -> Bench:
+def stated(lens: Lens) -> SystemState:
     """The errors of `set.json`, but for the bend of the light, whose form it does not say."""
     errors = json.loads((BENCH / "everything" / "set.json").read_text())["errors"]
     front, back = lens.surfaces
@@ -58,12 +57,13 @@ def stated(lens: Lens) -> Bench:
         (errors["light_tilt_x_deg"], errors["light_tilt_y_deg"]),
         {(2, 0): -0.1 / 3.0, (0, 1): -0.025, (1, 1): -0.01},
     )
-    placement = Placement(
+    return SystemState(
         Pose(decenter_y_mm=errors["lens_decenter_y_mm"]),
         surface_perturbations=surfaces,
-        plane_distances_mm=(0.0, errors["plane_2_distance_mm"]),
+        plane_distance_errors_mm=(0.0, errors["plane_2_distance_mm"]),
+        light=light,
+        plane_backgrounds=(errors["background_share_of_mean"],) * 2,
     )
-    return Bench(placement, light, plane_backgrounds=(errors["background_share_of_mean"],) * 2)
 
 
 def over_noise(case: ReconstructionProblem, recorded: list[Measurement], true: np.ndarray) -> float:
@@ -83,12 +83,12 @@ def test_frames_of_another_model_are_those_of_the_bench_that_they_state() -> Non
     case = reconstruction_problem(lens, frames, SETTINGS, None, bench, None)
     true = read_field(BENCH / "everything" / "object.npz")[0].real.astype(np.float32)
     recorded = recorded_planes(frames)
-    assert over_noise(case, planes_at(recorded, bench), true) < 2.4
+    assert over_noise(case, placed_planes(recorded, bench), true) < 2.4
 
-    farther = replace(bench, placement=replace(bench.placement, plane_distances_mm=(0.0, 0.02)))
-    assert over_noise(case, planes_at(recorded, farther), true) > 3.0
+    farther = replace(bench, plane_distance_errors_mm=(0.0, 0.02))
+    assert over_noise(case, placed_planes(recorded, farther), true) > 3.0
     brighter = replace(bench, plane_backgrounds=(0.02, 0.02))
-    assert over_noise(case, planes_at(recorded, brighter), true) > 3.0
+    assert over_noise(case, placed_planes(recorded, brighter), true) > 3.0
 
 
 WIDTH_MM = 0.06

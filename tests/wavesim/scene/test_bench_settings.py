@@ -7,27 +7,31 @@ import pytest
 from lensdesign import load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.scene.bench import Bench
 from wavesim.scene.bench_settings import BenchSettings, modes_of
+from wavesim.scene.system_state import SystemState
 
 LENS = load_design("designs/paper_singlet.toml")
 
 
-def bench(**settings: object) -> Bench:
-    return BenchSettings().replaced(**settings).bench(LENS, Pose(), 2)
+def state(**settings: object) -> SystemState:
+    return BenchSettings().replaced(**settings).state(LENS, Pose(), 2)
 
 
 def test_nothing_set_is_a_bench_as_designed() -> None:
-    found = bench()
-    assert (found.placement.surface_perturbations, found.light.amplitude) == ({}, {})
-    assert (found.shift_mm(1), found.background(1), found.source.width_deg) == ((0.0, 0.0), 0.0, 0.0)
+    found = state()
+    assert (found.surface_perturbations, found.light.amplitude) == ({}, {})
+    assert (found.sensor_pose(1).shift_mm, found.background(1), found.source.width_deg) == (
+        (0.0, 0.0),
+        0.0,
+        0.0,
+    )
     assert BenchSettings().errors() == {}
 
 
 def test_modes_and_surfaces_come_from_their_text() -> None:
     assert modes_of("10:-0.04, 02:5e-2") == {(1, 0): -0.04, (0, 2): 0.05}
-    made = bench(perturb="surface 1: radius_mm=0.01, index=-2e-3; surface 2: zernike_5_um=0.03, conic=0.1")
-    first, second = (made.placement.surface_perturbations[place] for place in (0, 1))
+    made = state(perturb="surface 1: radius_mm=0.01, index=-2e-3; surface 2: zernike_5_um=0.03, conic=0.1")
+    first, second = (made.surface_perturbations[place] for place in (0, 1))
     assert (first.radius_mm, first.index, first.figure) == (0.01, -2e-3, None)
     assert second.conic == 0.1
     assert second.figure is not None
@@ -35,12 +39,12 @@ def test_modes_and_surfaces_come_from_their_text() -> None:
 
 
 def test_planes_get_what_is_theirs() -> None:
-    made = bench(
+    made = state(
         plane_shift_um=((0.0, 0.0), (1.3, -2.2)), plane_background=(0.01,), working_distance_error_mm=0.004
     )
-    assert made.shift_mm(1) == (pytest.approx(0.0013), pytest.approx(-0.0022))
+    assert made.sensor_pose(1).shift_mm == (pytest.approx(0.0013), pytest.approx(-0.0022))
     assert (made.background(0), made.background(1)) == (0.01, 0.01)
-    assert made.placement.object_shift_mm == (0.0, 0.0, -0.004)
+    assert made.object_shift_mm == (0.0, 0.0, -0.004)
 
 
 @pytest.mark.parametrize(
@@ -62,4 +66,4 @@ def test_planes_get_what_is_theirs() -> None:
 )
 def test_what_cannot_be_is_refused_by_name(settings: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        bench(**settings)
+        state(**settings)

@@ -12,9 +12,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.metrics.ghosts import GhostPlane, ghost_in_residuals
-from wavesim.scene.bench import Bench, LightErrors
-from wavesim.scene.placement import Placement
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.exposures import estimate_intensity
 from wavesim.sensor.imaging import Imaged, image
 from wavesim.sensor.sensor import interference_on_pixels, light_on_pixels
@@ -31,8 +31,8 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-def seen(placement: Placement | Pose | None = None, **changes: Any) -> Imaged:
-    return image(LENS, "star", placement=placement, **SETTINGS | changes)
+def seen(state: SystemState | Pose | None = None, **changes: Any) -> Imaged:
+    return image(LENS, "star", state=state, **SETTINGS | changes)
 
 
 def pictures(imaged: Imaged) -> list[np.ndarray]:
@@ -49,20 +49,20 @@ def test_a_pose_is_that_of_the_settings(nominal: Imaged) -> None:
     for a, b, c in zip(one.frames, other.frames, nominal.frames, strict=True):
         assert np.array_equal(a.counts, b.counts)
         assert not np.array_equal(a.counts, c.counts)
-    with pytest.raises(InputError, match=r"placement: .*decenter"):
+    with pytest.raises(InputError, match=r"state: .*decenter"):
         seen(Pose(), decenter_x_mm=0.004)
 
 
 def test_a_sensor_beside_its_place_sees_the_light_beside_its_middle(nominal: Imaged) -> None:
     pixel_mm = 1e-3 * LENS.sensor.pixel_pitch_um
-    moved = seen(Placement(sensor_shift_mm=(3 * pixel_mm, 0.0, 0.0)))
+    moved = seen(SystemState(sensor_shift_mm=(3 * pixel_mm, 0.0, 0.0)))
     for shown, expected in zip(pictures(moved), pictures(nominal), strict=True):
         here, there = shown[:, :-3], expected[:, 3:]
         assert np.linalg.norm(here - there) < 0.03 * np.linalg.norm(there)
 
 
 def test_planes_are_where_the_placement_says_and_frames_say_what_the_stage_does() -> None:
-    one = seen(Placement(plane_distances_mm=(0.0, 0.004)))
+    one = seen(SystemState(plane_distance_errors_mm=(0.0, 0.004)))
     other = seen(stage_error_mm=(0.0, 0.004))
     for a, b in zip(one.frames, other.frames, strict=True):
         assert a.settings == b.settings
@@ -71,10 +71,10 @@ def test_planes_are_where_the_placement_says_and_frames_say_what_the_stage_does(
 
 def test_object_surface_light_and_tilt_change_the_frames(nominal: Imaged) -> None:
     for changed in (
-        Placement(object_shift_mm=(0.002, 0.0, 0.0)),
-        Placement(surface_perturbations={1: SurfacePerturbation(radius_mm=0.01)}),
-        Placement(wavelength_um=0.56),
-        Placement(sensor_tilt_deg=(0.0, 5.0)),
+        SystemState(object_shift_mm=(0.002, 0.0, 0.0)),
+        SystemState(surface_perturbations={1: SurfacePerturbation(radius_mm=0.01)}),
+        SystemState(wavelength_um=0.56),
+        SystemState(sensor_tilt_deg=(0.0, 5.0)),
     ):
         for one, other in zip(pictures(seen(changed)), pictures(nominal), strict=True):
             assert one.shape == other.shape
@@ -89,15 +89,15 @@ def test_settings_of_a_bench_are_the_bench(nominal: Imaged) -> None:
         "plane_shift_um": ((0, 0), (3.2, 0)),
     }
     options = seen(**changes, plane_background=(0.0, 0.05), working_distance_error_mm=0.002)
-    bench = Bench(
-        Placement(object_shift_mm=(0.0, 0.0, -0.002)),
+    bench = SystemState(
+        SystemState(object_shift_mm=(0.0, 0.0, -0.002)),
         LightErrors((0.2, 0.0), {(1, 0): 0.1}),
         ((0.0, 0.0), (3.2, 0.0)),
         (0.0, 0.05),
     )
     for one, other in zip(options.frames, seen(bench).frames, strict=True):
         assert np.array_equal(one.counts, other.counts)
-    with pytest.raises(InputError, match=r"placement: .*errors of light"):
+    with pytest.raises(InputError, match=r"state: .*errors of light"):
         seen(bench, light_amplitude="10:0.1")
 
 
@@ -117,7 +117,7 @@ def test_a_wide_source_adds_intensities_of_tilted_light(nominal: Imaged) -> None
     """As much light as before, but neither the coherent picture nor that of one direction."""
     wide = pictures(seen(source_deg=1.0))[1]
     modes = Source(1.0).modes(LENS.wavelengths_um[0])
-    alone = [pictures(seen(Bench(light=LightErrors(mode.tilt_deg))))[1] for mode in modes[:2]]
+    alone = [pictures(seen(SystemState(light=LightErrors(mode.tilt_deg))))[1] for mode in modes[:2]]
     coherent = pictures(nominal)[1]
     assert np.linalg.norm(wide - coherent) > 0.02 * np.linalg.norm(coherent)
     assert wide.sum() == pytest.approx(coherent.sum(), rel=0.01)
@@ -143,7 +143,7 @@ def test_an_engine_is_chosen_for_each_wavelength_of_a_band(nominal: Imaged) -> N
 
 def test_tiles_of_a_whole_field_record_on_upright_planes_alone() -> None:
     with pytest.raises(InputError, match="sensor_tilt_deg: must be 0 with engine hierarchical"):
-        seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="hierarchical")
+        seen(SystemState(sensor_tilt_deg=(1.0, 0.0)), engine="hierarchical")
 
 
 def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> None:

@@ -22,6 +22,7 @@ from wavesim.fields.field import relative_error
 from wavesim.runtime.inventory import need_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor import recording as image_recording
 from wavesim.sensor.exposures import Electronics, estimate_intensity
 from wavesim.sensor.frames import Frame, read_frame
@@ -82,7 +83,8 @@ def test_bands_give_the_frames_that_free_space_gives(
     scenery: Scenery, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(image_recording, "BAND_ROWS", 100)
-    recording = Recording(PLANES_MM, CAMERA, None, stage_errors_mm=(0.0, 0.004), shift_um=(1.3, -0.7))
+    state = SystemState(plane_distance_errors_mm=(0.0, 0.004), plane_shifts_um=((0.0, 0.0), (1.3, -0.7)))
+    recording = Recording(PLANES_MM, CAMERA, None, state=state)
     bands, beyond = scenery.imaged("hierarchical", recording)
     free, expected_beyond = scenery.imaged("eikonal", recording)
     for one, other in zip(bands, free, strict=True):

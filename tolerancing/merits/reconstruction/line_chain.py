@@ -28,8 +28,8 @@ from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import OBJECT_FINENESS
-from wavesim.scene.placement import NOMINAL, Placement
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 from wavesim.sensor.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class LineChain:
         count = scipy.fft.next_fast_len(max(8, math.ceil(1e3 * self.region_mm / pitch_um)))
         pitch_mm = self.region_mm / count
         grid = Grid((count,), pitch_mm, self.lens.object_z_mm, (0.0, self.field_mm))
-        return Scene(self.lens, grid, self._sensor_grid(0, NOMINAL), self.wavelength_um)
+        return Scene(self.lens, grid, self._sensor_grid(0, AS_DESIGNED), self.wavelength_um)
 
     @cached_property
     def object(self) -> LineObject:
@@ -126,7 +126,7 @@ class LineChain:
         )
 
     def record(
-        self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
+        self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
     ) -> list[Measurement]:
         """Simulate the amplitudes that the pixels record behind a perturbed system, on every plane.
 
@@ -147,13 +147,13 @@ class LineChain:
             If no light reaches the sensor.
         """
         from wavesim import propagate
-        from wavesim.sensor.mounting import light_on
+        from wavesim.scene.scene import placed_light
 
         nominal = replace(self.scene, exit_grid=self._sensor_grid(0, system))
         settings = {"slices": self.imaging_slices, "compensation": "oblique"}
         engine = _engine(placed_scene(nominal, system), self.imaging, settings)
         first = engine.forward(
-            light_on(self._light(self.scene).with_values(self.object.transmission), system)
+            placed_light(self._light(self.scene).with_values(self.object.transmission), system)
         )
         planes = []
         with warnings.catch_warnings():
@@ -176,7 +176,7 @@ class LineChain:
         planes: Sequence[Measurement],
         engine: ReconstructionEngine,
         *,
-        model: Placement = NOMINAL,
+        model: SystemState = AS_DESIGNED,
         refocus_um: float = 0.0,
         iterations: int,
     ) -> LineScores:
@@ -204,7 +204,7 @@ class LineChain:
         return self.object.score(found)
 
     def model(
-        self, engine: ReconstructionEngine, model: Placement = NOMINAL, refocus_um: float = 0.0
+        self, engine: ReconstructionEngine, model: SystemState = AS_DESIGNED, refocus_um: float = 0.0
     ) -> LineModel:
         """Return the reconstruction's forward model; parameters as for :meth:`reconstruct`.
 
@@ -221,7 +221,7 @@ class LineChain:
                 f"the region is in focus {refocus_um:.3g} um from the object plane; allowed: "
                 f"{-self.largest_refocus_um:.3g} to {self.largest_refocus_um:.3g} um; use refocus = false"
             )
-        if engine.name == "slices" and model == NOMINAL:
+        if engine.name == "slices" and model == AS_DESIGNED:
             operator: LineOperator = MATRICES.matrix(self._model_engine(engine))
         else:
             operator = _engine(self._model_scene(model), engine.name, engine.settings)
@@ -246,14 +246,14 @@ class LineChain:
     def _model_engine(self, engine: ReconstructionEngine) -> Engine:
         key = engine
         if key not in self._engines:
-            self._engines[key] = _engine(self._model_scene(NOMINAL), engine.name, engine.settings)
+            self._engines[key] = _engine(self._model_scene(AS_DESIGNED), engine.name, engine.settings)
         return self._engines[key]
 
     @cached_property
     def _engines(self) -> dict[ReconstructionEngine, Engine]:
         return {}
 
-    def _model_scene(self, model: Placement) -> Scene:
+    def _model_scene(self, model: SystemState) -> Scene:
         """Return the scene of the reconstruction's model, from the region with margin to the first plane."""
         scene = placed_scene(replace(self.scene, exit_grid=self._sensor_grid(0, model)), model)
         grid = scene.object_grid
@@ -265,14 +265,14 @@ class LineChain:
         grid = scene.object_grid
         return Field(grid, np.ones(grid.shape, complex), scene.wavelength_um)
 
-    def _sensor_grid(self, index: int, system: Placement) -> Grid:
+    def _sensor_grid(self, index: int, system: SystemState) -> Grid:
         sensor = self.lens.sensor
-        z_mm = self.lens.exit_vertex_z_mm + self.planes_mm[index] + system.plane_distance_mm(index)
+        z_mm = self.lens.exit_vertex_z_mm + self.planes_mm[index] + system.sensor_pose(index).distance_mm
         pitch = 1e-3 * sensor.pixel_pitch_um / SAMPLES_PER_PIXEL
         count = SAMPLES_PER_PIXEL * sensor.pixels[1]
         return Grid((count,), pitch, z_mm, (0.0, system.sensor_shift_mm[1]))
 
-    def _propagators(self, system: Placement) -> tuple[FreeSpacePropagator | None, ...]:
+    def _propagators(self, system: SystemState) -> tuple[FreeSpacePropagator | None, ...]:
         first = self._sensor_grid(0, system)
         grids = [self._sensor_grid(index, system) for index in range(len(self.planes_mm))]
         return tuple(None if g == first else FreeSpacePropagator(first, g, self.wavelength_um) for g in grids)

@@ -24,7 +24,7 @@ from tolerancing.merits.line_pairs import NOISE_STREAM
 from tolerancing.merits.reconstruction.objects import ObjectKind, required_length_mm
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter, validate_in_meridian
-from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 if TYPE_CHECKING:
     from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
@@ -275,7 +275,7 @@ class Reconstruction(Merit):
             )
 
         chain = context.cached(("line chain", self._imaging_settings(height_mm)), make)
-        planes = chain.record(NOMINAL, self.electrons, self.bits, self._noise(context, 0))
+        planes = chain.record(AS_DESIGNED, self.electrons, self.bits, self._noise(context, 0))
         result = chain.reconstruct(planes, ReconstructionEngine("eikonal"), iterations=self.iterations)
         if not result.correlation >= LEAST_CORRELATION:
             raise InputError(
@@ -315,7 +315,7 @@ class Reconstruction(Merit):
 
     def _run(self, context: Context, batch: PerturbationBatch, height_mm: float) -> list[LineScores]:
         chain = self.chain(context, height_mm)
-        systems = context.placements(batch, self.wavelength_um)
+        systems = context.states(batch, self.wavelength_um)
         frames_key = ("line frames", self._imaging_settings(height_mm), self.electrons, self.bits)
         numbers = batch.trial_numbers or (0,) * len(batch)
         recorded = context.cached_for(
@@ -342,18 +342,18 @@ class Reconstruction(Merit):
         ]
 
     def _models(
-        self, context: Context, batch: PerturbationBatch, systems: list[Placement]
-    ) -> list[Placement]:
+        self, context: Context, batch: PerturbationBatch, systems: list[SystemState]
+    ) -> list[SystemState]:
         """Return the system that the reconstruction assumes in each trial."""
         if self.model == "nominal":
-            return [NOMINAL] * len(batch)
+            return [AS_DESIGNED] * len(batch)
         if self.model == "true":
             return systems
         if not context.compensators:
             raise InputError(f"{self.label}: model = 'calibrated' needs [[compensator]] tables in the study")
         values = context.compensator_values(batch)
         adapted = context.perturbed(context.compensators, values)
-        return [replace(one, wavelength_um=None) for one in context.placements(adapted, self.wavelength_um)]
+        return [replace(one, wavelength_um=None) for one in context.states(adapted, self.wavelength_um)]
 
     def _refocus_um(self, context: Context, batch: PerturbationBatch, height_mm: float) -> list[float]:
         """Return the shift of each trial's reconstructed object plane towards the lens."""

@@ -24,8 +24,7 @@ from wavesim.calibration.free_space.descent import (
 from wavesim.calibration.free_space.stack import Array, ComplexArray, Stack, stack_of
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import TransferFunction
-from wavesim.scene.bench import Bench
-from wavesim.scene.placement import Placement
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.recording import Progress
@@ -62,7 +61,7 @@ class FreeSpaceField:
     ----------
     field : Field
         Field on the frames' pixels, in the unit of the measured amplitude: the object under its light.
-    bench : Bench
+    state : SystemState
         Increase of each plane's distance over the stated one, and position of the sensor on it.
     distance_scale : float
         True over stated distance, for all planes.
@@ -83,7 +82,7 @@ class FreeSpaceField:
     """
 
     field: Field
-    bench: Bench
+    state: SystemState
     distance_scale: float
     drift: tuple[float, float]
     gains: tuple[float, ...]
@@ -124,8 +123,8 @@ class FreeSpaceField:
             "planes": [
                 {
                     "plane_distance_mm": plane.distance_mm,
-                    "found_distance_mm": plane.distance_mm + self.bench.placement.plane_distance_mm(n),
-                    "shift_um": [1e3 * part for part in self.bench.shift_mm(n)],
+                    "found_distance_mm": plane.distance_mm + self.state.sensor_pose(n).distance_mm,
+                    "shift_um": [1e3 * part for part in self.state.sensor_pose(n).shift_mm],
                     "gain": self.gains[n],
                     "correlation": self.correlations[n],
                 }
@@ -248,14 +247,14 @@ def _result(
     )
     shifts_um = 1e3 * (planes.shifts_mm - shift_offset)
     deltas = planes.distances_mm - distance_offset - stated
-    bench = Bench(
-        Placement(plane_distances_mm=tuple(map(float, deltas))),
+    state = SystemState(
+        plane_distance_errors_mm=tuple(map(float, deltas)),
         plane_shifts_um=tuple((float(x), float(y)) for x, y in shifts_um),
     )
     values = np.asarray(stack.unit * stack.on_pixels(samples), np.complex64)
     return FreeSpaceField(
         Field(pixels, values, stack.wavelength_um),
-        bench,
+        state,
         float(scale),
         (float(drift[0]), float(drift[1])),
         tuple(map(float, planes.gains)),

@@ -30,18 +30,7 @@ from wavesim.rays.ray_bundles import RayBundle, trace_bundle
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Operator
 from wavesim.scene.scene import Scene
-
-
-class SensorPose(NamedTuple):
-    """Pose of a sensor relative to the grid of an engine: distance along z, lateral shift, and tilt.
-
-    Tilts follow the convention of :class:`wavesim.scene.Placement`.
-    """
-
-    distance_mm: float = 0.0
-    shift_mm: tuple[float, float] = (0.0, 0.0)
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-
+from wavesim.scene.system_state import SensorPose
 
 ON_GRID = SensorPose()
 

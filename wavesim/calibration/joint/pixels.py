@@ -25,7 +25,6 @@ from wavesim.calibration.joint.perturbed_tiles import (
     PathSlopes,
     PerturbedScene,
     PerturbedTiles,
-    SensorPose,
     exit_field_changes_by_engines,
     exit_field_changes_by_rays,
     path_slopes,
@@ -35,13 +34,13 @@ from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
-from wavesim.scene.bench import Bench, Orders, light_mode
 from wavesim.scene.engine import Engine, Grids, Operator
-from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.light_errors import Orders, light_mode
+from wavesim.scene.scene import Scene, placed_light, placed_scene
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import frames_by_plane
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.measurement import Measurement
-from wavesim.sensor.mounting import light_on, planes_at
+from wavesim.sensor.measurement import Measurement, placed_planes
 from wavesim.sensor.pixels.points import points_among, recorded_points
 from wavesim.targets.patch import Patch
 
@@ -179,8 +178,8 @@ class CalibrationPixels(ABC):
     def light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
         """Return the relative change of the illumination per unit of a parameter."""
         even = self.illumination.with_values(np.ones(self.illumination.grid.shape, complex))
-        light = unknowns.bench.light.on(even).values
-        stepped_light = stepped(unknowns, parameter).bench.light.on(even).values
+        light = unknowns.state.light.on(even).values
+        stepped_light = stepped(unknowns, parameter).state.light.on(even).values
         return np.asarray((stepped_light / light - 1.0) / parameter.small)
 
 
@@ -188,11 +187,12 @@ class DensePixels(CalibrationPixels):
     """Pixels of each plane, reached from one exit field through free space."""
 
     def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
-        bench, scene = unknowns.bench, placed_scene(self.scene, unknowns.bench.placement)
+        state = unknowns.state
+        scene = placed_scene(self.scene, state)
         return ForwardModel(
             PerturbedTiles(reference, scene) if isinstance(reference, EikonalTiles) else self.make(scene),
-            light_on(self.illumination, bench),
-            planes_at(self.recorded, bench),
+            placed_light(self.illumination, state),
+            placed_planes(self.recorded, state),
             self.scale,
             self.fill_factor,
         )
@@ -226,10 +226,10 @@ class DensePixels(CalibrationPixels):
         return exit_field_changes_by_rays(engine, linear.lit, slopes.plane(0, parameters))
 
     def _perturbed_scenes(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[PerturbedScene]:
-        benches = [stepped(unknowns, p).bench for p in parameters]
+        states = [stepped(unknowns, p).state for p in parameters]
         return [
-            PerturbedScene(placed_scene(self.scene, bench.placement), p.small)
-            for p, bench in zip(parameters, benches, strict=True)
+            PerturbedScene(placed_scene(self.scene, state), p.small)
+            for p, state in zip(parameters, states, strict=True)
         ]
 
     def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
@@ -301,21 +301,21 @@ class SparsePixels(CalibrationPixels):
     """A regular subset of each plane's pixels as points; the distances of planes are in their own scenes."""
 
     def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
-        bench = unknowns.bench
+        state = unknowns.state
         tiles: Sequence[EikonalTiles]
         if isinstance(reference, TilesToPlanes):
             tiles = [plane.reference for plane in reference.planes]
         else:
-            tiles = [self._tiles(self._scene(bench, n)) for n in range(len(self.recorded))]
+            tiles = [self._tiles(self._scene(state, n)) for n in range(len(self.recorded))]
         perturbed = [
-            PerturbedTiles(own, self._scene(bench, n), _sensor_pose(bench, n)) for n, own in enumerate(tiles)
+            PerturbedTiles(own, self._scene(state, n), state.sensor_pose(n)) for n, own in enumerate(tiles)
         ]
         # The positions of the planes are part of their scenes and sensor poses.
         planes = [
             replace(plane, distance_mm=0.0, shift_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0))
-            for plane in planes_at(self.recorded, bench)
+            for plane in placed_planes(self.recorded, state)
         ]
-        operator, light = TilesToPlanes(perturbed), light_on(self.illumination, bench)
+        operator, light = TilesToPlanes(perturbed), placed_light(self.illumination, state)
         return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
@@ -324,12 +324,12 @@ class SparsePixels(CalibrationPixels):
     def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
         assert isinstance(engine, TilesToPlanes)
         carried = [p for p in parameters if self._acts_on_rays(p)]
-        benches, dtype = [stepped(unknowns, p).bench for p in carried], self.illumination.values.dtype
+        states, dtype = [stepped(unknowns, p).state for p in carried], self.illumination.values.dtype
         planes = []
         for n, plane in enumerate(engine.planes):
             changed = [
-                PerturbedScene(self._scene(bench, n), p.small, _sensor_pose(bench, n))
-                for p, bench in zip(carried, benches, strict=True)
+                PerturbedScene(self._scene(state, n), p.small, state.sensor_pose(n))
+                for p, state in zip(carried, states, strict=True)
             ]
             planes.append(path_slopes(plane, dtype, changed))
         return RaySlopes.of(carried, planes)
@@ -355,26 +355,19 @@ class SparsePixels(CalibrationPixels):
 
     def reaches_directly(self, plane_index: int) -> bool:
         """Return whether tiles reach a plane without free space."""
-        tiles = self.make(self._scene(Bench(), plane_index))
+        tiles = self.make(self._scene(SystemState(), plane_index))
         return isinstance(tiles, EikonalTiles) and tiles.plane.beyond is None
 
-    def _scene(self, bench: Bench, plane_index: int) -> Scene:
+    def _scene(self, state: SystemState, plane_index: int) -> Scene:
         """Return the scene to a plane at its nominal distance."""
         nominal = self.scene.exit_grid
         grid = nominal.at(nominal.z_mm + self.recorded[plane_index].distance_mm)
-        return placed_scene(replace(self.scene, exit_grid=grid), bench.placement)
+        return placed_scene(replace(self.scene, exit_grid=grid), state)
 
     def _tiles(self, scene: Scene) -> EikonalTiles:
         tiles = self.make(scene)
         assert isinstance(tiles, EikonalTiles)
         return tiles
-
-
-def _sensor_pose(bench: Bench, plane_index: int) -> SensorPose:
-    placement = bench.placement
-    return SensorPose(
-        placement.plane_distance_mm(plane_index), bench.shift_mm(plane_index), placement.sensor_tilt_deg
-    )
 
 
 def pixel_spacing(patch: Patch, scene: Scene) -> int:

@@ -7,7 +7,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.scene.bench import Orders, light_mode
+from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.sensor.measurement import Array
 
 BENDS: tuple[Orders, ...] = ((2, 0), (1, 1), (0, 2))

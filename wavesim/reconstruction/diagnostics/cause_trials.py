@@ -36,8 +36,8 @@ from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.source_width import coherent_deg
-from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source, SourceMode
 from wavesim.sensor.measurement import Array, Measurement, noise_misfit
 

@@ -12,7 +12,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from wavesim import resolve
 from wavesim.fields.field import Field
-from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 EIKONAL = ReconstructionEngine("eikonal")
 
@@ -32,7 +32,7 @@ def chain(twin):
 
 
 def scores(chain, pose=None, engine=EIKONAL, **keys):
-    recorded = chain.record(Placement(pose or Pose()), None, 12, None)
+    recorded = chain.record(SystemState(pose or Pose()), None, 12, None)
     return chain.reconstruct(recorded, engine, iterations=40, **keys)
 
 
@@ -55,7 +55,7 @@ def test_the_way_back_is_the_adjoint_of_the_way_there(chain, engine, refocus_um)
 def test_pixels_get_the_energy_of_the_light(chain):
     lit = Field(chain.scene.object_grid, chain.object.transmission, 0.532).energy
     pitch_mm = 1e-3 * chain.lens.sensor.pixel_pitch_um
-    for plane in chain.record(NOMINAL, None, 12, None):
+    for plane in chain.record(AS_DESIGNED, None, 12, None):
         assert pitch_mm * np.sum(plane.amplitude**2) == pytest.approx(lit, rel=0.05)
 
 
@@ -90,7 +90,7 @@ def test_agrees_with_the_chain_in_the_plane_for_meridional_perturbations(paper_l
 def test_what_the_nominal_model_loses_the_true_one_finds(chain):
     moved = Pose(decenter_y_mm=0.004)
     assert scores(chain, moved).correlation < 0.7
-    assert scores(chain, moved, model=Placement(moved)).correlation > 0.97
+    assert scores(chain, moved, model=SystemState(moved)).correlation > 0.97
 
 
 def test_refuses_a_focus_beyond_the_margin(chain):
@@ -100,7 +100,7 @@ def test_refuses_a_focus_beyond_the_margin(chain):
 
 def test_noise_is_that_of_its_seed(chain):
     noise = [np.random.SeedSequence(number) for number in (1, 1, 2)]
-    frames = [chain.record(NOMINAL, 1000.0, 12, seed) for seed in noise]
+    frames = [chain.record(AS_DESIGNED, 1000.0, 12, seed) for seed in noise]
     assert np.array_equal(frames[0][0].amplitude, frames[1][0].amplitude)
     assert not np.array_equal(frames[0][0].amplitude, frames[2][0].amplitude)
     assert chain.reconstruct(frames[0], EIKONAL, iterations=40).correlation > 0.9

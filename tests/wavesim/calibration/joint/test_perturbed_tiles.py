@@ -16,23 +16,23 @@ from wavesim.calibration.joint.perturbed_tiles import (
 )
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
-from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.system_state import SystemState
 
 WHAT = ("decenter", "tilt", "lens", "object farther")
 
 
 def changed(scene: Scene, what: str, size: float) -> Scene:
     """The scene with a lens or an object that is not as it was; at 1, paths change by some radians."""
-    placement = {
-        "decenter": Placement(Pose(decenter_x_mm=5e-4 * size, decenter_y_mm=-3e-4 * size)),
-        "tilt": Placement(Pose(tilt_x_deg=0.05 * size, tilt_y_deg=-0.03 * size)),
-        "lens": Placement(
+    state = {
+        "decenter": SystemState(Pose(decenter_x_mm=5e-4 * size, decenter_y_mm=-3e-4 * size)),
+        "tilt": SystemState(Pose(tilt_x_deg=0.05 * size, tilt_y_deg=-0.03 * size)),
+        "lens": SystemState(
             surface_perturbations={0: SurfacePerturbation(index=3e-4 * size, thickness_mm=4e-4 * size)}
         ),
-        "object farther": Placement(object_shift_mm=(0.0, 0.0, -5e-4 * size)),
+        "object farther": SystemState(object_shift_mm=(0.0, 0.0, -5e-4 * size)),
     }[what]
-    return placed_scene(scene, placement)
+    return placed_scene(scene, state)
 
 
 def made_of(scene: Scene, lit: Field) -> np.ndarray:

@@ -21,9 +21,8 @@ from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_pa
 from wavesim.engines.choosing import engine_for
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
-from wavesim.scene.scene import Scene, placed_scene
-from wavesim.sensor.measurement import Measurement, noise_misfit
-from wavesim.sensor.mounting import light_on, planes_at
+from wavesim.scene.scene import Scene, placed_light, placed_scene
+from wavesim.sensor.measurement import Measurement, noise_misfit, placed_planes
 
 TRUE = {
     "light_tilt_x_deg": 0.25,
@@ -52,7 +51,7 @@ def search(lens: Lens) -> JointSearch:
     bench = Unknowns(lens, values=TRUE).bench
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
     model = ForwardModel(
-        tiles(placed_scene(scene, bench.placement)), light_on(light, bench), planes_at(blank, bench), 1.0, 1.0
+        tiles(placed_scene(scene, bench)), placed_light(light, bench), placed_planes(blank, bench), 1.0, 1.0
     )
     recorded = []
     for plane, seen in zip(blank, model.amplitudes(bars), strict=True):
@@ -148,9 +147,9 @@ def test_a_file_of_values_is_the_bench_again(lens: Lens, result: FitResult, tmp_
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps({"mounting": {}, "values": dict(result.unknowns.values)}))
     bench = read_calibration(path, lens)
-    assert bench.light == result.unknowns.bench.light
-    assert bench.plane_shifts_um == result.unknowns.bench.plane_shifts_um
-    assert bench.placement.surface_perturbations[0].index == result.unknowns.values["surface_1_index"]
+    assert bench.light == result.unknowns.state.light
+    assert bench.plane_shifts_um == result.unknowns.state.plane_shifts_um
+    assert bench.surface_perturbations[0].index == result.unknowns.values["surface_1_index"]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from wavesim.reconstruction.diagnostics.bench_estimates import (
     shift_pixels,
     smooth_phase_waves,
 )
-from wavesim.scene.bench import LightErrors
+from wavesim.scene.light_errors import LightErrors
 
 PICTURE = gaussian_filter(np.random.default_rng(3).random((60, 80)), 2.0, mode="wrap")
 

@@ -1,24 +1,17 @@
-"""The bench: deviations of lens, light and camera from the design.
-
-The same model serves the simulation of frames and their calibration.
-"""
+"""Errors of the light on the object: its direction, and uneven amplitude and phase."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.polynomial.legendre import legval
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.lens.poses import Pose
 from wavesim.fields.field import Field
-from wavesim.scene.placement import NOMINAL, Placement, placed
-from wavesim.scene.source import POINT, Source
 
 Orders = tuple[int, int]
 """Orders (i, j) of the Legendre product P_i(x) P_j(y)."""
@@ -85,6 +78,10 @@ class LightErrors:
         return light.with_values(light.values * factor)
 
 
+NO_LIGHT_ERRORS = LightErrors()
+"""The light as stated."""
+
+
 def light_mode(orders: Orders, shape: tuple[int, ...]) -> Array:
     """Return P_i(x) P_j(y) on the samples of a patch, shape (ny, nx); x and y run from -1 to 1."""
     x, y = ((2.0 * np.arange(n) + 1.0) / n - 1.0 for n in reversed(shape))
@@ -94,73 +91,3 @@ def light_mode(orders: Orders, shape: tuple[int, ...]) -> Array:
 
 def _sum_of_modes(sizes: Mapping[Orders, float], shape: tuple[int, ...]) -> Array:
     return sum((c * light_mode(orders, shape) for orders, c in sizes.items()), np.zeros(shape))
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Deviations of lens, object, sensor, light and camera from the design.
-
-    Attributes
-    ----------
-    placement : Placement
-        Poses of lens, object and sensor, perturbations of the lens's surfaces, and distances of the planes.
-    light : LightErrors
-        Errors of the light on the object.
-    plane_shifts_um : tuple of (x, y)
-        Shift of the sensor's centre on each plane, in addition to the placement's shift. Planes beyond the
-        list have none.
-    plane_backgrounds : tuple of float
-        Even background light on each plane, as a fraction of the plane's mean intensity.
-    source : Source
-        Angular size and bandwidth of the light source.
-
-    Raises
-    ------
-    InputError
-        If a shift is not a pair of finite numbers, or a background does not lie between 0 and 1.
-    """
-
-    placement: Placement = NOMINAL
-    light: LightErrors = LightErrors()
-    plane_shifts_um: tuple[tuple[float, float], ...] = ()
-    plane_backgrounds: tuple[float, ...] = ()
-    source: Source = POINT
-
-    def __post_init__(self) -> None:
-        for shift in self.plane_shifts_um:
-            if len(shift) != 2 or not all(map(math.isfinite, shift)):
-                raise InputError(
-                    f"plane_shifts_um = {self.plane_shifts_um!r}: must be pairs of finite numbers"
-                )
-        for fraction in self.plane_backgrounds:
-            if not 0.0 <= fraction < 1.0:
-                raise InputError(f"plane_backgrounds = {self.plane_backgrounds!r}: must be from 0 to below 1")
-
-    def shift_mm(self, index: int) -> tuple[float, float]:
-        """Return the shift (x, y) of the sensor's centre on a plane; `index` counts planes from 0."""
-        x_mm, y_mm, _ = self.placement.sensor_shift_mm
-        x_um, y_um = _value_at(self.plane_shifts_um, index, (0.0, 0.0))
-        return x_mm + 1e-3 * x_um, y_mm + 1e-3 * y_um
-
-    def at_plane(self, index: int) -> Placement:
-        """Return the placement with the sensor's position on a plane; `index` counts planes from 0."""
-        return replace(
-            self.placement, sensor_shift_mm=(*self.shift_mm(index), self.placement.sensor_shift_mm[2])
-        )
-
-    def background(self, index: int) -> float:
-        """Return the background on a plane as a fraction of its mean intensity; `index` counts from 0."""
-        return _value_at(self.plane_backgrounds, index, 0.0)
-
-
-AS_DESIGNED = Bench()
-"""Bench without deviations from the design."""
-
-
-def bench_of(given: Placement | Pose | Bench) -> Bench:
-    """Return a bench from a bench, a placement or a pose; what is not given is as designed."""
-    return given if isinstance(given, Bench) else Bench(placed(given))
-
-
-def _value_at(values: Sequence[Any], index: int, default: Any) -> Any:
-    return values[index] if index < len(values) else default

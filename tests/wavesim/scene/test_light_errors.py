@@ -1,4 +1,4 @@
-"""One bench: errors of light and camera."""
+"""Errors of the light on the object."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import pytest
 
 from lensdesign import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.scene.bench import Bench, LightErrors, light_mode
-from wavesim.scene.placement import Placement
+from wavesim.scene.light_errors import LightErrors, light_mode
 from wavesim.targets.illumination import plane_wave
 
 GRID = Grid((40, 48), 5e-4, -1.0)
@@ -36,15 +35,6 @@ def test_amplitude_and_phase_follow_their_modes() -> None:
     assert LightErrors().on(LIGHT) is LIGHT
 
 
-def test_planes_beyond_the_lists_are_where_the_placement_has_them() -> None:
-    bench = Bench(
-        Placement(sensor_shift_mm=(1e-3, 0.0, 0.0)), plane_shifts_um=((0.0, 2.0),), plane_backgrounds=(0.1,)
-    )
-    assert bench.shift_mm(0) == pytest.approx((1e-3, 2e-3))
-    assert bench.shift_mm(1) == pytest.approx((1e-3, 0.0))
-    assert (bench.background(0), bench.background(1)) == (0.1, 0.0)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -52,8 +42,6 @@ def test_planes_beyond_the_lists_are_where_the_placement_has_them() -> None:
         (lambda: LightErrors(amplitude={(0, 0): 0.1}), "not both 0"),
         (lambda: LightErrors(phase_waves={(1, 0): float("nan")}), "finite"),
         (lambda: LightErrors(amplitude={(1, 0): 1.5}).on(LIGHT), "above 0"),
-        (lambda: Bench(plane_shifts_um=((float("inf"), 0.0),)), "finite"),
-        (lambda: Bench(plane_backgrounds=(-0.1,)), "from 0"),
     ],
 )
 def test_what_is_not_usable_is_refused(make: object, message: str) -> None:
