@@ -80,7 +80,7 @@ def calibrate(
     known
         Transmission of the object.
     parameters
-        Parameters to find; see :func:`wavesim.sensor.mounting.parameter_names`.
+        Parameters to find; see :func:`wavesim.calibration.mounting_parameters.parameter_names`.
     scale, fill_factor
         See :func:`wavesim.reconstruct`.
     start

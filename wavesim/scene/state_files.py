@@ -244,6 +244,14 @@ def read_state(path: str | os.PathLike[str], lens: Lens) -> SystemState:
     ------
     InputError
         If the file cannot be read, contains no state, or belongs to another lens.
+
+    Examples
+    --------
+    >>> from lensdesign import load_design
+    >>> from wavesim import SystemState, read_state, write_state
+    >>> path = write_state(SystemState(sensor_tilt_deg=(0.2, 0.0)), "state.json")
+    >>> read_state(path, load_design("designs/paper_singlet.toml")).sensor_tilt_deg
+    (0.2, 0.0)
     """
     return state_of_file(read_json(path), path, lens)
 

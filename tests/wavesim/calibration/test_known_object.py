@@ -55,7 +55,7 @@ def bench() -> Bench:
 
 
 def found_values(found: Calibrated) -> np.ndarray:
-    return values_of(found.mounting, RIGID)
+    return values_of(found.state, RIGID)
 
 
 def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:

@@ -49,12 +49,12 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     )
     assert code == 0, err
     found = json.loads(out)
-    assert found["mounting"]["decenter_x_mm"] == pytest.approx(1e-3, rel=0.05)
-    assert found["mounting"]["tilt_y_deg"] == pytest.approx(0.8, rel=0.05)
+    assert found["state"]["pose"]["decenter_x_mm"] == pytest.approx(1e-3, rel=0.05)
+    assert found["state"]["pose"]["tilt_y_deg"] == pytest.approx(0.8, rel=0.05)
     assert found["misfit"] < 1.5 * found["misfit_of_noise"] + 0.02 < found["misfit_before"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
     mounting = read_calibration(tmp_path / "calibration.json", load_design(data / "twin.toml"))
-    assert mounting.pose.tilt_y_deg == found["mounting"]["tilt_y_deg"]
+    assert mounting.pose.tilt_y_deg == found["state"]["pose"]["tilt_y_deg"]
 
     quick = (
         *frames_and_design(data),

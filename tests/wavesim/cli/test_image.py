@@ -9,6 +9,8 @@ import pytest
 from wavesim_command import run_wavesim
 
 from lensdesign import load_design, save_design, scaled
+from wavesim import write_state
+from wavesim.scene.state_files import state_from_table
 from wavesim.sensor.exposures import estimate_intensity
 from wavesim.sensor.frames import read_frame
 from wavesim.targets.patch import make_target, object_patch
@@ -175,6 +177,23 @@ def test_exposures_of_each_plane_stand_side_by_side(
     plain, one, longer = (read_frame(tmp_path / name / "frame_1.tif").counts for name in "bcd")
     assert np.array_equal(plain, one)
     assert not np.array_equal(plain, longer)
+
+
+def test_a_state_from_a_file_records_what_its_options_record(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    options = ("--decenter-x-mm", 0.002, "--light-error-deg", "0.2,0.1", "--plane-background", 0.02)
+    code, _, err = run(monkeypatch, capsys, twin, *QUICK, *options, "-o", tmp_path / "options")
+    assert code == 0, err
+    written = json.loads((tmp_path / "options" / "image.json").read_text())["state"]
+    path = write_state(state_from_table(written, "image.json", load_design(twin)), tmp_path / "state.json")
+    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "--state", path, "-o", tmp_path / "file")
+    assert code == 0, err
+    one, other = (read_frame(tmp_path / name / "frame_2.tif").counts for name in ("options", "file"))
+    assert np.array_equal(one, other)
+    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "--state", path, *options, "-o", tmp_path / "both")
+    assert code == 2
+    assert "--state" in err
 
 
 def test_a_chart_stands_beside_the_middle_too(

@@ -90,10 +90,10 @@ def test_settings_of_a_bench_are_the_bench(nominal: Imaged) -> None:
     }
     options = seen(**changes, plane_background=(0.0, 0.05), working_distance_error_mm=0.002)
     bench = SystemState(
-        SystemState(object_shift_mm=(0.0, 0.0, -0.002)),
-        LightErrors((0.2, 0.0), {(1, 0): 0.1}),
-        ((0.0, 0.0), (3.2, 0.0)),
-        (0.0, 0.05),
+        object_shift_mm=(0.0, 0.0, -0.002),
+        light=LightErrors((0.2, 0.0), {(1, 0): 0.1}),
+        plane_shifts_um=((0.0, 0.0), (3.2, 0.0)),
+        plane_backgrounds=(0.0, 0.05),
     )
     for one, other in zip(options.frames, seen(bench).frames, strict=True):
         assert np.array_equal(one.counts, other.counts)

@@ -48,7 +48,7 @@ def lens() -> Lens:
 def search(lens: Lens) -> JointSearch:
     """Bars on a small twin's bench, with noise; its light, lens and camera differ from the design."""
     scene, light, bars, rng = bars_under_stop()
-    bench = Unknowns(lens, values=TRUE).bench
+    bench = Unknowns(lens, values=TRUE).state
     blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
     model = ForwardModel(
         tiles(placed_scene(scene, bench)), placed_light(light, bench), placed_planes(blank, bench), 1.0, 1.0
