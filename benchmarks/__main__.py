@@ -35,7 +35,7 @@ SCRIPTS = (
     "uncertainty",
     "verdicts",
     "plan_outcomes",
-    "calibration_pulls",
+    "calibration_errors",
     "bench_sets",
     "focus_rule",
     "merits_and_chain",

@@ -17,7 +17,7 @@ from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
-from wavesim.calibration.pulls import independent_pulls
+from wavesim.calibration.normalized_errors import normalized_errors
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.bench import Bench, LightErrors
@@ -145,8 +145,8 @@ def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruct
     assert found.deviations is not None
     assert found.covariance is not None
     assert found.typical is not None
-    pulls = independent_pulls(np.array(found.values), found.covariance, np.array(found.typical))
-    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6
+    errors = normalized_errors(np.array(found.values), found.covariance, np.array(found.typical))
+    assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.6
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     bench = read_calibration(path, lens)

@@ -281,8 +281,8 @@ class JointSearch:
         # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
         # Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike
-        # noise, they are equal in many pixels and average out less. The number was fitted to the pulls of six
-        # nominal benches (`benchmarks/calibration_pulls.py`).
+        # noise, they are equal in many pixels and average out less. The number was fitted to the normalized
+        # errors of six nominal benches (`benchmarks/calibration_errors.py`).
         independent_errors = 60
         variance = misfit**2 / self._pixel_count + MODEL_ERROR**2 / independent_errors
         typical, values = np.array([p.typical for p in self.parameters]), fit.unknowns.of(names)

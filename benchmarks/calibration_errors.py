@@ -1,10 +1,10 @@
-"""Stated standard deviations of calibrations against what was wrong: pulls on benches as designed.
+"""Stated standard deviations of calibrations against true errors, on benches as designed.
 
-A pull is an error over its stated standard deviation. Errors of single parameters are strongly correlated,
-and the prior draws them to the true values of a bench as designed, which are 0. Therefore pulls are counted
-along the independent directions that the frames determine (:mod:`wavesim.calibration.pulls`). The pulls of
-single parameters are printed for comparison. The object before and after shows what calibrating costs where
-nothing is wrong.
+A normalized error is an error over its stated standard deviation. Errors of single parameters are strongly
+correlated, and the prior draws them to the true values of a bench as designed, which are 0. Therefore they
+are counted along the independent directions that the frames determine
+(:mod:`wavesim.calibration.normalized_errors`). Those of single parameters are printed for comparison. The
+object before and after shows what calibrating costs where nothing is wrong.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from wavesim import calibrate_frames, image, reconstruct_frames
-from wavesim.calibration.pulls import independent_pulls
+from wavesim.calibration.normalized_errors import normalized_errors
 from wavesim.scene.settings import Kind
 
 TILES: dict[str, Any] = {"engine": "eikonal", "error": 0.3}
@@ -53,8 +53,8 @@ CASES = (
 )
 
 
-def pulls(case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Pulls of single parameters, pulls along independent directions, and what is printed of the object."""
+def errors_of(case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Normalized errors of single parameters and along independent directions, and figures of the object."""
     lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), 1 / case.scale)
     first, last = lens.sensor.plane_distances_mm[0], lens.sensor.plane_distances_mm[-1]
     distances_mm = tuple(np.linspace(first, last, case.planes).tolist())
@@ -72,29 +72,35 @@ def pulls(case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
         )
         for bench in (None, found.bench)
     ]
-    told = [f"{one.truth['object_correlation'] or 0.0:.4f}" for one in objects]
-    told.append(str(len(found.parameters) - len(found.nominal)))
+    figures_of_object = [f"{one.truth['object_correlation'] or 0.0:.4f}" for one in objects]
+    figures_of_object.append(str(len(found.parameters) - len(found.nominal)))
     estimates, deviations = np.array(found.values), np.array(found.deviations)
-    along = independent_pulls(estimates, found.covariance, np.array(found.typical))
-    return estimates / deviations, along, told
+    normalized = normalized_errors(estimates, found.covariance, np.array(found.typical))
+    return estimates / deviations, normalized, figures_of_object
 
 
 def main() -> None:
     """Print a line for each bench, or for those whose numbers are given."""
     print(
-        "| bench | directions | rms of pulls | largest | single parameters | object | calibrated | needed |"
+        "| bench | directions | rms normalized error | largest | single parameters | object | calibrated "
+        "| needed |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for number in [int(word) for word in sys.argv[1:]] or range(len(CASES)):
         case = CASES[number]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            single, along, told = pulls(case)
+            of_parameters, normalized, figures_of_object = errors_of(case)
         exposures = ",".join(f"{one:g}" for one in case.exposures)
         what = f"1/{case.scale}, {case.thing}, {case.kind}, {case.planes} planes, exposures {exposures}"
-        figures = [np.sqrt(np.mean(along**2)), np.abs(along).max(), np.sqrt(np.mean(single**2))]
+        figures = [
+            np.sqrt(np.mean(normalized**2)),
+            np.abs(normalized).max(),
+            np.sqrt(np.mean(of_parameters**2)),
+        ]
         print(
-            f"| {what} | {len(along)} | {' | '.join(f'{one:.2f}' for one in figures)} | {' | '.join(told)} |",
+            f"| {what} | {len(normalized)} | {' | '.join(f'{one:.2f}' for one in figures)} "
+            f"| {' | '.join(figures_of_object)} |",
             flush=True,
         )
 
