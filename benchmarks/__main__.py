@@ -22,7 +22,7 @@ SCRIPTS = (
     "terms_transform",
     "plane_transform",
     "full_field",
-    "carry_limit",
+    "interpolation_limit",
     "field_scaling",
     "large_field",
     "full_plane_slices",

@@ -227,12 +227,14 @@ def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) ->
     before, behind = Grid((120, 120), 0.4256e-3, twin.object_z_mm), Grid((432, 432), 1.6e-3, 0.994625)
     engine = WholeFieldEngine(Scene(twin, before, behind, WAVELENGTH_UM), error=0.03, tile_width_mm=0.006)
     for group in engine.groups:
-        alike: dict[Any, Any] = {}
+        cache: dict[Any, Any] = {}
         for tile in group.tiles:
-            shared, own = tile_frame(group, tile, alike), tile_frame(group, tile, {})
-            for one, other in zip(shared.ways.field, own.ways.field, strict=True):
+            shared, own = tile_frame(group, tile, cache), tile_frame(group, tile, {})
+            for one, other in zip(shared.weights.field, own.weights.field, strict=True):
                 # Where a fine sample lies on a coarse one, rounding says which of them is its first.
-                np.testing.assert_allclose(*(ways.matrix().toarray() for ways in (one, other)), atol=1e-5)
+                np.testing.assert_allclose(
+                    *(weights.matrix().toarray() for weights in (one, other)), atol=1e-5
+                )
 
 
 def test_maps_that_cannot_be_so_accurate_are_refused(

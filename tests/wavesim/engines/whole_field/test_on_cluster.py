@@ -16,14 +16,14 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
-from wavesim.engines.whole_field.carried import CarriedStep
+from wavesim.engines.whole_field.carrier_interpolation import CarrierInterpolation
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_cluster import (
     ClusterExecutor,
     ScenePacket,
     add,
-    carry,
     engine_of,
+    propagate_tile,
     rows_for,
     tiles_in,
     validate_tiled,
@@ -104,9 +104,9 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
     def refuse(*_: Any) -> None:
         raise AssertionError("done here")
 
-    monkeypatch.setattr("wavesim.engines.whole_field.executors.carry_tiles", refuse)
+    monkeypatch.setattr("wavesim.engines.whole_field.executors.propagate_tiles", refuse)
     for name in ("add", "collect"):
-        monkeypatch.setattr(CarriedStep, name, refuse)
+        monkeypatch.setattr(CarrierInterpolation, name, refuse)
     away = engine_on(scene)
     with tiles_in(cluster.address) as take:
         take(away)
@@ -177,7 +177,7 @@ def test_what_a_worker_adds_to_stays_as_it_is(scene: Scene, monkeypatch: pytest.
     monkeypatch.setattr(cluster_tiles, "engine_of", lambda _: engine)
     packet: Any = None
     part = np.ones([p.stop - p.start for p in engine.groups[0].part], np.complex64)
-    field, band = carry(packet, 0, part), (40, 90)
+    field, band = propagate_tile(packet, 0, part), (40, 90)
     needed = rows_for(packet, 0, band, field)
     assert 0 < len(needed) < len(field)
     before = np.ones((50, scene.exit_grid.shape[1]), np.complex64)

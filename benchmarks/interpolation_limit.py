@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from benchmarks.timing import Row, interleaved, print_table
-from wavesim.engines.whole_field.carried import CarriedStep, interpolation_weights
+from wavesim.engines.whole_field.carrier_interpolation import CarrierInterpolation, interpolation_weights
 from wavesim.fields.resampling import coarse_axis, kernel_for
 
 SIDE, STEP, SMOOTH, ERROR = 6144, 4.0, 300, 1e-3
@@ -60,13 +60,13 @@ def read(plane: Any) -> float:
 def main() -> None:
     """Measure and print."""
     rng = np.random.default_rng(0)
-    carried, coarse = step(rng)
+    interpolation, coarse = step(rng)
     plane = np.zeros((SIDE, SIDE), np.complex64)
     floats = plane.view(np.float32)
     a, b = rng.random(CELLS, np.float32), np.empty(CELLS, np.float32)
     work: dict[str, Callable[[], object]] = {
-        "forward": partial(carried.add, coarse, plane),
-        "adjoint": partial(carried.collect, plane),
+        "forward": partial(interpolation.add, coarse, plane),
+        "adjoint": partial(interpolation.collect, plane),
         "read and written": partial(np.add, floats, np.float32(1.0), out=floats),
         "read": partial(read, floats),
         "products": partial(products, a, b, REPEATS),
@@ -74,21 +74,23 @@ def main() -> None:
     times = interleaved(work, ROUNDS, RUNS)
     counts = {"products": CELLS * REPEATS * CHAINS}
     took = {name: 1e9 * min(t.cpu) / counts.get(name, SIDE**2) for name, t in times.items()}
-    taps = carried.ways.field[0].weight.shape[1]
+    taps = interpolation.weights.field[0].weight.shape[1]
     print_table(f"{SIDE}^2 samples from {len(coarse)}^2, {taps} taps, one thread", rows(took, taps))
 
 
-def step(rng: np.random.Generator) -> tuple[CarriedStep, np.ndarray]:
+def step(rng: np.random.Generator) -> tuple[CarrierInterpolation, np.ndarray]:
     """From a coarse field to the plane, both full of light; a carrier of 300 turns and more."""
     fine, smooth = np.linspace(-1.0, 1.0, SIDE), np.linspace(-1.01, 1.01, SMOOTH)
     kernel = kernel_for(ERROR)
     coarse = coarse_axis(fine, STEP * float(fine[1] - fine[0]), kernel)
-    ways = interpolation_weights((coarse, coarse), (smooth, smooth), (fine, fine), kernel)
-    turns = 300.0 * (smooth[:, None] ** 2 + smooth**2) + 40.0 * smooth[:, None] ** 3
-    edge = np.ones(turns.shape, np.float32)
+    weights = interpolation_weights((coarse, coarse), (smooth, smooth), (fine, fine), kernel)
+    phase_waves = 300.0 * (smooth[:, None] ** 2 + smooth**2) + 40.0 * smooth[:, None] ** 3
+    edge = np.ones(phase_waves.shape, np.float32)
     parts = rng.standard_normal((2, len(coarse), len(coarse)), np.float32)
     whole = slice(0, SIDE)
-    return CarriedStep(ways, turns, edge, (whole, whole)), (parts[0] + 1j * parts[1]).astype(np.complex64)
+    return CarrierInterpolation(weights, phase_waves, edge, (whole, whole)), (
+        parts[0] + 1j * parts[1]
+    ).astype(np.complex64)
 
 
 def rows(took: dict[str, float], taps: int) -> list[Row]:
