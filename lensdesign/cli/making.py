@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from lensdesign.lens.poses import Pose
     from lensdesign.manufacture.drawing.nominal import Stated
-    from lensdesign.manufacture.drawing.scored import SheetScore
+    from lensdesign.manufacture.drawing.predicted_yield import DrawingYield
     from lensdesign.manufacture.drawing.strokes import Drawing
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
@@ -172,44 +172,44 @@ def drawing(
     options = DrawingOptions() if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
     lens = load_design(design)
     assumed = None if tolerances is None else load_tolerances(tolerances, lens)
-    score, unscored = None, ""
+    predicted_yield, reason = None, ""
     if assumed is None or tolerances is None:
         made, stated = drawing_as_stated(lens, options, assumed)
     elif not assumed.is_study:
         made, stated = drawing_as_stated(lens, options, assumed)
-        unscored = f"{tolerances} has no [[merit]] tables"
+        reason = f"{tolerances} has no [[merit]] tables"
     else:
-        from lensdesign.manufacture.drawing.scored import read_scorer, scored_drawing
+        from lensdesign.manufacture.drawing.predicted_yield import drawing_with_yield, read_yield_predictor
 
-        done = scored_drawing(lens, options, assumed, read_scorer(tolerances), accept_yield_loss)
-        made, stated, score = done.drawing, done.stated, done.score
-        if score is None:
-            unscored = f"none of the merits of {tolerances} can be predicted without trials"
-    if study_as_drawn is not None and score is None:
+        done = drawing_with_yield(lens, options, assumed, read_yield_predictor(tolerances), accept_yield_loss)
+        made, stated, predicted_yield = done.drawing, done.stated, done.predicted_yield
+        if predicted_yield is None:
+            reason = f"none of the merits of {tolerances} can be predicted without trials"
+    if study_as_drawn is not None and predicted_yield is None:
         raise InputError(
-            f"cannot write {study_as_drawn}, which needs the predicted yield of the sheet: {unscored}"
+            f"cannot write {study_as_drawn}, which needs the predicted yield of the sheet: {reason}"
         )
-    _write_as_drawn(made, stated, score, (output, as_drawn, study_as_drawn), design)
+    _write_as_drawn(made, stated, predicted_yield, (output, as_drawn, study_as_drawn), design)
     notes = list(stated.notes)
-    if score is not None:
-        notes += _score_notes(score, accept_yield_loss)
+    if predicted_yield is not None:
+        notes += _yield_notes(predicted_yield, accept_yield_loss)
     if assumed is not None and tolerances is not None:
         if assumed.design and (tolerances.parent / assumed.design).resolve() != design.resolve():
             notes.append(f"{tolerances} is a study of {assumed.design}, not of {design}")
-        if score is None and (missing := assumed.missing(lens)):
+        if predicted_yield is None and (missing := assumed.missing(lens)):
             notes.append(
                 f"not stated by {tolerances}, and therefore not derived from it: {', '.join(missing)}"
             )
         if assumed.left_out:
             notes.append(f"not on the sheet: {', '.join(assumed.left_out)}")
-    if unscored:
-        notes.append(f"the yield of the sheet is not predicted: {unscored}")
+    if reason:
+        notes.append(f"the yield of the sheet is not predicted: {reason}")
     if as_json:
         figures = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
         if assumed is not None:
             figures |= {
-                "study_yield": None if score is None else score.study_yield,
-                "as_drawn_yield": None if score is None else score.as_drawn_yield,
+                "study_yield": None if predicted_yield is None else predicted_yield.study_yield,
+                "as_drawn_yield": None if predicted_yield is None else predicted_yield.as_drawn_yield,
             }
         print_json(figures)
     else:
@@ -221,7 +221,7 @@ def drawing(
 def _write_as_drawn(
     made: Drawing,
     stated: Stated,
-    score: SheetScore | None,
+    predicted_yield: DrawingYield | None,
     paths: tuple[Path, Path | None, Path | None],
     design: Path,
 ) -> None:
@@ -234,23 +234,25 @@ def _write_as_drawn(
         if as_drawn is not None:
             temporary = stack.enter_context(atomic_path(as_drawn))
             temporary.write_text(design_text(stated.lens, as_drawn.parent), encoding="utf-8")
-        if study is not None and score is not None:
+        if study is not None and predicted_yield is not None:
             temporary = stack.enter_context(atomic_path(study))
             lens_file = (as_drawn or design).resolve()
-            score.save(temporary, Path(os.path.relpath(lens_file, study.resolve().parent)).as_posix())
+            predicted_yield.save(
+                temporary, Path(os.path.relpath(lens_file, study.resolve().parent)).as_posix()
+            )
         write_drawing(made, output)
 
 
-def _score_notes(score: SheetScore, accepted: bool) -> list[str]:
+def _yield_notes(predicted_yield: DrawingYield, accepted: bool) -> list[str]:
     notes = [
-        f"predicted yield with all tolerances of the sheet: {100.0 * score.as_drawn_yield:.1f} %; "
-        f"by the study: {100.0 * score.study_yield:.1f} %"
+        f"predicted yield with all tolerances of the sheet: {100.0 * predicted_yield.as_drawn_yield:.1f} %; "
+        f"by the study: {100.0 * predicted_yield.study_yield:.1f} %"
     ]
-    if score.losses and accepted:
-        notes.append(f"accepted loss of yield; the largest losses are {score.worst}")
-    if score.not_predicted:
-        notes.append(f"not part of the predicted yields: {', '.join(score.not_predicted)}")
-    if not score.is_trustworthy:
+    if predicted_yield.losses and accepted:
+        notes.append(f"accepted loss of yield; the largest losses are {predicted_yield.worst}")
+    if predicted_yield.not_predicted:
+        notes.append(f"not part of the predicted yields: {', '.join(predicted_yield.not_predicted)}")
+    if not predicted_yield.is_trustworthy:
         notes.append(
             "tolerances are too large for the prediction: run the study that --study-as-drawn writes"
         )

@@ -1,4 +1,4 @@
-"""Scores of drawings: values that are missing are derived from a study, and the drawing is scored by it.
+"""Yields of drawings by a study, which also gives the values that the drawing does not state.
 
 A value that the study does not state is the general tolerance if this loses almost no yield, and otherwise
 the largest round value that loses little. No value is tighter than the high-precision grade.
@@ -17,20 +17,20 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.manufacture.drawing.scored import MAX_YIELD_LOSS, Derived, SheetScore
+from lensdesign.manufacture.drawing.predicted_yield import MAX_YIELD_LOSS, DerivedTolerances, DrawingYield
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
 from tolerancing.perturbations.grades import HIGH_PRECISION
-from tolerancing.prediction.drawn_study import (
+from tolerancing.prediction.as_drawn_study import (
     HOMOGENEITY,
     AsDrawnStudy,
     as_drawn_study,
-    item_key,
-    sheet_items,
+    drawing_indications,
+    indication_key,
     with_value,
 )
+from tolerancing.prediction.drawing_indication import OF_ELEMENT, DrawingIndication, Key
 from tolerancing.prediction.factor_yields import FirstOrderYield, JointYield
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.sheet_item import OF_ELEMENT, Key, SheetItem
 from tolerancing.prediction.study_prediction import predict_study
 from tolerancing.prediction.wavefront_prediction import is_predicted_wavefront
 from tolerancing.study.files import check_against, save_study
@@ -47,8 +47,10 @@ YieldOf = Callable[[Array], float]
 
 
 @dataclass(frozen=True)
-class StudySheets:
-    """A study that scores sheets; see :class:`lensdesign.manufacture.drawing.scored.SheetScorer`.
+class DrawingYieldPredictor:
+    """Predictor of the yields of drawings by a study.
+
+    It is a :class:`lensdesign.manufacture.drawing.predicted_yield.YieldPredictor`.
 
     Attributes
     ----------
@@ -66,7 +68,7 @@ class StudySheets:
         waves = any(is_predicted_wavefront(merit) for merit in self.study.merits)
         return waves or bool(predicted_merits(self.study))
 
-    def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> Derived:
+    def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> DerivedTolerances:
         """Derive the values that the study does not state for the lens of a drawing.
 
         Parameters
@@ -82,25 +84,27 @@ class StudySheets:
             If the lens does not have a perturbed parameter, or rays do not pass.
         """
         check_against(self.study, lens, self.source)
-        items = sheet_items(lens, self.study, sheets)
+        items = drawing_indications(lens, self.study, sheets)
         if not self._predictable or all(item.origin not in ("general", "open") for item in items):
-            return Derived(tuple(sheets), ())
-        made = as_drawn_study(lens, self.study, items)
-        joint = JointYield(lens, made.study).at
+            return DerivedTolerances(tuple(sheets), ())
+        as_drawn = as_drawn_study(lens, self.study, items)
+        joint = JointYield(lens, as_drawn.study).at
         waves = None
         if any(is_predicted_wavefront(merit) for merit in self.study.merits):
-            waves = FirstOrderYield(lens, made.study).at
-        search = _Search(lens, sheets, items, made)
+            waves = FirstOrderYield(lens, as_drawn.study).at
+        search = _Search(lens, sheets, items, as_drawn)
         search.share_wedges(waves or joint)
         search.tighten(waves or joint, WAVE_STEPS if waves else JOINT_STEPS)
         if waves and predicted_merits(self.study) and search.loss(joint) > search.loss(waves) + LOSS_EACH:
             search.tighten(joint, JOINT_STEPS)
-        return Derived(
+        return DerivedTolerances(
             tuple(_written(sheet, search.chosen, k, lens) for k, sheet in enumerate(sheets)),
             tuple(_notes(search)),
         )
 
-    def score(self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]) -> SheetScore | None:
+    def predict(
+        self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]
+    ) -> DrawingYield | None:
         """Predict the yield of a drawing; None if none of the study's merits can be predicted.
 
         Parameters
@@ -119,23 +123,23 @@ class StudySheets:
             return None
         check_against(self.study, drawn, self.source)
         own = predict_study(designed, self.study)
-        items = sheet_items(drawn, self.study, sheets)
-        made = as_drawn_study(drawn, self.study, items)
-        found = predict_study(drawn, made.study)
+        items = drawing_indications(drawn, self.study, sheets)
+        as_drawn = as_drawn_study(drawn, self.study, items)
+        found = predict_study(drawn, as_drawn.study)
         losses: list[tuple[str, float]] = []
         if own.yield_fraction - found.yield_fraction > MAX_YIELD_LOSS:
-            losses = _losses(drawn, made)
+            losses = _losses(drawn, as_drawn)
 
         def save(path: Path, design: str) -> None:
-            named = [p.file_name for p in made.study.perturbations if p.file_name is not None]
+            named = [p.file_name for p in as_drawn.study.perturbations if p.file_name is not None]
             if named and path.resolve().parent != Path(self.source).resolve().parent:
                 raise InputError(
                     f"the study as drawn reads {named[0]} from its own folder; write it beside {self.source}"
                 )
             title = f"{self.study.title or self.source}: as drawn"
-            save_study(made.study.model_copy(update={"title": title, "design": design}), path)
+            save_study(as_drawn.study.model_copy(update={"title": title, "design": design}), path)
 
-        return SheetScore(
+        return DrawingYield(
             own.yield_fraction,
             found.yield_fraction,
             tuple(losses),
@@ -145,13 +149,13 @@ class StudySheets:
         )
 
 
-def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
+def _losses(lens: Lens, as_drawn: AsDrawnStudy) -> list[tuple[str, float]]:
     """Return the loss of yield by each indication that the study does not have, largest first."""
-    at = JointYield(lens, made.study).at
-    added = list({item.key: item for item in made.items if item is not None}.values())
+    at = JointYield(lens, as_drawn.study).at
+    added = list({item.key: item for item in as_drawn.items if item is not None}.values())
 
-    def factors(one: SheetItem | None) -> Array:
-        return np.array([float(item is None or item is one) for item in made.items])
+    def factors(one: DrawingIndication | None) -> Array:
+        return np.array([float(item is None or item is one) for item in as_drawn.items])
 
     base = at(factors(None))
     found = [(item.text, base - at(factors(item))) for item in added]
@@ -165,8 +169,8 @@ class _Search:
         self,
         lens: Lens,
         sheets: Sequence[DrawingTolerances],
-        items: Sequence[SheetItem],
-        made: AsDrawnStudy,
+        items: Sequence[DrawingIndication],
+        as_drawn: AsDrawnStudy,
     ) -> None:
         self.items = {item.key: item for item in items}
         self.opened = tuple(item for item in items if item.origin in ("general", "open"))
@@ -175,9 +179,9 @@ class _Search:
         self.costs = dict.fromkeys(self.chosen, 0.0)
         self._lens, self._sheets = lens, sheets
         # Indication of each perturbation: that of the sheet if the sheet states or adds it.
-        keys = (item_key(p, lens) for p in made.study.perturbations)
+        keys = (indication_key(p, lens) for p in as_drawn.study.perturbations)
         self._keys = tuple(
-            key if item is None else item.key for key, item in zip(keys, made.items, strict=True)
+            key if item is None else item.key for key, item in zip(keys, as_drawn.items, strict=True)
         )
 
     def share_wedges(self, yield_of: YieldOf) -> None:
@@ -213,7 +217,7 @@ class _Search:
         own = {key: one for key, one in self.chosen.items() if key not in self.shared}
         base = self._yield(yield_of, shared)
 
-        def cost(key: Key, one: SheetItem) -> float:
+        def cost(key: Key, one: DrawingIndication) -> float:
             return base - self._yield(yield_of, shared | {key: one})
 
         # Yield that a general tolerance may cost alone and still stand.
@@ -237,12 +241,19 @@ class _Search:
             self.costs[key] = cost(key, steps[key])
 
     def _is_acceptable(
-        self, yield_of: YieldOf, base: float, shared: dict[Key, SheetItem], key: Key, one: SheetItem
+        self,
+        yield_of: YieldOf,
+        base: float,
+        shared: dict[Key, DrawingIndication],
+        key: Key,
+        one: DrawingIndication,
     ) -> bool:
         """Return whether a value alone loses little yield."""
         return base - self._yield(yield_of, shared | {key: one}) <= LOSS_EACH
 
-    def _widest(self, item: SheetItem, is_acceptable: Callable[[SheetItem], bool]) -> SheetItem:
+    def _widest(
+        self, item: DrawingIndication, is_acceptable: Callable[[DrawingIndication], bool]
+    ) -> DrawingIndication:
         """Return the widest acceptable tighter value, by bisection, or else the tightest value."""
         ladder = [item]
         while (closer := self._closer(ladder[-1])) is not None:
@@ -257,11 +268,11 @@ class _Search:
         """Return the loss of yield by all chosen values together."""
         return self._yield(yield_of, {}) - self._yield(yield_of, self.chosen)
 
-    def _yield(self, yield_of: YieldOf, values: dict[Key, SheetItem]) -> float:
+    def _yield(self, yield_of: YieldOf, values: dict[Key, DrawingIndication]) -> float:
         """Return the yield with some values; other values that the study does not state are 0."""
         return yield_of(np.array([self._factor(key, values) for key in self._keys]))
 
-    def _factor(self, key: Key | None, values: dict[Key, SheetItem]) -> float:
+    def _factor(self, key: Key | None, values: dict[Key, DrawingIndication]) -> float:
         """Return the fraction of its widest deviation to which a perturbation is reduced."""
         if key is None or key not in self.items:
             return 1.0
@@ -269,10 +280,10 @@ class _Search:
             return 1.0 if self.items[key].origin in ("study", "sheet") else 0.0
         return values[key].deviations[0].tolerance / self.items[key].deviations[0].tolerance
 
-    def _valued(self, item: SheetItem, value: float) -> SheetItem:
+    def _valued(self, item: DrawingIndication, value: float) -> DrawingIndication:
         return with_value(item, self._lens, self._sheets[item.element], value)
 
-    def _closer(self, item: SheetItem) -> SheetItem | None:
+    def _closer(self, item: DrawingIndication) -> DrawingIndication | None:
         """Return the item with the next tighter value; None if it is beyond the high-precision grade."""
         value = item.value + 1.0 if item.kind == "inhomogeneity" else _rounded_below(item.value)
         least = _least(item, self._lens)
@@ -297,7 +308,7 @@ def _rounded_below(value: float) -> float:
     return float(f"{max(step for step in steps if step < value * (1.0 - 1e-9)):.4g}")
 
 
-def _least(item: SheetItem, lens: Lens) -> float:
+def _least(item: DrawingIndication, lens: Lens) -> float:
     """Return the tightest derived value, that of the high-precision grade, in the unit of the sheet."""
     grade = HIGH_PRECISION
     if item.kind == "radius":
@@ -315,7 +326,7 @@ def _least(item: SheetItem, lens: Lens) -> float:
 
 
 def _written(
-    sheet: DrawingTolerances, chosen: dict[Key, SheetItem], element: int, lens: Lens
+    sheet: DrawingTolerances, chosen: dict[Key, DrawingIndication], element: int, lens: Lens
 ) -> DrawingTolerances:
     """Return the sheet of an element with the chosen values."""
     front = lens.glass_fronts[element]

@@ -1,4 +1,4 @@
-"""An indication of a drawing that predictions score: its tolerance and the perturbations that it allows."""
+"""An indication of a drawing that a prediction uses: its tolerance and the perturbations that it allows."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Deviation(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SheetItem:
-    """An indication of a drawing that predictions score.
+class DrawingIndication:
+    """An indication of a drawing that a prediction uses.
 
     Attributes
     ----------

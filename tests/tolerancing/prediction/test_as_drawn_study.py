@@ -13,7 +13,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general_tolerances
 from tolerancing.perturbations.distributions.bounded import Uniform
 from tolerancing.perturbations.parameters import Perturbation
-from tolerancing.prediction.drawn_study import as_drawn_study, sheet_items
+from tolerancing.prediction.as_drawn_study import as_drawn_study, drawing_indications
 from tolerancing.study.files import load_study
 from tolerancing.study.study import Study
 
@@ -57,7 +57,7 @@ def uniform(target: str, parameter: str, half: float, **more: float) -> Perturba
 
 def test_each_indication_allows_what_it_says(lens: Lens, paper_study: Study) -> None:
     mount = only(paper_study, uniform("lens", "decenter_x_mm", 0.01))
-    items = sheet_items(lens, mount, [SHEET])
+    items = drawing_indications(lens, mount, [SHEET])
     allowed = {
         (item.kind, item.surface + 1): {d.parameter: d.tolerance for d in item.deviations} for item in items
     }
@@ -83,18 +83,18 @@ def test_each_indication_allows_what_it_says(lens: Lens, paper_study: Study) -> 
     for key, own in expected.items():
         assert allowed[key] == pytest.approx(own, rel=1e-5), key
     assert {item.origin for item in items} == {"sheet"}
-    made = as_drawn_study(lens, mount, items)
-    assert made.study.perturbations[0] == mount.perturbations[0]
-    assert made.items[0] is None
-    sizes = {(p.target, p.parameter, p.tolerance) for p in made.study.perturbations[1:]}
+    as_drawn = as_drawn_study(lens, mount, items)
+    assert as_drawn.study.perturbations[0] == mount.perturbations[0]
+    assert as_drawn.items[0] is None
+    sizes = {(p.target, p.parameter, p.tolerance) for p in as_drawn.study.perturbations[1:]}
     assert ("surface 1", "tilt_y_deg", pytest.approx(2.0 / 60.0)) in [(*s[:2], s[2]) for s in sizes]
-    for p in made.study.perturbations:
+    for p in as_drawn.study.perturbations:
         p.check(lens)
-    assert len({p.column for p in made.study.perturbations}) == len(made.study.perturbations)
+    assert len({p.column for p in as_drawn.study.perturbations}) == len(as_drawn.study.perturbations)
 
 
 def test_what_a_sheet_leaves_open_is_general(lens: Lens, paper_study: Study) -> None:
-    items = sheet_items(lens, paper_study, [DrawingTolerances(thickness_mm=0.1)])
+    items = drawing_indications(lens, paper_study, [DrawingTolerances(thickness_mm=0.1)])
     by_key = {(item.kind, item.surface + 1): item for item in items}
     assert by_key["centring", 1].origin == "open"
     assert by_key["centring", 1].value == general_tolerances(20.0).left.centring_arcmin
@@ -105,11 +105,11 @@ def test_what_a_sheet_leaves_open_is_general(lens: Lens, paper_study: Study) -> 
 def test_the_studys_own_perturbations_stay_as_they_are(lens: Lens, paper_study: Study) -> None:
     """The sheet states 2 sigma of the wedge, and the same wedge scatters."""
     stated = SHEET.replaced(right=SHEET.right.replaced(centring_arcmin=0.72))
-    items = sheet_items(lens, paper_study, [stated])
-    made = as_drawn_study(lens, paper_study, items)
-    own = made.study.perturbations[: len(paper_study.perturbations)]
+    items = drawing_indications(lens, paper_study, [stated])
+    as_drawn = as_drawn_study(lens, paper_study, items)
+    own = as_drawn.study.perturbations[: len(paper_study.perturbations)]
     assert own == paper_study.perturbations
-    added = {(p.target, p.parameter) for p in made.study.perturbations[len(own) :]}
+    added = {(p.target, p.parameter) for p in as_drawn.study.perturbations[len(own) :]}
     assert ("surface 1", "tilt_x_deg") in added
     assert ("surface 2", "tilt_x_deg") not in added
     assert ("surface 1", "thickness_mm") not in added
@@ -119,10 +119,10 @@ def test_a_tilt_about_one_axis_is_allowed_about_both(lens: Lens, paper_study: St
     study = only(paper_study, uniform("surface 2", "tir_y_mm", 0.005))
     minutes = 60.0 * math.degrees(0.005 / 20.0)
     stated = SHEET.replaced(right=SHEET.right.replaced(centring_arcmin=minutes))
-    made = as_drawn_study(lens, study, sheet_items(lens, study, [stated]))
+    as_drawn = as_drawn_study(lens, study, drawing_indications(lens, study, [stated]))
     tilts = {
         p.parameter: p.tolerance
-        for p in made.study.perturbations
+        for p in as_drawn.study.perturbations
         if p.target == "surface 2" and p.parameter.startswith(("tilt", "tir"))
     }
     assert tilts == {"tir_y_mm": 0.005, "tilt_y_deg": pytest.approx(minutes / 60.0)}
@@ -133,17 +133,19 @@ def test_of_several_the_closest_is_what_the_sheet_holds_parts_to(lens: Lens, pap
         paper_study, uniform("surface 2", "tilt_x_deg", 0.05), uniform("surface 2", "tilt_y_deg", 0.02)
     )
     stated = SHEET.replaced(right=SHEET.right.replaced(centring_arcmin=1.2))
-    made = as_drawn_study(lens, study, sheet_items(lens, study, [stated]))
-    assert [p.tolerance for p in made.study.perturbations[:2]] == pytest.approx([0.02, 0.02])
+    as_drawn = as_drawn_study(lens, study, drawing_indications(lens, study, [stated]))
+    assert [p.tolerance for p in as_drawn.study.perturbations[:2]] == pytest.approx([0.02, 0.02])
 
 
 def test_what_is_added_scatters_as_the_study_has_it_elsewhere() -> None:
     loaded = load_study(GOLDEN / "designer_b" / "study_best.toml")
     sheet = SHEET.replaced(left=SHEET.left.replaced(centring_arcmin=3.0))
-    made = as_drawn_study(loaded.lens, loaded.study, sheet_items(loaded.lens, loaded.study, [sheet]))
-    by = {(p.target, p.parameter): p for p in made.study.perturbations}
+    as_drawn = as_drawn_study(
+        loaded.lens, loaded.study, drawing_indications(loaded.lens, loaded.study, [sheet])
+    )
+    by = {(p.target, p.parameter): p for p in as_drawn.study.perturbations}
     assert by["surface 1", "tilt_x_deg"].distribution == Uniform(half_width=0.05)
-    own = [p for p in made.study.perturbations if p.name.startswith("inhomogeneity")]
+    own = [p for p in as_drawn.study.perturbations if p.name.startswith("inhomogeneity")]
     assert own[0].distribution.mean == own[0].distribution.half_width  # from none, as irregularities
 
 
@@ -159,6 +161,6 @@ def test_a_measured_distribution_gives_way_to_the_sheet(
     )
     (tmp_path / "study.toml").write_text(text)
     study = load_study(tmp_path / "study.toml").study
-    made = as_drawn_study(lens, study, sheet_items(lens, study, [SHEET]))
-    (own,) = (p for p in made.study.perturbations if p.parameter == "thickness_mm")
+    as_drawn = as_drawn_study(lens, study, drawing_indications(lens, study, [SHEET]))
+    (own,) = (p for p in as_drawn.study.perturbations if p.parameter == "thickness_mm")
     assert own.distribution == Uniform(half_width=0.05)

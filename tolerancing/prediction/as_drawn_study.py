@@ -45,15 +45,25 @@ from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.bounded import Uniform
 from tolerancing.perturbations.grades import COMMERCIAL
 from tolerancing.perturbations.parameters import IRREGULARITIES, Perturbation, with_unit
-from tolerancing.prediction.sheet_item import FIELDS, OF_ELEMENT, Deviation, Key, Kind, Origin, SheetItem
+from tolerancing.prediction.drawing_indication import (
+    FIELDS,
+    OF_ELEMENT,
+    Deviation,
+    DrawingIndication,
+    Key,
+    Kind,
+    Origin,
+)
 from tolerancing.study.study import Study
 
 HOMOGENEITY = (50e-6, 20e-6, 5e-6, 2e-6, 1e-6, 0.5e-6)
 """Largest deviation (+-) of the index within a part by class (ISO 10110-4)."""
 
 
-def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -> tuple[SheetItem, ...]:
-    """Return all indications that predictions score, element by element.
+def drawing_indications(
+    lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]
+) -> tuple[DrawingIndication, ...]:
+    """Return all indications that a prediction uses, element by element.
 
     Values that a sheet does not state are the general tolerances, which ISO 10110 prescribes in this case.
     Glass data and the decenter of aspheres have no general tolerance; they have the commercial grade.
@@ -67,8 +77,8 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
     sheets
         Tolerances of each element's sheet.
     """
-    stated = {key for p in study.perturbations if (key := item_key(p, lens)) and sheet_value(p, lens)}
-    found = dict[Key, SheetItem]()
+    stated = {key for p in study.perturbations if (key := indication_key(p, lens)) and stated_value(p, lens)}
+    found = dict[Key, DrawingIndication]()
     for element, sheet in zip(glass_elements(lens), sheets, strict=True):
         size = max(2.0 * element.edge_mm, element.back.vertex_z_mm - element.front.vertex_z_mm)
         general = general_tolerances(min(size, max(GENERAL)))
@@ -92,7 +102,7 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
                 if field is None and "fringes" in name:
                     ratio = general.fringe_wavelength_um / sheet.fringe_wavelength_um
                     number = float(f"{ratio * number:.4g}")
-                item = SheetItem(kind, element.index, surface, name, number, origin, ())
+                item = DrawingIndication(kind, element.index, surface, name, number, origin, ())
                 # The sheet that allows more determines the value of a cemented surface.
                 other = found.get(item.key)
                 if other is None or (other.field == name and other.value < number):
@@ -130,7 +140,9 @@ def _number(kind: Kind, value: float | str | None) -> float | None:
     return value or None
 
 
-def with_value(item: SheetItem, lens: Lens, sheet: DrawingTolerances, value: float) -> SheetItem:
+def with_value(
+    item: DrawingIndication, lens: Lens, sheet: DrawingTolerances, value: float
+) -> DrawingIndication:
     """Return the item with a value and the deviations that it allows."""
     fringe = sheet.fringe_wavelength_um
     target, surface = f"surface {item.surface + 1}", lens.surfaces[item.surface]
@@ -172,7 +184,7 @@ def _inhomogeneity_waves(lens: Lens, front: int, deviation: float) -> float | No
     return 1e3 * path_mm / abs(float(n[surface + 1] - n[surface])) / TEST_WAVELENGTH_UM
 
 
-def item_key(p: Perturbation, lens: Lens) -> Key | None:
+def indication_key(p: Perturbation, lens: Lens) -> Key | None:
     """Return kind and surface of the indication of a perturbation; None if no indication corresponds."""
     if p.element is not None:
         edge = p.parameter.startswith("edge_difference")
@@ -197,7 +209,7 @@ def item_key(p: Perturbation, lens: Lens) -> Key | None:
     return None if kind is None else (kind, p.surface)
 
 
-def sheet_value(p: Perturbation, lens: Lens) -> float | None:
+def stated_value(p: Perturbation, lens: Lens) -> float | None:
     """Return the tolerance of a perturbation in the unit of its indication; None if it was measured.
 
     Tolerances of radii and irregularities keep the unit of the perturbation, because they are not compared
@@ -231,10 +243,10 @@ class AsDrawnStudy:
     """
 
     study: Study
-    items: tuple[SheetItem | None, ...]
+    items: tuple[DrawingIndication | None, ...]
 
 
-def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDrawnStudy:
+def as_drawn_study(lens: Lens, study: Study, items: Sequence[DrawingIndication]) -> AsDrawnStudy:
     """Return the study of a drawing.
 
     Parameters
@@ -244,14 +256,14 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
     study
         Its tolerance study. Perturbations without an indication (mount, object, sensor, light) stay.
     items
-        Indications from :func:`sheet_items`.
+        Indications from :func:`drawing_indications`.
     """
     by_key = {item.key: item for item in items}
-    kept, owners, dropped = list[Perturbation](), list[SheetItem | None](), set[str]()
+    kept, owners, dropped = list[Perturbation](), list[DrawingIndication | None](), set[str]()
     for p in study.perturbations:
-        key = item_key(p, lens)
+        key = indication_key(p, lens)
         item = by_key.get(key) if key else None
-        value = sheet_value(p, lens)
+        value = stated_value(p, lens)
         if item is not None and item.origin != "study" and value is None:
             dropped.add(p.column)  # a measured distribution: parts are made to the sheet's value instead
             continue
@@ -260,7 +272,9 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
         kept.append(p.scaled(factor) if factor < 0.999 else p)
         owners.append(None)
     for item in items:
-        own = [p for p in study.perturbations if item_key(p, lens) == item.key and p.column not in dropped]
+        own = [
+            p for p in study.perturbations if indication_key(p, lens) == item.key and p.column not in dropped
+        ]
         missing = _axes_left(item, own) if item.origin == "study" else item.deviations
         for deviation in missing:
             kept.append(_new(lens, item, deviation, study, {p.column for p in kept}))
@@ -274,7 +288,7 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
     return AsDrawnStudy(study.model_copy(update=changes), tuple(owners))
 
 
-def _axes_left(item: SheetItem, own: Sequence[Perturbation]) -> tuple[Deviation, ...]:
+def _axes_left(item: DrawingIndication, own: Sequence[Perturbation]) -> tuple[Deviation, ...]:
     """Return the deviations of an indication along axes that the study does not perturb."""
     # A runout along y is a tilt about x.
     about = {"tir_y_mm": "x", "tir_x_mm": "y", "edge_difference_y_mm": "x", "edge_difference_x_mm": "y"}
@@ -283,10 +297,12 @@ def _axes_left(item: SheetItem, own: Sequence[Perturbation]) -> tuple[Deviation,
     return tuple(d for d in directed if d.parameter.split("_")[1] not in axes)
 
 
-def _new(lens: Lens, item: SheetItem, deviation: Deviation, study: Study, existing: set[str]) -> Perturbation:
+def _new(
+    lens: Lens, item: DrawingIndication, deviation: Deviation, study: Study, existing: set[str]
+) -> Perturbation:
     """Return a perturbation with the size of a deviation, distributed like others of its kind."""
     kind = "irregularity" if item.kind == "inhomogeneity" else item.kind
-    similar = (p for p in study.perturbations if (key := item_key(p, lens)) and key[0] == kind)
+    similar = (p for p in study.perturbations if (key := indication_key(p, lens)) and key[0] == kind)
     template = next((p for p in similar if p.file_name is None), None)
     irregular = deviation.parameter in IRREGULARITIES
     if template is None:

@@ -25,7 +25,7 @@ MAX_YIELD_LOSS = 0.02
 
 
 @dataclass(frozen=True)
-class Derived:
+class DerivedTolerances:
     """Tolerances of a drawing, completed with values derived from a study.
 
     Attributes
@@ -41,7 +41,7 @@ class Derived:
 
 
 @dataclass(frozen=True)
-class SheetScore:
+class DrawingYield:
     """Predicted yield of a lens that uses the full tolerances of its drawing.
 
     Attributes
@@ -78,25 +78,27 @@ class SheetScore:
         return ", ".join(f"{text}: {100.0 * loss:.1f} percentage points" for text, loss in self.losses[:4])
 
 
-class SheetScorer(Protocol):
-    """A tolerance study that can complete and evaluate the tolerances of a drawing."""
+class YieldPredictor(Protocol):
+    """A tolerance study that completes the tolerances of a drawing and predicts its yield."""
 
-    def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> Derived:
+    def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> DerivedTolerances:
         """Derive the tolerances that the study does not specify, for the lens as drawn."""
 
-    def score(self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]) -> SheetScore | None:
+    def predict(
+        self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]
+    ) -> DrawingYield | None:
         """Predict the yield; None if none of the study's merits can be predicted without trials."""
 
 
-class _StudyWithSheets(Protocol):
+class _StudyForDrawings(Protocol):
     """A tolerance study as its entry point returns it."""
 
-    def sheets(self) -> SheetScorer:
-        """Return the object that evaluates drawings."""
+    def yield_predictor(self) -> YieldPredictor:
+        """Return the object that predicts the yields of drawings."""
 
 
-def read_scorer(study: Path) -> SheetScorer:
-    """Read a tolerance study that evaluates drawings.
+def read_yield_predictor(study: Path) -> YieldPredictor:
+    """Read a tolerance study that predicts the yields of drawings.
 
     Raises
     ------
@@ -107,33 +109,33 @@ def read_scorer(study: Path) -> SheetScorer:
     from lensdesign.optimization.specification.sections import Tolerances
 
     built: Any = read_as_built(Tolerances(study=str(study)))
-    return cast(_StudyWithSheets, built).sheets()
+    return cast(_StudyForDrawings, built).yield_predictor()
 
 
 @dataclass(frozen=True)
-class ScoredDrawing:
+class DrawingWithYield:
     """A drawing with its predicted yield.
 
     Attributes
     ----------
     drawing, stated
         The drawing and its lens; see :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated`.
-    score
+    predicted_yield
         Predicted yield; None if none of the study's merits can be predicted.
     """
 
     drawing: Drawing
     stated: Stated
-    score: SheetScore | None
+    predicted_yield: DrawingYield | None
 
 
-def scored_drawing(
+def drawing_with_yield(
     lens: Lens,
     options: DrawingOptions,
     assumed: AssumedTolerances,
-    scorer: SheetScorer,
+    predictor: YieldPredictor,
     accept_yield_loss: bool = False,
-) -> ScoredDrawing:
+) -> DrawingWithYield:
     """Draw a lens with the tolerances of a study, and predict the yield of the drawing.
 
     Parameters
@@ -144,7 +146,7 @@ def scored_drawing(
         Title block and tolerances.
     assumed
         Values that the study specifies.
-    scorer
+    predictor
         The study.
     accept_yield_loss
         Whether the drawing may lose more than two percentage points of yield against the study (default:
@@ -152,7 +154,7 @@ def scored_drawing(
 
     Returns
     -------
-    ScoredDrawing
+    DrawingWithYield
         The drawing, its lens and its predicted yield.
 
     Raises
@@ -162,28 +164,33 @@ def scored_drawing(
         :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated` rejects the lens.
     """
     _, first = drawing_as_stated(lens, options, assumed)
-    derived = scorer.derive(first.lens, first.tolerances)
+    derived = predictor.derive(first.lens, first.tolerances)
     completed = options.replaced(tolerances=derived.tolerances)
     # Derived tolerances may be tighter, which requires finer rounding.
     _, second = drawing_as_stated(lens, completed)
     stated = Stated(second.lens, (*second.notes, *derived.notes), second.tolerances)
-    score = scorer.score(lens, stated.lens, stated.tolerances)
-    if score is not None:
-        drawn, own = (f"{100.0 * found:.1f} %" for found in (score.as_drawn_yield, score.study_yield))
-        if score.loss > MAX_YIELD_LOSS and not accept_yield_loss:
+    predicted_yield = predictor.predict(lens, stated.lens, stated.tolerances)
+    if predicted_yield is not None:
+        drawn, own = (
+            f"{100.0 * found:.1f} %"
+            for found in (predicted_yield.as_drawn_yield, predicted_yield.study_yield)
+        )
+        if predicted_yield.loss > MAX_YIELD_LOSS and not accept_yield_loss:
             raise InputError(
                 f"the sheet allows more than {assumed.source}: predicted yield as drawn {drawn}, by the "
-                f"study {own}; the largest losses are {score.worst}; add these perturbations to the study, "
-                "state closer values for them (--sheet), or accept the loss with --accept-yield-loss"
+                f"study {own}; the largest losses are {predicted_yield.worst}; add these perturbations to "
+                "the study, state closer values for them (--sheet), or accept the loss with "
+                "--accept-yield-loss"
             )
-        completed = completed.replaced(remark=_remark(score, assumed, options))
+        completed = completed.replaced(remark=_remark(predicted_yield, assumed, options))
     drawing = lens_drawing(stated.lens, completed.replaced(tolerances=stated.tolerances))
-    return ScoredDrawing(drawing, stated, score)
+    return DrawingWithYield(drawing, stated, predicted_yield)
 
 
-def _remark(score: SheetScore, assumed: AssumedTolerances, options: DrawingOptions) -> str:
+def _remark(predicted_yield: DrawingYield, assumed: AssumedTolerances, options: DrawingOptions) -> str:
     own = (
         f"{DERIVED_MARK} derived from {assumed.source}; predicted yield with all tolerances of this drawing "
-        f"{100.0 * score.as_drawn_yield:.1f} %, by the study {100.0 * score.study_yield:.1f} %"
+        f"{100.0 * predicted_yield.as_drawn_yield:.1f} %, "
+        f"by the study {100.0 * predicted_yield.study_yield:.1f} %"
     )
     return f"{own}; {options.remark}" if options.remark else own

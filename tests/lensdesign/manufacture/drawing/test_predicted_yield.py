@@ -16,7 +16,7 @@ from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from lensdesign.manufacture.drawing.assumed import load_tolerances
-from lensdesign.manufacture.drawing.scored import read_scorer, scored_drawing
+from lensdesign.manufacture.drawing.predicted_yield import drawing_with_yield, read_yield_predictor
 from lensdesign.manufacture.drawing.sheets import DrawingOptions
 
 LOOSE = """
@@ -94,10 +94,12 @@ def test_a_sheet_that_loses_yield_is_refused_and_nothing_is_written(folder: Path
 def test_scored_sheets_are_tidy(folder: Path) -> None:
     lens = load_design(folder / "best.toml")
     study = folder / "study_best.toml"
-    done = scored_drawing(lens, DrawingOptions(), load_tolerances(study, lens), read_scorer(study))
+    done = drawing_with_yield(
+        lens, DrawingOptions(), load_tolerances(study, lens), read_yield_predictor(study)
+    )
     assert_tidy(done.drawing)
-    assert done.score is not None
-    assert done.score.is_trustworthy
+    assert done.predicted_yield is not None
+    assert done.predicted_yield.is_trustworthy
 
 
 def test_a_file_without_limits_is_drawn_unscored(folder: Path) -> None:
