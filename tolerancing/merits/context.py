@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
-from lensdesign.common.section import Positive, Section
+from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from tolerancing.merits.arrival import Arrival
     from tolerancing.merits.compensators import Compensator, ModelPupils
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
-    from wavesim.pupil.patch_return import PerturbedPatch
+    from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 Result = TypeVar("Result")
 Points = tuple[tuple[float, float], ...]
 
 
-class Sampling(Section):
+class Sampling(FrozenModel):
     """Sampling of rays and pupils for merits.
 
     Attributes

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive, tuples
+from lensdesign.common.frozen_model import Positive, as_tuple
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import check_field_point, points_text
 from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, STEP_FRACTION, Compensator, bounded_step
@@ -51,7 +51,7 @@ class ReconstructionLoss(PupilMerit):
     trials_per_chunk: ClassVar[int] = 4
     engine: ClassVar[str] = "linearised chain on meridians"
 
-    _planes = field_validator("planes_mm", mode="before")(tuples)
+    _planes = field_validator("planes_mm", mode="before")(as_tuple)
 
     @property
     def details(self) -> tuple[str, ...]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from lensdesign.common.frozen_model import Finite, FrozenModel, as_tuple
 from lensdesign.common.input_files import TABLE_BYTES, read_input
-from lensdesign.common.section import Finite, Section, tuples
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
@@ -31,7 +31,7 @@ WORKING_DISTANCE = "working_distance_mm"
 PLANE_DISTANCE = "plane_distance_{}_mm"
 
 
-class _Table(Section):
+class _Table(FrozenModel):
     """File format of a mounting; `working_distance_mm` is the true minus the nominal object distance."""
 
     decenter_x_mm: Finite = 0.0
@@ -42,7 +42,7 @@ class _Table(Section):
     working_distance_mm: Finite = 0.0
     plane_distances_mm: tuple[Finite, ...] = ()
 
-    _lists = field_validator("plane_distances_mm", mode="before")(tuples)
+    _lists = field_validator("plane_distances_mm", mode="before")(as_tuple)
 
 
 def mounting_table(mounting: Placement) -> dict[str, Any]:

@@ -30,7 +30,7 @@ Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allo
 """Number of either sign in any unit; computations with both ends stay finite."""
 
 
-class Section(BaseModel):
+class FrozenModel(BaseModel):
     """A table of a file: immutable and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
@@ -69,14 +69,14 @@ def _message(fault: Any) -> str:
     return ": ".join([*map(str, fault["loc"]), fault["msg"]])
 
 
-def tuples(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
     """Return a list as a tuple; TOML arrays are lists, and immutable models have tuples."""
     return tuple(value) if isinstance(value, list) else value
 
 
-def rows(value: Any) -> Any:
+def as_nested_tuple(value: Any) -> Any:
     """Return a list of lists as a tuple of tuples."""
-    return tuple(tuples(row) for row in value) if isinstance(value, list | tuple) else value
+    return tuple(as_tuple(row) for row in value) if isinstance(value, list | tuple) else value
 
 
 def as_path(value: Any) -> Any:

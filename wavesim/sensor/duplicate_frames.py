@@ -21,7 +21,7 @@ NOISE, RELATIVE = 1.15, 0.01
 relative difference beyond the noise, which a drift of the light causes."""
 
 
-def validate_distinct_pictures(by_plane: Sequence[Sequence[Frame]], *, diverse: bool) -> None:
+def validate_distinct_frames(by_plane: Sequence[Sequence[Frame]], *, diverse: bool) -> None:
     """Check that frames of different planes do not show the same picture.
 
     Parameters

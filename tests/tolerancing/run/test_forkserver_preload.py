@@ -6,7 +6,7 @@ import sys
 
 NEEDED = """
 import gc, json, sys
-import tolerancing.run.preloaded
+import tolerancing.run.forkserver_preload
 from lensdesign.raytrace.kernel import trace_kernel
 from tolerancing.study.evaluate import context_of, score_trials
 from tolerancing.study.files import load_study
