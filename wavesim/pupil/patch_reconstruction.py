@@ -130,13 +130,13 @@ class PerturbedPatch:
             return np.asarray(patch.pitch_um * finufft.nufft1d2(y, values, **options))
         return np.asarray(patch.pitch_um**2 * finufft.nufft2d2(y, x, values, **options))
 
-    def returned(
+    def reconstruct(
         self,
         object_values: ArrayLike,
         registration: Registration = "none",
         electrons: float | None = None,
         rng: np.random.Generator | None = None,
-    ) -> ReturnedPatch:
+    ) -> ReconstructedPatch:
         """Return the reconstruction of an object through the nominal lens.
 
         Parameters
@@ -174,7 +174,7 @@ class PerturbedPatch:
         if registration == "none":
             # The pupil's function has no piston.
             field *= np.exp(2e3j * np.pi / grid.wavelength_um * pupil.opd_mm[pupil.valid].mean())
-        return ReturnedPatch(self.patch, self.rays, self.aimed, pupil, field, shift, distance)
+        return ReconstructedPatch(self.patch, self.rays, self.aimed, pupil, field, shift, distance)
 
     def _registered(self, registration: Registration) -> tuple[ReconstructionPupil, Array, float]:
         """Return the pupil without displacement and, if requested, defocus; and both distances in um."""
@@ -184,8 +184,8 @@ class PerturbedPatch:
             raise InputError(f"registration = {registration!r}: allowed: none, shift, focus")
         # From the displaced object the nominal lens differs slightly from that at the centre.
         moved_mm = 1e-3 * self._fitted(self.pupil, registration)[1][self.rays.axes]
-        seen = 0.5 * (self.rays.bend_deviation_per_mm @ moved_mm) @ moved_mm
-        return self._fitted(replace(self.pupil, opd_mm=self.pupil.opd_mm - seen), registration)
+        mean_bend_mm = 0.5 * (self.rays.bend_deviation_per_mm @ moved_mm) @ moved_mm
+        return self._fitted(replace(self.pupil, opd_mm=self.pupil.opd_mm - mean_bend_mm), registration)
 
     def _fitted(
         self, pupil: ReconstructionPupil, registration: Registration
@@ -218,7 +218,7 @@ class PerturbedPatch:
 
 
 @dataclass(frozen=True, eq=False)
-class ReturnedPatch:
+class ReconstructedPatch:
     """Field that the nominal lens reconstructs.
 
     Attributes
@@ -230,7 +230,7 @@ class ReturnedPatch:
     pupil : ReconstructionPupil
         The pupil, registered if requested.
     spectrum : ndarray, shape (samples, samples)
-        Spectrum of the returned field over the nominal direction cosines (row: M, column: L).
+        Spectrum of the reconstructed field over the nominal direction cosines (row: M, column: L).
     shift_um : ndarray, shape (2,)
         Displacement (x, y) of the object in um that was removed.
     refocus_um : float
@@ -258,7 +258,7 @@ class ReturnedPatch:
         bend = mean_bend(self.rays, x_um + self.shift_um[0], y_um + self.shift_um[1])
         return np.asarray(field * bend.conj())
 
-    def moved_along(self, distance_um: float) -> ReturnedPatch:
+    def refocused_by(self, distance_um: float) -> ReconstructedPatch:
         """Return the field in a plane farther along the axis, at the same lateral position."""
         slopes, path = self._axial_path
         phase = 2.0 * np.pi * distance_um / self.patch.wavelength_um * path
