@@ -180,8 +180,8 @@ def _styled(column: pn.Column) -> pn.Column:
     """Apply the page's style sheet to the texts and widgets of a column."""
     column.sizing_mode = "stretch_width"
     column.styles = {"gap": "1px", **column.styles}
-    for part in column.select(lambda part: isinstance(part, pn.pane.HTML | pn.widgets.Widget)):
-        part.stylesheets = [PARTS]
+    for child in column.select(lambda child: isinstance(child, pn.pane.HTML | pn.widgets.Widget)):
+        child.stylesheets = [PARTS]
     return column
 
 

@@ -24,7 +24,7 @@ def run_user_code(work: Callable[[], Result], file: str) -> Result:
     work
         Function to call.
     file
-        Name of the file that holds the code.
+        Name of the file with the code.
 
     Raises
     ------

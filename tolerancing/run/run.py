@@ -262,7 +262,7 @@ def _missing(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
 def _ready_store(
     path: Path, loaded: LoadedStudy, planned: int, crew: int, fresh: bool, rehearsal: Rehearsal
 ) -> tuple[Store, bool]:
-    """Return a store that holds this study and the planned number of trials, and whether it is new."""
+    """Return a store of this study with the planned number of trials, and whether it is new."""
     if os.path.exists(path):
         open_store(path).close()  # Raises for a file that is no store, which must never be replaced.
         if not fresh:

@@ -56,7 +56,7 @@ class Calibrated:
         Reason for the end of the search.
     misfit_of_noise : float or None
         Misfit that the stated noise alone would leave (:func:`wavesim.sensor.measurement.noise_misfit`).
-    traded : mapping
+    correlated_with : mapping
         Parameters that the frames do not distinguish from others, each with the names of the others.
     nominal : tuple of str
         Parameters that the frames do not need. The bench has their nominal values instead of the estimates.
@@ -100,7 +100,7 @@ class Calibrated:
     at_reach: tuple[str, ...]
     stopped_because: str
     misfit_of_noise: float | None
-    traded: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    correlated_with: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     nominal: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
     applied: Mapping[str, float] | None = None
@@ -173,7 +173,7 @@ class Calibrated:
             "kept_at_nominal": list(self.nominal),
             "undetermined": [*self.undetermined, *stop_parameters * bool(self.stop_warning)],
             "not_told": list(self.poorly_determined),
-            "not_told_from": {name: list(others) for name, others in self.traded.items()},
+            "not_told_from": {name: list(others) for name, others in self.correlated_with.items()},
             "parameters": list(self.parameters),
             "misfit_before": self.misfit_before,
             "misfit": self.misfit,

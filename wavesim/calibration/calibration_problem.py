@@ -254,7 +254,7 @@ def search_bench(
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
         covariance=found.covariance,
-        traded=correlated_parameters(run.names, found.covariance),
+        correlated_with=correlated_parameters(run.names, found.covariance),
         nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
         undetermined=problem.undetermined if known is None else (),
         applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),

@@ -316,7 +316,8 @@ def _with_light(measured: Calibrated, found: Calibrated) -> Calibrated:
         typical=measured.typical[:count] + found.typical,
         covariance=None,
         trail=tuple((light + values, misfit) for values, misfit in found.trail),
-        traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
+        correlated_with={n: measured.correlated_with[n] for n in names if n in measured.correlated_with}
+        | dict(found.correlated_with),
         nominal=(*(n for n in names if n in measured.nominal), *found.nominal),
         undetermined=(),
         applied={n: (measured.applied or {})[n] for n in names} | dict(found.applied or {}),

@@ -112,7 +112,9 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         notes = ["at the limit of the search range"] * (name in found.at_reach)
         notes += ["undetermined"] * (name in found.poorly_determined)
         notes += ["not needed, kept nominal"] * (name in found.nominal)
-        notes += [f"correlated with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
+        notes += [f"correlated with {', '.join(found.correlated_with.get(name, ()))}"] * (
+            name in found.correlated_with
+        )
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
     heads = "estimate", "standard deviation"
     print_table(("deviation from the design",), heads, rows, notes="")

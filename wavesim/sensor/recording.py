@@ -50,7 +50,7 @@ BAND_ROWS = 1024
 """Rows of samples of a plane that are computed at a time."""
 
 PARTS = ".parts"
-"""Name of the subfolder that holds the intermediate results of an unfinished run."""
+"""Name of the subfolder for the intermediate results of an unfinished run."""
 
 Progress = Callable[[str, int, int], None]
 """Progress callback `progress(stage, completed, total)`; the total is 0 where it is unknown."""

@@ -70,7 +70,7 @@ def test_the_best_trial_names_the_cause_and_what_to_do() -> None:
     trials = [Trial("light", "light tilted", 0.8), Trial("planes swapped", "planes 1 and 2 exchanged", 0.3)]
     found = verdict([plane(3.0)], trials)
     assert found.cause == "planes swapped"
-    assert "planes 1 and 2 exchanged" in found.told
+    assert "planes 1 and 2 exchanged" in found.evidence
     assert "in the other order" in found.next_step
 
 
