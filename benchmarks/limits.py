@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.optimization.compliance import check_against
-from lensdesign.optimization.limits.kinds import FIELD
+from lensdesign.optimization.limits.limited_quantities import FIELD
 from lensdesign.optimization.limits.search import Limit, find_limits
 from lensdesign.optimization.local_search import Budget, search_from, starts_of
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
@@ -110,7 +110,7 @@ def main() -> None:
 def measured(name: str, asked: Specification, seeds: int) -> str:
     """Return a row of the table."""
     began = time.perf_counter()
-    found = [find_limits(asked, seed=seed, kinds=(FIELD,), most=1.0)[0] for seed in range(seeds)]
+    found = [find_limits(asked, seed=seed, quantities=(FIELD,), most=1.0)[0] for seed in range(seeds)]
     seconds = (time.perf_counter() - began) / seeds
     values = [one.reached for one in found if one.reached is not None]
     if not values:

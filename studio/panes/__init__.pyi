@@ -1,6 +1,6 @@
 from .comparison import compare
 from .front import explore
-from .making import export
+from .manufacture import export
 from .rays import footprint, layout, spread
 from .results import look
 from .search import optimize

@@ -16,8 +16,8 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.assumed import AssumedTolerances
 from lensdesign.manufacture.drawing.nominal import Stated
+from lensdesign.manufacture.drawing.primitives import Drawing
 from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_stated, lens_drawing
-from lensdesign.manufacture.drawing.strokes import Drawing
 from lensdesign.manufacture.drawing.tolerances import DERIVED_MARK, DrawingTolerances
 
 MAX_YIELD_LOSS = 0.02

@@ -15,8 +15,7 @@ from lensdesign.lens.solid import Element, closed_elements
 from lensdesign.manufacture.drawing.asphere import asphere_panel
 from lensdesign.manufacture.drawing.assumed import AssumedTolerances
 from lensdesign.manufacture.drawing.nominal import Stated, fitting, stated_lens
-from lensdesign.manufacture.drawing.section_view import section_view
-from lensdesign.manufacture.drawing.strokes import (
+from lensdesign.manufacture.drawing.primitives import (
     SHEET_MM,
     THICK_MM,
     Area,
@@ -27,6 +26,7 @@ from lensdesign.manufacture.drawing.strokes import (
     frame,
     line,
 )
+from lensdesign.manufacture.drawing.section_view import section_view
 from lensdesign.manufacture.drawing.table import Material, data_table, material_of
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general_tolerances
 

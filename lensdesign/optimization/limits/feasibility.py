@@ -11,7 +11,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import OutOfTime
 from lensdesign.lens.lens import Lens, ObjectSpace
-from lensdesign.optimization.limits.kinds import APERTURE, FIELD
+from lensdesign.optimization.limits.limited_quantities import APERTURE, FIELD
 from lensdesign.optimization.limits.search import Limit, LimitsInterrupted, find_limits
 from lensdesign.optimization.local_search import Budget, search_from
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION

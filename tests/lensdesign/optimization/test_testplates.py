@@ -9,7 +9,7 @@ from places import DESIGNS, GOLDEN
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
 from lensdesign.optimization import Specification, check_against
-from lensdesign.optimization.plates import fit_plates, load_plates, nearest_plate_mm
+from lensdesign.optimization.testplates import fit_plates, load_plates, nearest_plate_mm
 
 PLATES = tuple(5.0 * 1.05**k for k in range(100))
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lensdesign.lens.poses import Pose
     from lensdesign.manufacture.drawing.nominal import Stated
     from lensdesign.manufacture.drawing.predicted_yield import DrawingYield
-    from lensdesign.manufacture.drawing.strokes import Drawing
+    from lensdesign.manufacture.drawing.primitives import Drawing
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.cli.making import Json
+from lensdesign.cli.manufacture import Json
 from lensdesign.common.console import message_console, print_json
 from lensdesign.common.outputs import output_file
 from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
-    from lensdesign.optimization.plates import PlateFit
+    from lensdesign.optimization.testplates import PlateFit
 
 
 def fit(
@@ -35,8 +35,8 @@ def fit(
     written nevertheless), 2 for bad input.
     """
     from lensdesign.files.design import design_text
-    from lensdesign.optimization.plates import fit_plates, load_plates
     from lensdesign.optimization.specification.specification import load_specification
+    from lensdesign.optimization.testplates import fit_plates, load_plates
 
     asked, radii = load_specification(specification), load_plates(plates)
     if os.path.exists(output) and any(output.samefile(given) for given in (specification, plates)):

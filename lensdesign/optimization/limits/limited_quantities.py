@@ -10,14 +10,14 @@ from lensdesign.optimization.specification.specification import Specification
 
 
 @dataclass(frozen=True)
-class Kind:
+class LimitedQuantity:
     """A value that has a feasibility limit.
 
     Attributes
     ----------
     name, unit
         Name of the value and its unit.
-    asked
+    value_in
         Function that returns the value in a specification.
     changed
         Function that returns the specification with another value.
@@ -25,7 +25,7 @@ class Kind:
 
     name: str
     unit: str
-    asked: Callable[[Specification], float]
+    value_in: Callable[[Specification], float]
     changed: Callable[[Specification, float], Specification]
 
 
@@ -65,16 +65,16 @@ def _with_tolerances(specification: Specification, factor: float) -> Specificati
     return specification.model_copy(update={"tolerances": tolerances})
 
 
-FIELD = Kind("field", "mm", lambda s: s.object.field_diameter_mm, _with_field)
-APERTURE = Kind("numerical aperture", "", lambda s: s.object.numerical_aperture, _with_aperture)
-PITCH = Kind("pixel pitch", "um", lambda s: s.sensor.pixel_pitch_um, _with_pitch)
-TOLERANCES = Kind("tolerances", "times", lambda s: 1.0, _with_tolerances)
+FIELD = LimitedQuantity("field", "mm", lambda s: s.object.field_diameter_mm, _with_field)
+APERTURE = LimitedQuantity("numerical aperture", "", lambda s: s.object.numerical_aperture, _with_aperture)
+PITCH = LimitedQuantity("pixel pitch", "um", lambda s: s.sensor.pixel_pitch_um, _with_pitch)
+TOLERANCES = LimitedQuantity("tolerances", "times", lambda s: 1.0, _with_tolerances)
 
 
-def kinds_of(specification: Specification) -> tuple[Kind, ...]:
+def limited_quantities(specification: Specification) -> tuple[LimitedQuantity, ...]:
     """Return field, aperture, pixel pitch and, if the specification limits a yield, tolerances."""
     tolerances = specification.tolerances
-    kinds = (FIELD, APERTURE, PITCH)
+    quantities = (FIELD, APERTURE, PITCH)
     if specification.constraints.min_yield is None or tolerances is None or tolerances.cost is not None:
-        return kinds
-    return (*kinds, TOLERANCES)
+        return quantities
+    return (*quantities, TOLERANCES)

@@ -6,7 +6,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign.optimization import Specification, load_specification, optimize
-from lensdesign.optimization.limits.kinds import APERTURE, FIELD, PITCH
+from lensdesign.optimization.limits.limited_quantities import APERTURE, FIELD, PITCH
 from lensdesign.optimization.limits.search import find_limits
 from lensdesign.optimization.specification.sections import Settings
 
@@ -25,8 +25,8 @@ def test_limits_can_be_met_and_a_little_more_cannot(specification: Specification
             "optimize": Settings(goal="thinnest lens", start="plate", stop="numerical aperture", starts=3)
         }
     )
-    (field,) = find_limits(limited, kinds=(FIELD,))
-    aperture, pitch = find_limits(limited, kinds=(APERTURE, PITCH), most=1.15)
+    (field,) = find_limits(limited, quantities=(FIELD,))
+    aperture, pitch = find_limits(limited, quantities=(APERTURE, PITCH), most=1.15)
     assert field.reached is not None
     assert 3.0 < field.reached < 3.2  # 3 mm can be met, by a lens nearly twice as thick
     assert aperture.reached is not None
@@ -47,7 +47,9 @@ def test_a_coarser_pixel_leaves_the_sensor_as_large(specification: Specification
 def test_a_specification_that_is_not_met_reaches_less_than_asked(specification: Specification) -> None:
     limits = specification.constraints.replaced(max_lens_thickness_mm=3.0)
     few = specification.optimize.replaced(starts=3)
-    (field,) = find_limits(specification.replaced(constraints=limits, optimize=few), kinds=(FIELD,), most=1.0)
+    (field,) = find_limits(
+        specification.replaced(constraints=limits, optimize=few), quantities=(FIELD,), most=1.0
+    )
     assert field.reached is None or field.reached < field.asked
 
 
@@ -60,6 +62,6 @@ def test_a_goal_of_lenses_as_built_is_not_worked_out(monkeypatch: pytest.MonkeyP
         raise AssertionError("nothing asks for this")
 
     monkeypatch.setattr(type(asked.as_built), "evaluate", refused)
-    (field,) = find_limits(asked, kinds=(FIELD,), most=1.0)
+    (field,) = find_limits(asked, quantities=(FIELD,), most=1.0)
     assert field.reached is not None
     assert field.reached > 0.9 * field.asked

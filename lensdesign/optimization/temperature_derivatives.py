@@ -23,7 +23,7 @@ from lensdesign.raytrace.gradients import ChainRule, Variable
 
 
 @dataclass(frozen=True)
-class Heated:
+class HeatedLens:
     """A lens at a temperature.
 
     Attributes
@@ -33,8 +33,8 @@ class Heated:
     stop_semi_diameter_mm
         Semi-diameter of the expanded stop.
     chain
-        Derivatives of the variables of :attr:`Heat.own`, the stop and the sensor planes with respect to the
-        variables of the search.
+        Derivatives of the variables of :attr:`TemperatureChange.own`, the stop and the sensor planes with
+        respect to the variables of the search.
     """
 
     lens: Lens
@@ -42,7 +42,7 @@ class Heated:
     chain: ChainRule
 
 
-class Heat:
+class TemperatureChange:
     """A temperature at which lenses of a search are evaluated.
 
     Parameters
@@ -88,7 +88,7 @@ class Heat:
         ]
         return base.model_copy(update={"surfaces": tuple(surfaces)})
 
-    def at(self, cold: State) -> Heated:
+    def at(self, cold: State) -> HeatedLens:
         """Return the heated lens from the state of the lens as designed, with rays through the stop's rim."""
         lens, last = cold.lens, len(cold.lens.surfaces) - 1
         found = [edge_sag(cold, i) for i in range(last + 1)]
@@ -99,7 +99,7 @@ class Heat:
         spaces = [self._grown(i - 1, length, sags) for i, length in enumerate(lengths)]
         planes = self._grown(last, np.array(lens.sensor.plane_distances_mm), sags)
         stop, grown = lens.stop_index, cold.traces[0]
-        return Heated(
+        return HeatedLens(
             self._lens(lens, np.array(spaces), planes),
             float(self.sizes[stop]) * grown.stop_semi_diameter_mm,
             ChainRule(

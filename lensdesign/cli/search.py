@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.cli.making import Json
+from lensdesign.cli.manufacture import Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import print_json
 from lensdesign.common.outputs import output_file, output_folder
