@@ -20,7 +20,7 @@ from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import RmsWaves, Strehl
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
 from tolerancing.prediction.system import amounts_of, columns_of
 from tolerancing.prediction.wavefront_prediction import (
     Judged,

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lensdesign.raytrace.bundles import PupilSamples
-    from tolerancing.merits.arrival import Arrival
     from tolerancing.merits.compensators import Compensator, ModelPupils
+    from tolerancing.merits.sensor_rays import Arrival
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
     from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
@@ -172,7 +172,7 @@ class Context:
         wavelength = self.wavelength_um(wavelength_um)
 
         def compute() -> Arrival:
-            from tolerancing.merits.arrival import arriving_rays
+            from tolerancing.merits.sensor_rays import arriving_rays
 
             samples = self.stop_samples() if stop is None else stop
             return arriving_rays(self.lens, batch, field_points_mm, samples.points, wavelength)

@@ -11,9 +11,9 @@ from pydantic import field_validator
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Bounded, Positive, as_nested_tuple
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
+from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:

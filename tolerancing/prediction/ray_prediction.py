@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.bundles import PupilSamples
-from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context, Points
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
+from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
 from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.study import Study
 

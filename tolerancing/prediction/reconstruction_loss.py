@@ -1,10 +1,11 @@
 """Expected reconstruction loss of lenses as built, without trials.
 
-The merit `reconstruction_loss` (:mod:`tolerancing.merits.loss`) traces rays through each perturbed lens. Here
-the change of path on a meridian is linear in the perturbations, by Fermat's principle along nominal rays
-(:mod:`tolerancing.prediction.paths`). Everything else is as in the merit (:mod:`wavesim.pupil.chain_draws`).
-The compensators of the study are the parameters of a calibrated reconstruction. A least-squares fit to the
-visible part of the path changes determines them within their limits.
+The merit `reconstruction_loss` (:mod:`tolerancing.merits.reconstruction_loss`) traces rays through each
+perturbed lens. Here the change of path on a meridian is linear in the perturbations, by Fermat's principle
+along nominal rays (:mod:`tolerancing.prediction.paths`). Everything else is as in the merit
+(:mod:`wavesim.pupil.linearised_chain_losses`). The compensators of the study are the parameters of a
+calibrated reconstruction. A least-squares fit to the visible part of the path changes determines them within
+their limits.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.rays import trace_compiled
 from tolerancing.merits.compensators import regularised
-from tolerancing.merits.loss import AZIMUTHS_DEG, ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import AZIMUTHS_DEG, ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.compensation import bounded_least_squares
@@ -30,7 +31,7 @@ from tolerancing.prediction.system import Changes, changes_of, columns_of
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.study import Study
 from wavesim.pupil import LinearisedChain
-from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
+from wavesim.pupil.linearised_chain_losses import TERMS, ChainDraws, polynomial_terms
 from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
 
 DRAWS = 256

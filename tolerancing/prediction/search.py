@@ -25,14 +25,14 @@ from lensdesign.optimization.problem import DesignProblem
 from lensdesign.raytrace.gradients import Variable
 from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
-from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.prediction.drawing_yield import DrawingYieldPredictor
 from tolerancing.prediction.goals.compensated import CompensatedWaves, WavefrontLoads
 from tolerancing.prediction.goals.design import DesignPoint, Scatter, bent, sized
-from tolerancing.prediction.goals.forms import wavefront_forms
-from tolerancing.prediction.goals.joint import DrawnLoads, failing_fraction
-from tolerancing.prediction.goals.mean_losses import SearchedLosses
+from tolerancing.prediction.goals.joint_yield import DrawnLoads, failing_fraction
+from tolerancing.prediction.goals.quadratic_forms import wavefront_forms
 from tolerancing.prediction.goals.ray_loads import FollowedRays, RayLoads, judged_rays
+from tolerancing.prediction.goals.reconstruction_loss import SearchedLosses
 from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
 from tolerancing.prediction.wavefront_prediction import Judged, is_predicted_wavefront, wavefront_points

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.bundles import PupilSamples
-from tolerancing.merits.arrival import Arrival
+from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import figures_on, nominal_paths
 from tolerancing.prediction.motions import Motions, motions_of

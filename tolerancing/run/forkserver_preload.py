@@ -14,7 +14,7 @@ from importlib import import_module
 MODULES = (
     "tolerancing.run.workers",
     "tolerancing.study.evaluate",
-    "tolerancing.merits.arrival",
+    "tolerancing.merits.sensor_rays",
     "lensdesign.analysis.extreme_rays",
     "lensdesign.analysis.spread",
     "tolerancing.perturbations.irregularity",

@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign import scaled
 from lensdesign.errors import InputError
-from tolerancing.prediction.losses import expected_losses, loss_chains, loss_paths
+from tolerancing.prediction.reconstruction_loss import expected_losses, loss_chains, loss_paths
 from tolerancing.prediction.system import amounts_of
 from tolerancing.study.evaluate import context_of, sample_perturbations
 from tolerancing.study.files import study_from_tables

@@ -9,10 +9,10 @@ from places import DESIGNS
 from lensdesign import Lens, load_design
 from lensdesign.errors import DesignError
 from lensdesign.raytrace.bundles import pupil_rings
-from tolerancing.merits.arrival import arriving_rays
+from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.prediction.arrivals import arrival_differentials
+from tolerancing.prediction.sensor_ray_derivatives import arrival_differentials
 
 ASKED = [
     ("lens", "decenter_x_mm", 0.02),

@@ -20,9 +20,9 @@ from lensdesign.optimization.problem import Rays
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.merits.context import Sampling
 from tolerancing.merits.rays import FootprintRadius, RayMerit
-from tolerancing.prediction.arrivals import arrivals_by
 from tolerancing.prediction.goals.design import STEP, DesignPoint, TracedRays
 from tolerancing.prediction.motions import Motions, motions_of
+from tolerancing.prediction.sensor_ray_derivatives import arrivals_by
 
 LEADING, BEHIND = 48, 6.0
 """Number of rays with the largest nominal loads, and distance from the largest nominal load within which any
@@ -198,7 +198,10 @@ class RayLoads:
 
     @property
     def _follows_the_sensor(self) -> bool:
-        return isinstance(self.merit, FootprintRadius) and self.followed.design.problem.heat is not None
+        return (
+            isinstance(self.merit, FootprintRadius)
+            and self.followed.design.problem.temperature_change is not None
+        )
 
     def _by_planes(self, weights: Array) -> Array:
         """Return the derivatives by the distance between the planes, which changes with temperature."""

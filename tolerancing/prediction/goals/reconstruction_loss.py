@@ -20,9 +20,9 @@ from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import LossValues
 from lensdesign.optimization.problem import DesignProblem
-from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.prediction.goals.design import DIFFERENCE_STEP, bent, rim_heights, sized
-from tolerancing.prediction.losses import LossChains, loss_chains, loss_paths
+from tolerancing.prediction.reconstruction_loss import LossChains, loss_chains, loss_paths
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study

@@ -15,10 +15,10 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import AsBuiltPrediction, MeritLoss, MeritYield, TrialsOf
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
-from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.draws import replicates
-from tolerancing.prediction.losses import mean_loss
+from tolerancing.prediction.reconstruction_loss import mean_loss
 from tolerancing.prediction.study_prediction import predict_study
 from tolerancing.prediction.wavefront_prediction import Judged
 from tolerancing.statistics.yields import yield_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lensdesign.common.arrays import Array
-from tolerancing.prediction.goals.joint import failing_fraction
+from tolerancing.prediction.goals.joint_yield import failing_fraction
 
 
 @dataclass(frozen=True, eq=False)
