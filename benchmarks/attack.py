@@ -128,7 +128,7 @@ def mutated_data(folder: Path, rng: np.random.Generator, count: int) -> Tally:
     from PIL import Image
 
     from lensdesign import load_design
-    from wavesim.calibration.calibrated import read_calibration
+    from wavesim.calibration.calibration_result import read_calibration
     from wavesim.fields.field import Field, Grid
     from wavesim.fields.files import read_field, write_field
     from wavesim.sensor.frames import read_frame

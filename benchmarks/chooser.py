@@ -15,7 +15,7 @@ from lensdesign import load_design, scaled
 from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import Prediction, choose, engine_for
 from wavesim.fields.field import Field, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.comparison import random_field, reference_for
 from wavesim.scene.engine import Engine
 from wavesim.scene.light import Light

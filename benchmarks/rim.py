@@ -21,7 +21,7 @@ from lensdesign import load_design, scaled
 from wavesim import Engine, Field, Grid, Scene
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
-from wavesim.metrics.about_axis import summed_plane_waves
+from wavesim.metrics.axisymmetric_reference import summed_plane_waves
 from wavesim.scene.patches import patch_scene
 
 PLANE_MM, PITCH_MM = 2.0, 0.25e-3

@@ -19,9 +19,9 @@ from lensdesign.optimization.specification.sections import Tolerances
 from lensdesign.optimization.specification.specification import load_specification
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing import load_study
-from tolerancing.merits.arrival import arriving_rays
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
+from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction import arrival_differentials, differentials, predict, predict_rays

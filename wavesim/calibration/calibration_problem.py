@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.calibrated import Calibrated, correlated_parameters
+from wavesim.calibration.calibration_result import Calibrated, correlated_parameters
 from wavesim.calibration.joint.pixels import (
     CalibrationPixels,
     DensePixels,

@@ -13,8 +13,8 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field

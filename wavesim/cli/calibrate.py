@@ -18,7 +18,7 @@ from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSettings
 
 if TYPE_CHECKING:
-    from wavesim.calibration.calibrated import Calibrated
+    from wavesim.calibration.calibration_result import Calibrated
     from wavesim.sensor.frames import Frame
 
 FILE = "calibration.json"

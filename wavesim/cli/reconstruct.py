@@ -37,7 +37,7 @@ SHOWN_DISPLACEMENT = 0.2
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from wavesim.calibration.calibrated import Calibrated
+    from wavesim.calibration.calibration_result import Calibrated
     from wavesim.fields.field import Field
     from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
@@ -154,14 +154,14 @@ def reconstruct(
 
 def _calibrated_before(path: Path, lens: Lens) -> Bench:
     """Return the bench of an earlier calibration. Its many modules are imported only if needed."""
-    from wavesim.calibration.calibrated import read_calibration
+    from wavesim.calibration.calibration_result import read_calibration
 
     return read_calibration(path, lens)
 
 
 def _stop_doubt(calibration: Path | None) -> str:
     """Return why the field stop of an earlier calibration is undetermined; empty if it is determined."""
-    from wavesim.calibration.calibrated import stop_warning_of
+    from wavesim.calibration.calibration_result import stop_warning_of
 
     return "" if calibration is None else stop_warning_of(calibration)
 
@@ -172,7 +172,7 @@ def _stop_of(
     """Return the field stop of an earlier calibration, unless the settings state it."""
     if calibration is None or settings.field_stop_from != "patch":
         return None, settings
-    from wavesim.calibration.calibrated import field_stop_of
+    from wavesim.calibration.calibration_result import field_stop_of
 
     stop = field_stop_of(calibration)
     return (None, settings) if stop is None else ("calibration", settings.with_stop(*stop))

@@ -32,8 +32,8 @@ class ArrayGroup:
     count : int
         Number of arrays that exist at a time.
     lies : str
-        Location: "memory"; "scratch" for memory or, where it is short, a file (:class:`wavesim.Scratch`); or
-        "file".
+        Location: "memory"; "scratch" for memory or, where it is short, a file
+        (:class:`wavesim.runtime.scratch.Scratch`); or "file".
     """
 
     name: str

@@ -23,7 +23,7 @@ from lensdesign.errors import InputError, validate_positive
 from wavesim.runtime.threads import row_blocks
 from wavesim.sensor.frames import Bits, Counts, Frame, NotNegative, Offset
 from wavesim.sensor.pixels import kernel
-from wavesim.sensor.pixels.errors import PixelPattern
+from wavesim.sensor.pixels.non_uniformity import PixelPattern
 
 Seed = int | np.random.SeedSequence
 

@@ -35,7 +35,7 @@ from wavesim.sensor.exposures import Electronics, Seed, plane_seeds
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.incoherent import added_modes, of_mode
 from wavesim.sensor.pixel_integration import PixelLight
-from wavesim.sensor.pixels.errors import ALIKE, PixelErrors
+from wavesim.sensor.pixels.non_uniformity import ALIKE, PixelErrors
 from wavesim.sensor.sensor import (
     frames_of_light,
     light_on_pixels,

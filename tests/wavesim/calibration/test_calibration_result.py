@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wavesim.calibration.calibrated import Calibrated, stop_warning_of
+from wavesim.calibration.calibration_result import Calibrated, stop_warning_of
 from wavesim.scene.bench import Bench
 from wavesim.scene.settings import StopOrigin
 

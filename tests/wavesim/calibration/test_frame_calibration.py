@@ -15,7 +15,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
-from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.calibration.normalized_errors import normalized_errors
 from wavesim.reconstruction.forward_model import ForwardModel

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.angular_spectrum import AngularSpectrum
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.guards import (
+from wavesim.fields.propagator import FreeSpacePropagator, propagate
+from wavesim.fields.sampling_checks import (
     SamplingWarning,
     check_propagation,
     critical_distance_mm,
     measure_propagation,
     predicted_relative_error,
 )
-from wavesim.fields.propagator import FreeSpacePropagator, propagate
 
 WAVELENGTH_UM = 0.5
 WAVES_PER_MM = 1e3 / WAVELENGTH_UM

@@ -10,7 +10,7 @@ from lensdesign.errors import InputError
 from wavesim.analytic.registry import analytic_case
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Grid, relative_error
-from wavesim.metrics.about_axis import axial_case, rings, summed_plane_waves
+from wavesim.metrics.axisymmetric_reference import axial_case, rings, summed_plane_waves
 from wavesim.scene.patches import patch_scene
 
 DESIGN = load_design("designs/paper_singlet.toml")

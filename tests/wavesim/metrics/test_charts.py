@@ -11,7 +11,7 @@ import scipy.fft
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.charts import chart_resolution, register_chart
-from wavesim.metrics.judgement import chart_metrics
+from wavesim.metrics.result_quality import chart_metrics
 from wavesim.targets.patterns import band_limit
 from wavesim.targets.region import cut_field, region_grid
 from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements

@@ -15,7 +15,7 @@ from wavesim.analytic.registry import analytic_case
 from wavesim.cli.commands import main
 from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import Grid
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics import comparison, failures
 from wavesim.metrics.comparison import (
     Measured,
@@ -142,7 +142,7 @@ def free_space(few_cells: None) -> list[FailureMap]:
 
 
 @pytest.mark.usefixtures("few_cells")
-@pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+@pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.SamplingWarning")
 def test_slices_warn_before_they_fail() -> None:
     maps = {found.name: found for found in slice_maps(TWIN, 0.01)}
     assert_speaks_first(maps["slices_vertical"], 0.35)

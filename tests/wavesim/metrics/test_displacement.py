@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from lensdesign import load_design, scaled
 from wavesim.fields.field import Field
 from wavesim.metrics.displacement import displaced_back, displacement_samples
-from wavesim.metrics.judgement import truth_metrics
+from wavesim.metrics.result_quality import truth_metrics
 from wavesim.runtime.scratch import Scratch
 from wavesim.sensor.windows import exit_scene
 from wavesim.targets.patch import PatchSettings, lit, object_patch

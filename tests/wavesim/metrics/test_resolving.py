@@ -19,7 +19,7 @@ from lensdesign.lens.scaling import scaled
 from wavesim.cli.commands import app, main
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Grid, correlation
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics import resolving
 from wavesim.metrics.resolving import (
     LineContrast,

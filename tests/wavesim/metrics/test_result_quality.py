@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wavesim.fields.field import Field, Grid
-from wavesim.metrics.judgement import chart_metrics
+from wavesim.metrics.result_quality import chart_metrics
 from wavesim.targets.usaf import usaf_chart, usaf_elements_within
 
 

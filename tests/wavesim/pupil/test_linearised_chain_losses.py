@@ -6,7 +6,7 @@ import pytest
 from lensdesign import Pose, scaled
 from wavesim import Placement
 from wavesim.pupil import LinearisedChain, Meridian
-from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
+from wavesim.pupil.linearised_chain_losses import TERMS, ChainDraws, polynomial_terms
 
 PATCH_MM = 0.03
 

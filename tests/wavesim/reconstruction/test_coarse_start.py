@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lensdesign import load_design, scaled
 from wavesim import Field, Grid, Scene, engine_for, image, reconstruct_frames
-from wavesim.reconstruction.stopped_down import coarse_problem, on_all_samples
+from wavesim.reconstruction.coarse_start import coarse_problem, on_all_samples
 from wavesim.sensor.measurement import Measurement
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)

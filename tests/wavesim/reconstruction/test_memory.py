@@ -21,7 +21,7 @@ import pytest
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics import transmitted_band
-from wavesim.metrics.judgement import truth_metrics
+from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction import forward_model, object_solver
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.memory import (

@@ -45,7 +45,7 @@ from wavesim.engines.slices.windows import Waves, arriving, surface_grids
 from wavesim.engines.surfaces.grids import LightWithin, check_grid_size, light_within
 from wavesim.engines.surfaces.samples import other_transmission
 from wavesim.engines.surfaces.waves import Medium
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 

@@ -14,7 +14,7 @@ from small_twins import bars_under_stop
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import correlated_parameters, read_calibration
+from wavesim.calibration.calibration_result import correlated_parameters, read_calibration
 from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters

@@ -22,7 +22,7 @@ from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.plan import chosen_probe
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.accuracy import peak_bytes
 from wavesim.metrics.comparison import lens_case
 from wavesim.rays.maps import RayMap, RayMapError, ray_map

@@ -21,7 +21,7 @@ from wavesim.engines.surfaces import grids as working_grid
 from wavesim.engines.surfaces.grids import TotalReflectionWarning
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Array, Field, Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Coating, Scene
 

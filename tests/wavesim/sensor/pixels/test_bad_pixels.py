@@ -10,8 +10,8 @@ import scipy.ndimage
 from lensdesign.lens.lens import Sensor
 from wavesim.sensor.exposures import Electronics
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.pixels.bad import find_bad_pixels
-from wavesim.sensor.pixels.errors import PixelErrors, PixelPattern
+from wavesim.sensor.pixels.bad_pixels import find_bad_pixels
+from wavesim.sensor.pixels.non_uniformity import PixelErrors, PixelPattern
 from wavesim.sensor.sensor import frames_of_light
 
 SHAPE = (120, 160)
