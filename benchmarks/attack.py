@@ -247,7 +247,7 @@ def write_study(folder: Path, more: str = "") -> None:
 
 
 def _read_all(store: Path, folder: Path) -> str:
-    """What all readers of a store come to: nothing, or what is told of it; no formula in a table."""
+    """Return the message of all readers of a store, or an empty text; no formula may be in a table."""
     import csv
 
     from lensdesign.common.console import print_json

@@ -162,7 +162,7 @@ def within(ratios: list[float], factor: float) -> float:
 
 
 def seconds_row(name: str, tried: list[GlassChoiceResult]) -> Row:
-    """How often time is told."""
+    """How often the time is printed."""
     ratios = [t.seconds_ratio for t in tried]
     return Row(f"{name}: seconds within a factor 3", within(ratios, 3.0), at_least=0.9)
 

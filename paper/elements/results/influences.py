@@ -11,7 +11,7 @@ from lensdesign import Pose
 from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.focus import focused
-from paper.shots import finest, told
+from paper.shots import element_text, finest
 from paper.style import BLUE, GREY, ORANGE, styled_figure
 from paper.twin import Twin, twin
 from wavesim import (
@@ -66,7 +66,7 @@ def figure_7a(work: Work) -> Made:
     case, objects = _on_chart(work)
     for name, one in objects.items():
         element = finest(one, case.elements)
-        numbers.append(Number(f"whole chart, {name}: finest element", told(element)))
+        numbers.append(Number(f"whole chart, {name}: finest element", element_text(element)))
         numbers.append(Number(f"whole chart, {name}: correlation", case.correlation(one)))
     pictures = (
         work.picture(

@@ -58,7 +58,7 @@ def test_an_exploration_goes_on_where_it_stopped(tmp_path: Path, command: Comman
 )
 def test_bad_input_writes_nothing(tmp_path: Path, command: Command, changed: list[str], said: str) -> None:
     out = tmp_path / "front"
-    code, told = command("explore", SPEC, "-o", out, *changed)
+    code, errors = command("explore", SPEC, "-o", out, *changed)
     assert code == 2
-    assert said in told
+    assert said in errors
     assert not out.exists()

@@ -92,8 +92,8 @@ def test_the_worst_of_several_field_points_counts(context):
 
 
 def test_words_tell_what_was_asked_for():
-    told = merit(object="complex", planes_mm=[0.05, 0.2]).meaning
-    assert "A complex object, a field stop of 0.05 mm, planes at 0.05, 0.2 mm" in told
+    predicted = merit(object="complex", planes_mm=[0.05, 0.2]).meaning
+    assert "A complex object, a field stop of 0.05 mm, planes at 0.05, 0.2 mm" in predicted
 
 
 @pytest.mark.parametrize(

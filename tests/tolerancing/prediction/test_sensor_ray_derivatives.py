@@ -47,8 +47,10 @@ def test_what_first_order_leaves_falls_with_the_square(stop: int) -> None:
         batch = batch_of(parameters, part * whole, 0.0, seed=3)
         traced = arriving_rays(lens, batch, FIELDS, samples.points, lens.wavelengths_um[0])
         assert np.all(traced.ok)
-        told = known.arrival(known.changes.amounts(batch))
-        off = np.stack([told.position_mm - traced.position_mm, (told.direction - traced.direction)[..., :2]])
+        predicted = known.arrival(known.changes.amounts(batch))
+        off = np.stack(
+            [predicted.position_mm - traced.position_mm, (predicted.direction - traced.direction)[..., :2]]
+        )
         moved = np.stack(
             [traced.position_mm - known.position_mm, traced.direction[..., :2] - known.direction]
         )

@@ -110,7 +110,7 @@ def test_the_command_prints_a_table_or_json(wavefront_study: Path) -> None:
     assert shown.exit_code == 0, shown.output
     assert "lens_tilt_x_deg" in shown.output
     assert "no trial was traced" in shown.output
-    told = CliRunner().invoke(app, ["predict", str(wavefront_study), "--json"])
-    found = json.loads(told.output)
+    outcome = CliRunner().invoke(app, ["predict", str(wavefront_study), "--json"])
+    found = json.loads(outcome.output)
     assert [p["field_mm"] for p in found["points"]] == [[0.0, 0.0], [0.0, 1.0], [0.0, 1.4]]
     assert 0.4 < found["good"] < 0.6

@@ -68,9 +68,9 @@ def test_frames_without_an_object_tell_the_light(measured: Calibrated) -> None:
     assert measured.deviations is not None
     for name, value, deviation in zip(measured.parameters, measured.values, measured.deviations, strict=True):
         assert abs(value - TRUE.get(name, 0.0)) < 4.0 * deviation, (name, value, deviation)
-    told = dict(zip(measured.parameters, measured.values, strict=True))
-    assert told["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
-    assert told["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
+    by_name = dict(zip(measured.parameters, measured.values, strict=True))
+    assert by_name["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
+    assert by_name["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
 
 
 def test_their_light_holds_while_the_rest_is_sought(
@@ -78,9 +78,9 @@ def test_their_light_holds_while_the_rest_is_sought(
 ) -> None:
     quick = {"parameters": "plane_2_background", "iterations": 6, "most_mountings": 12, "kind": "complex"}
     found = calibrate_frames(lens, star, SETTINGS, empty=empty, **quick)
-    told = dict(zip(found.parameters, found.values, strict=True))
+    by_name = dict(zip(found.parameters, found.values, strict=True))
     assert [name for name in found.parameters if name.startswith("light")] == list(measured.parameters)
-    assert told["plane_2_background"] < 5e-3
+    assert by_name["plane_2_background"] < 5e-3
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     light = read_calibration(path, lens).light

@@ -277,10 +277,12 @@ def test_predicted_error_follows_the_measured_one(numerical_aperture: float) -> 
             truth = _beam(grid.y_mm, distance, waist)
             result = propagate(field, distance, pad=grid.shape, check=False).values
             error = relative_error(result, truth)
-            told = predicted_relative_error(grid, WAVELENGTH_UM, numerical_aperture, distance, pad=grid.shape)
+            predicted = predicted_relative_error(
+                grid, WAVELENGTH_UM, numerical_aperture, distance, pad=grid.shape
+            )
             if error > 1e-2:
-                assert told > error / 4.0
-            if told < 1e-3:
+                assert predicted > error / 4.0
+            if predicted < 1e-3:
                 assert error < 1e-2
 
 

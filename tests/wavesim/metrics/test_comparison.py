@@ -75,9 +75,9 @@ def test_measured_beside_predicted(tmp_path: Path) -> None:
         chosen = [v for v in variants(scene) if v[2] in settings and v[1] != "no-lens"]
         return chosen + [v for v in variants(scene) if v[0] == "wpm, substep"][:2]
 
-    told: list[tuple[int, int]] = []
-    rows = compare(cases, tried, lambda done, total, _: told.append((done, total)))
-    assert told == [(i, len(rows)) for i in range(len(rows))]
+    calls: list[tuple[int, int]] = []
+    rows = compare(cases, tried, lambda done, total, _: calls.append((done, total)))
+    assert calls == [(i, len(rows)) for i in range(len(rows))]
     assert {r.scene for r in rows} == set(cases)
     best = min((r for r in rows if r.scene == "cylinder"), key=lambda r: r.relative_error)
     assert best.relative_error < 5e-3
@@ -102,7 +102,7 @@ def test_every_engine_is_compared() -> None:
 
 
 def assert_speaks_first(found: FailureMap, largest_silent: float) -> None:
-    """Where the guard is silent the error is small; it does speak; worse cells are not told less."""
+    """Where the guard is silent the error is small; it does speak; worse cells are not reported as better."""
     assert set(np.unique(found.guard)) <= {SILENT, WARNED, REFUSED}
     silent = found.error[found.guard == SILENT]
     assert len(silent)

@@ -1,4 +1,4 @@
-"""What is told of a result: a chart's elements, and which of them the lens itself does not pass."""
+"""Figures of a result: a chart's elements, and which of them the lens itself does not pass."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def test_lines_finer_than_the_aperture_passes_are_told(passed_um: float, beyond:
     grid = Grid((400, 400), 4e-4, -1.0)
     elements = usaf_elements_within(grid, 0.12)
     chart = Field(grid, usaf_chart(grid, elements, "bright").astype(np.complex64), 0.532)
-    told = chart_metrics(chart, elements, "bright", passed_um)
-    finest = told["smallest_resolved"]
+    figures = chart_metrics(chart, elements, "bright", passed_um)
+    finest = figures["smallest_resolved"]
     assert finest["line_width_um"] == pytest.approx(min(one.line_width_um for one in elements))
     assert finest["beyond_aperture"] is beyond
-    assert told["aperture_passes_um"] == passed_um
+    assert figures["aperture_passes_um"] == passed_um

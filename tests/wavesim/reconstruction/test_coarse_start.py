@@ -48,13 +48,15 @@ def test_known_pixels_see_what_they_see_of_the_whole_lens() -> None:
     assert small.scene.exit_grid.size < 0.65 * SCENE.exit_grid.size
     half = small.light.with_values(values.reshape(240, 2, 240, 2).mean(axis=(1, 3)).astype(np.complex64))
     seen = np.abs(engine_for(small.scene, "eikonal", error=0.02).forward(half).values)
-    told, known = small.recorded[0], np.isfinite(small.recorded[0].sigma)
+    measured, known = small.recorded[0], np.isfinite(small.recorded[0].sigma)
     assert 0.1 < known.mean() < 0.6
-    off = np.linalg.norm((seen - told.amplitude)[known]) / np.linalg.norm(told.amplitude[known])
+    off = np.linalg.norm((seen - measured.amplitude)[known]) / np.linalg.norm(measured.amplitude[known])
     assert off < 0.03
     # Beside them light of higher angles is missing.
-    bright = ~known & (told.amplitude > 0.0)
-    assert np.linalg.norm((seen - told.amplitude)[bright]) > 0.2 * np.linalg.norm(told.amplitude[bright])
+    bright = ~known & (measured.amplitude > 0.0)
+    assert np.linalg.norm((seen - measured.amplitude)[bright]) > 0.2 * np.linalg.norm(
+        measured.amplitude[bright]
+    )
 
 
 def test_known_pixels_follow_a_displaced_sensor() -> None:

@@ -91,7 +91,7 @@ def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, result:
 def fit_and_count_rays(
     search: JointSearch, start: Unknowns, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[int, FitResult]:
-    """How often it is told what parameters do to the rays of tiles, and what a search finds."""
+    """Count the derivatives of the rays of tiles, and return the result of a search."""
     asked: list[str] = []
     told_of = DensePixels.ray_slopes
 

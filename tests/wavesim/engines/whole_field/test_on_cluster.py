@@ -69,11 +69,11 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
     """Bands of the first round are there already."""
     first, _ = cluster.worker(), cluster.worker()
     here, away = engine_on(scene), engine_on(scene)
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
 
     def report(done: int, count: int) -> None:
-        told.append((done, count))
-        if len(told) == 7:
+        calls.append((done, count))
+        if len(calls) == 7:
             first.kill()
 
     away.progress = report
@@ -85,7 +85,7 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
     assert away.elsewhere is None
     count = len(here.groups)
     assert count > 7
-    assert told == 2 * [(done, count) for done in range(1, count + 1)]
+    assert calls == 2 * [(done, count) for done in range(1, count + 1)]
     assert first.wait(timeout=600) != 0
     assert relative_error(there, here.forward(field).values) < 1e-6
     assert relative_error(returned, here.adjoint(back).values) < 1e-6
@@ -112,14 +112,14 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
         take(away)
         assert relative_error(away.forward(field).values, there) < 1e-6
         assert relative_error(away.adjoint(back).values, returned) < 1e-6
-        told: list[int] = []
-        away.progress = lambda done, _: told.append(done)
+        calls: list[int] = []
+        away.progress = lambda done, _: calls.append(done)
         bands = list(away.forward_in_bands(field, 100, sums))
         assert isinstance(away.elsewhere, ClusterExecutor)
         with pytest.raises(ValueError, match="no number"):
             away.elsewhere.cluster.finish([away.elsewhere.cluster.hold(float, "no number")])
     count = len(away.groups)
-    assert told == [count - 1, count]
+    assert calls == [count - 1, count]
     assert sorted(sums) == list(range(count))
     assert [rows.start for rows, _ in bands] == [0, 100, 200]
     assert relative_error(np.concatenate([values for _, values in bands]), there) < 1e-6

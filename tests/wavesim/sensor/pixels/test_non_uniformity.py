@@ -46,15 +46,15 @@ def test_all_frames_show_one_pattern() -> None:
 
 def test_longer_exposures_than_stated_are_brighter_by_as_much() -> None:
     sensor = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
-    told = frames_of_light(np.ones(SHAPE), sensor, 1.0, 0.5, Electronics(), None, (0.5, 1.0))
+    stated = frames_of_light(np.ones(SHAPE), sensor, 1.0, 0.5, Electronics(), None, (0.5, 1.0))
     true = frames_of_light(
         np.ones(SHAPE), sensor, 1.0, 0.5, Electronics(), None, (0.5, 1.0), exposure_errors=(0.0, 0.1)
     )
     ratios = [
         float((estimate_intensity(b)[0] / estimate_intensity(a)[0]).mean())
-        for a, b in zip(told, true, strict=True)
+        for a, b in zip(stated, true, strict=True)
     ]
-    assert [a.settings for a in told] == [b.settings for b in true]
+    assert [a.settings for a in stated] == [b.settings for b in true]
     assert ratios == pytest.approx([1.0, 1.1], abs=1e-3)
 
 
