@@ -175,7 +175,8 @@ def rays_beside_trials() -> None:
                 f"{stated.mean:.4f}, {stated.deviation:.4f}, {100 * stated.good:.1f} %; "
                 f"by {RAY_TRIALS} trials "
                 f"{np.mean(traced):.4f}, {np.std(traced):.4f}, {100 * good:.1f} %; "
-                f"predicted to deviate by {100 * stated.left:.1f} % of the deviation; {seconds:.1f} s"
+                f"predicted to deviate by {100 * stated.relative_error:.1f} % of the deviation; "
+                f"{seconds:.1f} s"
             )
 
 

@@ -50,7 +50,7 @@ def calibrate(
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
-    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
         pictures = read_frames(frames, of_frames, lens=lens)
@@ -62,7 +62,7 @@ def calibrate(
             empty=read_empty(empty, of_frames, lens),
             priors=read_priors(priors, lens),
             folder=output,
-            progress=tell,
+            progress=on_progress,
         )
     for name in (CHECKPOINT, EMPTY_CHECKPOINT):
         with suppress(OSError):  # A left-over checkpoint does no harm.

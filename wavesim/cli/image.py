@@ -78,9 +78,9 @@ def _recorded(
     from wavesim.sensor.recording import drop_parts
 
     on_estimate = None if as_json else memory_teller(output)
-    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        imaged = record(lens, object_, settings, folder=output, progress=tell, on_estimate=on_estimate)
+        imaged = record(lens, object_, settings, folder=output, progress=on_progress, on_estimate=on_estimate)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     summary = {"design": name} | _summary(imaged) | {"warnings": messages}

@@ -118,7 +118,7 @@ def reconstruct(
             bench = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
-        with progress() as tell:
+        with progress() as on_progress:
             found = reconstruct_frames(
                 lens,
                 # Given away: nothing here may hold them to the end.
@@ -127,7 +127,7 @@ def reconstruct(
                 truth=truth,
                 calibration=bench,
                 folder=output,
-                progress=tell,
+                progress=on_progress,
                 on_estimate=on_estimate,
             )
         if stop_doubt:
@@ -197,7 +197,7 @@ def _calibrated(
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     sought = CalibrationSettings(**given | {"kind": settings.kind})
-    with progress() as tell:
+    with progress() as on_progress:
         if calibrates or empty is None:
             return calibrate_frames(
                 lens,
@@ -206,13 +206,13 @@ def _calibrated(
                 empty=empty,
                 priors=priors,
                 folder=output,
-                progress=tell,
+                progress=on_progress,
                 judges=False,  # the reconstruction that follows is
             )
         validate_same_frames(empty, frames)
         start = bench or Bench(Placement(settings.pose))
         return calibrate_empty(
-            lens, empty, sought, start=start, folder=output, progress=tell, parameters="light"
+            lens, empty, sought, start=start, folder=output, progress=on_progress, parameters="light"
         )
 
 

@@ -121,7 +121,7 @@ def figure_9(work: Work) -> Made:
     """The field sought and both amplitudes, of a chart in front of a twin."""
     scale, iterations = work.settings["twin"], work.settings["iterations"]
     case = twin(scale)
-    work.tell(f"{iterations} iterations")
+    work.progress(f"{iterations} iterations")
     found = retrieved(scale, "chart", "forward model", iterations)
     near, far = case.lens.sensor.plane_distances_mm
     at_vertex = propagate(found.field, -near, check=False)

@@ -57,8 +57,8 @@ def full_size(work: Work) -> Made:
         folder = work.folder / f"retrieved_{exposures}_{count}"
         folder.mkdir(exist_ok=True)
 
-        def tell(what: str, done: int, steps: int, said: str = said) -> None:
-            work.tell(f"{said}: {what} ({done} of {steps})")
+        def progress(what: str, done: int, steps: int, said: str = said) -> None:
+            work.progress(f"{said}: {what} ({done} of {steps})")
 
         frames = read_frames(_files(taken, lens, exposures), lens=lens)
         found[said] = reconstruct_frames(
@@ -67,7 +67,7 @@ def full_size(work: Work) -> Made:
             settings,
             truth=taken,
             folder=folder,
-            progress=tell,
+            progress=progress,
             iterations=count,
         )
         numbers += _numbers(said, found[said])
@@ -83,7 +83,7 @@ def _taken(work: Work, lens: Lens, how: dict[str, Any]) -> Path:
     folder.mkdir(exist_ok=True)
     true = folder / "object.npz"
     if not true.is_file():
-        work.tell("frames")
+        work.progress("frames")
         imaged = image(lens, "usaf", exposures=BRACKET, object_pitch_um=OBJECT_PITCH_UM, folder=folder, **how)
         for frame, path in zip(imaged.frames, _files(folder, lens, len(BRACKET)), strict=True):
             write_frame(frame, path)

@@ -60,7 +60,7 @@ def the_papers_way(work: Work) -> Made:
     numbers, drawn = list[Number](), dict[str, tuple[Shot, Field]]()
     for kind in np.linspace(0, len(TAKEN) - 1, int(work.settings["kinds"])).astype(int):
         taken = TAKEN[kind]
-        work.tell(taken.said)
+        work.progress(taken.said)
         one = shot(scale, "chart", taken.exposures, taken.planes, fill_factor=taken.fill_factor)
         found = one.object_of(_retrieved(one, iterations, taken.rounds))
         numbers += _of(taken.said, one, found)
@@ -68,7 +68,7 @@ def the_papers_way(work: Work) -> Made:
     sliced, field = _best_field(iterations)
     as_thick = max(1, round(PAPER_SLICES * SLICED_TWIN))
     for said, back in _ways_back(sliced, as_thick, int(work.settings["slices"])).items():
-        work.tell(said)
+        work.progress(said)
         found = sliced.object_of(field, back)
         numbers += _of(said, sliced, found)
         drawn[said] = sliced, found
