@@ -152,7 +152,7 @@ def explore(
     input, 130 or 143 after an interrupt.
     """
     from lensdesign.common.console import messages_only
-    from lensdesign.common.deadlines import OutOfTime, deadline, now
+    from lensdesign.common.deadlines import DeadlineExceeded, deadline, now
     from lensdesign.common.progress import progress_count
     from lensdesign.exploration.chart import write_charts
     from lensdesign.exploration.folder import folder_for
@@ -171,7 +171,7 @@ def explore(
     try:
         with messages_only(), progress_count("searches") as count, deadline(end):
             explored = Exploration(asked, axes, lenses, known, folder.keep, count.update).run()
-    except (KeyboardInterrupt, OutOfTime) as stop:
+    except (KeyboardInterrupt, DeadlineExceeded) as stop:
         found = list(folder.begin().values())
         folder.write_front(found, axes)
         hint = f"{len(found)} searches are stored in {output}; repeat the command to continue"

@@ -109,7 +109,7 @@ def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
                 ("Tolerances", _card(panes.tolerances(bench, dressers))),
                 ("Compare", _card(panes.compare(bench))),
                 ("Export", _card(panes.export(bench))),
-                ("Reconstructions", _card(panes.look(bench))),
+                ("Reconstructions", _card(panes.result_folder_pane(bench))),
             ),
         )
     )

@@ -35,7 +35,11 @@ from tolerancing.prediction.goals.ray_loads import FollowedRays, RayLoads, judge
 from tolerancing.prediction.goals.reconstruction_loss import SearchedLosses
 from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.wavefront_prediction import Judged, is_predicted_wavefront, wavefront_points
+from tolerancing.prediction.wavefront_prediction import (
+    WavefrontLimit,
+    is_predicted_wavefront,
+    wavefront_points,
+)
 from tolerancing.study.evaluate import compensated_points, prepare_merits
 from tolerancing.study.files import check_against, load_study
 from tolerancing.study.study import Study
@@ -103,7 +107,7 @@ class StudyAsBuilt:
         return replace(self, study=_multiplied(self.study, factor))
 
     @cached_property
-    def judged(self) -> tuple[Judged, ...]:
+    def judged(self) -> tuple[WavefrontLimit, ...]:
         """Object points at which wavefronts are limited, and their limits."""
         return wavefront_points(self.study)
 

@@ -28,7 +28,7 @@ from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
 
-class Checked(Protocol):
+class LensCheckable(Protocol):
     """A section of a study that can be checked against a lens."""
 
     def check(self, lens: Lens) -> None:
@@ -374,7 +374,7 @@ def _faults_of_merits(study: Study) -> list[str]:
     return list(faults)
 
 
-def _faults(items: Iterable[Checked], key: str, lens: Lens) -> list[str]:
+def _faults(items: Iterable[LensCheckable], key: str, lens: Lens) -> list[str]:
     faults = []
     for number, item in enumerate(items, start=1):
         try:

@@ -184,7 +184,7 @@ def propagate(
     >>> round(behind.energy / beam.energy, 6)
     1.0
     """
-    grid = field.grid.towards(to)
+    grid = field.grid.target_grid(to)
     operator = FreeSpacePropagator(
         field.grid, grid, field.wavelength_um, field.index, source_tilt_deg, target_tilt_deg, pad, band_limit
     )

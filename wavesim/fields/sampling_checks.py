@@ -135,7 +135,7 @@ def measure_propagation(
     InputError
         If the field has values that are not finite.
     """
-    target = field.grid.towards(to)
+    target = field.grid.target_grid(to)
     distance_mm = target.z_mm - field.grid.z_mm
     power = abs(fftn(field.values)) ** 2
     total = float(np.sum(power))
@@ -231,7 +231,7 @@ def check_propagation(
         If more than `WARNED` of the energy would be wrong.
     """
     found = measure_propagation(field, to, pad=pad, band_limit=band_limit)
-    source, target = field.grid, field.grid.towards(to)
+    source, target = field.grid, field.grid.target_grid(to)
     distance_mm = target.z_mm - source.z_mm
     nyquist = 0.5 / source.pitch_mm
     report_loss(

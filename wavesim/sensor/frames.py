@@ -277,7 +277,7 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
 def _read_picture(path: Path) -> tuple[Counts, str]:
     """Return the counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
     file = PictureFile(path, formats=FRAME_FORMATS)
-    picture = file.only()
+    picture = file.single_picture()
     # Least number of bits of a stored count; readers rescale counts of fewer bits.
     least_bits = 8
     if picture.mode not in COUNT_MODES or picture.bits < least_bits or picture.states_alpha:

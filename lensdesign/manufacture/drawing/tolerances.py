@@ -23,7 +23,7 @@ GENERAL_MARK, DERIVED_MARK = "*", "†"
 """Marks of values that are general tolerances, and of values derived from a tolerance study."""
 
 
-class Marked(FrozenModel):
+class MarkedTolerances(FrozenModel):
     """Tolerances with marks for values that do not come from the stated source.
 
     Attributes
@@ -50,7 +50,7 @@ class Marked(FrozenModel):
 
     def marked_general(self, known: Collection[str]) -> Self:
         """Return the tolerances; values are marked as general unless `known` lists them."""
-        names = (name for name in type(self).model_fields if name not in Marked.model_fields)
+        names = (name for name in type(self).model_fields if name not in MarkedTolerances.model_fields)
         return self.replaced(general=tuple(n for n in names if n not in known and self._states(n)))
 
     def _states(self, name: str) -> bool:
@@ -59,7 +59,7 @@ class Marked(FrozenModel):
         return name != "source" and stated and not isinstance(value, FrozenModel)
 
 
-class SurfaceTolerances(Marked):
+class SurfaceTolerances(MarkedTolerances):
     """Tolerances of one surface on a drawing; None or an empty text omits an indication.
 
     Attributes
@@ -129,7 +129,7 @@ class SurfaceTolerances(Marked):
         return self
 
 
-class DrawingTolerances(Marked):
+class DrawingTolerances(MarkedTolerances):
     """Tolerances of one glass element on a drawing.
 
     Attributes

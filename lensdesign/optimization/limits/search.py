@@ -19,12 +19,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.deadlines import OutOfTime, no_deadline
+from lensdesign.common.deadlines import DeadlineExceeded, no_deadline
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.limited_quantities import LimitedQuantity, limited_quantities
-from lensdesign.optimization.local_search import Budget, Found, dense_rays, search_from, starts_of
+from lensdesign.optimization.local_search import Budget, SearchResult, dense_rays, search_from, starts_of
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
@@ -227,7 +227,7 @@ class _LimitSearch:
                     break
         except KeyboardInterrupt:
             cut = "interrupt"
-        except OutOfTime:
+        except DeadlineExceeded:
             cut = "max_seconds"
         except _BudgetSpent:
             cut = "max_evaluations"
@@ -320,7 +320,7 @@ class _LimitSearch:
         self.ends.append(end)
         return True
 
-    def _search(self, value: float, glasses: str, point: Array) -> Found | None:
+    def _search(self, value: float, glasses: str, point: Array) -> SearchResult | None:
         """Return the result of a search for a feasible lens; None if the value is not valid."""
         problem = self._problem(value, glasses)
         if problem is None:

@@ -66,10 +66,12 @@ def wavefront_forms(design: DesignPoint, points_mm: Sequence[tuple[float, float]
             found.append((field.registered.T * field.weights) @ field.registered)
         return np.stack(found)
 
-    values = forms(traced.still, design.changes, design.figures(traced.still), design.multiplier)
+    values = forms(
+        traced.nominal_paths, design.changes, design.figures(traced.nominal_paths), design.multiplier
+    )
     by = np.empty((len(design.variables), *values.shape))
     for v in range(len(design.variables)):
         paths, (changes, multiplier) = traced.moved(v), design.moved_changes(v)
-        figures = design.moved_figures(paths, traced.still, v)
+        figures = design.moved_figures(paths, traced.nominal_paths, v)
         by[v] = forms(paths, changes, figures, multiplier).imag / STEP
     return values, by
