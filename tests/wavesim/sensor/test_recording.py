@@ -96,7 +96,7 @@ def test_a_run_that_was_cut_off_goes_on(
 ) -> None:
     recording = Recording(PLANES_MM[:1], CAMERA, 3)
     whole, _ = scenery.imaged("hierarchical", recording)
-    carry, carried = executors.carry_tiles, list[Any]()
+    carry, carried = executors.propagate_tiles, list[Any]()
 
     def counted(way: Any, group: Any, *rest: Any) -> Any:
         if len(carried) == 3:
@@ -104,12 +104,12 @@ def test_a_run_that_was_cut_off_goes_on(
         carried.append(group)
         return carry(way, group, *rest)
 
-    monkeypatch.setattr(executors, "carry_tiles", counted)
+    monkeypatch.setattr(executors, "propagate_tiles", counted)
     with pytest.raises(KeyboardInterrupt):
         scenery.imaged("hierarchical", recording, folder=tmp_path)
     assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
     carried.clear()
-    monkeypatch.setattr(executors, "carry_tiles", carry)
+    monkeypatch.setattr(executors, "propagate_tiles", carry)
     calls: list[tuple[str, int, int]] = []
     again, _ = scenery.imaged(
         "hierarchical", recording, folder=tmp_path, progress=lambda *what: calls.append(what)
