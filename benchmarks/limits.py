@@ -114,7 +114,7 @@ def measured(name: str, asked: Specification, seeds: int) -> str:
     seconds = (time.perf_counter() - began) / seeds
     values = [one.reached for one in found if one.reached is not None]
     if not values:
-        above = "FOUND" if any_at(FIELD.changed(asked, 0.01 * FIELD.asked(asked)), None) else "none"
+        above = "FOUND" if any_at(FIELD.changed(asked, 0.01 * FIELD.value_in(asked)), None) else "none"
         return f"{name:45} none found with any seed {seconds:21.1f}         {above}"
     if len(values) < seeds:
         return f"{name:45} none found with {seeds - len(values)} of {seeds} seeds  DIFFER"
@@ -139,7 +139,7 @@ def any_above(asked: Specification, limit: Limit) -> bool:
     """Whether a dense multistart finds a lens for a field 1 % larger than a limit."""
     assert limit.lens is not None  # it was reached
     assert limit.reached is not None
-    if 1.01 * limit.reached > FIELD.asked(asked):
+    if 1.01 * limit.reached > FIELD.value_in(asked):
         return False
     return any_at(FIELD.changed(asked, 1.01 * limit.reached), limit)
 
