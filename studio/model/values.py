@@ -24,7 +24,7 @@ class Value:
 
     Attributes
     ----------
-    place
+    table_path
         Position of the value in the tables.
     group
         Heading under which it is shown.

@@ -29,7 +29,7 @@ Values = dict[str, float]
 
 
 class _Perturbation(FrozenModel):
-    """One ``[[perturbation]]`` table; other keys are ignored."""
+    """A ``[[perturbation]]`` table; other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
