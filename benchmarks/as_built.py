@@ -96,7 +96,7 @@ def optimized(folder: Path, number: int, goal: str, asked: FigureRequest) -> Opt
 
 
 def _tried(folder: Path, number: int, found: OptimizationResult) -> str:
-    """Share of good lenses with its interval; what is missed is told."""
+    """Share of good lenses with its interval; missing trials are counted."""
     from lensdesign.optimization.as_built import read_as_built
     from lensdesign.optimization.specification.sections import Tolerances
 

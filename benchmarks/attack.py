@@ -128,7 +128,7 @@ def mutated_data(folder: Path, rng: np.random.Generator, count: int) -> Tally:
     from PIL import Image
 
     from lensdesign import load_design
-    from wavesim.calibration.calibrated import read_calibration
+    from wavesim.calibration.calibration_result import read_calibration
     from wavesim.fields.field import Field, Grid
     from wavesim.fields.files import read_field, write_field
     from wavesim.sensor.frames import read_frame
@@ -247,7 +247,7 @@ def write_study(folder: Path, more: str = "") -> None:
 
 
 def _read_all(store: Path, folder: Path) -> str:
-    """What all readers of a store come to: nothing, or what is told of it; no formula in a table."""
+    """Return the message of all readers of a store, or an empty text; no formula may be in a table."""
     import csv
 
     from lensdesign.common.console import print_json

@@ -25,10 +25,10 @@ TRIALS = 4000
 
 
 def killed_runs(folder: Path, rng: np.random.Generator, kills: int) -> Tally:
-    """A run that is killed at random, and goes on: what it told as stored is there, as of an unbroken run."""
+    """A run that is killed at random and resumed: all trials that it reported as stored are in the store."""
     study, tally = _rays(folder), Tally()
     start(folder, folder / "unbroken", TRIALS).communicate()
-    whole, told_before = stored_rows(folder / "unbroken"), 0
+    whole, printed_before = stored_rows(folder / "unbroken"), 0
     for kill in range(1, kills + 1):
         tally.tried += 1
         store = folder / "store"
@@ -38,11 +38,13 @@ def killed_runs(folder: Path, rng: np.random.Generator, kills: int) -> Tally:
         time.sleep(rng.uniform(0.0, 0.3))
         if run.poll() is None:
             os.killpg(run.pid, signal.SIGKILL)
-        told = [int(line) for line in (first + run.communicate()[0]).split()]
+        printed = [int(line) for line in (first + run.communicate()[0]).split()]
         held = count(store)
-        if held < told_before + (told[-1] if told else 0) or not set(stored_rows(store)) <= set(whole):
+        if held < printed_before + (printed[-1] if printed else 0) or not set(stored_rows(store)) <= set(
+            whole
+        ):
             tally.wrong.append(f"kill {kill}: rows lost or changed ({study.name})")
-        told_before = held
+        printed_before = held
     start(folder, folder / "store", TRIALS).communicate()
     if stored_rows(folder / "store") != whole:
         tally.wrong.append("the rows in the end are not those of an unbroken run")
@@ -91,7 +93,7 @@ def damaged_logs(folder: Path, rng: np.random.Generator, attempts: int) -> Tally
 
 
 def full_disks(folder: Path, rng: np.random.Generator, attempts: int) -> Tally:
-    """A run whose files may not grow beyond some size: told in one message; with room again it goes on."""
+    """A run whose files may not exceed some size: one message reports it; with space again it is resumed."""
     _rays(folder)
     start(folder, folder / "unbroken", TRIALS).communicate()
     whole = stored_rows(folder / "unbroken")

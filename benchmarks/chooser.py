@@ -15,7 +15,7 @@ from lensdesign import load_design, scaled
 from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import Prediction, choose, engine_for
 from wavesim.fields.field import Field, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.comparison import random_field, reference_for
 from wavesim.scene.engine import Engine
 from wavesim.scene.light import Light
@@ -162,7 +162,7 @@ def within(ratios: list[float], factor: float) -> float:
 
 
 def seconds_row(name: str, tried: list[GlassChoiceResult]) -> Row:
-    """How often time is told."""
+    """How often the time is printed."""
     ratios = [t.seconds_ratio for t in tried]
     return Row(f"{name}: seconds within a factor 3", within(ratios, 3.0), at_least=0.9)
 

@@ -25,7 +25,7 @@ from lensdesign import load_design
 from wavesim import Field, engine_for
 from wavesim.engines.whole_field import executors
 from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.tiles import carry_tiles
+from wavesim.engines.whole_field.tiles import propagate_tiles
 from wavesim.fields.field import Grid
 from wavesim.runtime.threads import THREADS
 
@@ -107,7 +107,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     groups = len(engine.groups)
     setup = time.perf_counter() - started
     seconds, carrying = [], list[float]()
-    executors.carry_tiles = timed(carry_tiles, carrying)
+    executors.propagate_tiles = timed(propagate_tiles, carrying)
     ways = (engine.forward, scene.object_grid), (engine.adjoint, scene.exit_grid)
     for carried, grid in ways:
         warm_up(engine, grid)
@@ -131,9 +131,9 @@ def warm_up(engine: WholeFieldEngine, grid: Grid) -> None:
     """Have loops compiled, or loaded."""
     group = engine.groups[0]
     if grid == engine.scene.object_grid:
-        carry_tiles("forward", group, np.ones(group.shape_of("adjoint"), np.complex64), THREADS)
+        propagate_tiles("forward", group, np.ones(group.shape_of("adjoint"), np.complex64), THREADS)
     else:
-        carry_tiles("adjoint", group, np.ones(group.shape, np.complex64), THREADS)
+        propagate_tiles("adjoint", group, np.ones(group.shape, np.complex64), THREADS)
 
 
 def exponent(sizes: Sequence[float], figures: Sequence[float]) -> float:

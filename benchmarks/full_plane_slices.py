@@ -23,8 +23,8 @@ from lensdesign import load_design, scaled
 from wavesim import Field, Scene, engine_for, patch_scene
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.fields.field import Grid, correlation, relative_error
-from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, phasor_of
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.resolving import bars_field
 from wavesim.scene.engine import Engine
 

@@ -34,9 +34,9 @@ from lensdesign.optimization.specification.specification import load_specificati
 from tolerancing import load_study
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
-from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.merits.registry import merit_from_table
-from tolerancing.prediction.losses import DRAWS, loss_chains, loss_paths
+from tolerancing.prediction.reconstruction_loss import DRAWS, loss_chains, loss_paths
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import sample_perturbations
 from wavesim.scene.system_state import SystemState

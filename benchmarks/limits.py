@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.optimization.compliance import check_against
-from lensdesign.optimization.limits.kinds import FIELD
+from lensdesign.optimization.limits.limited_quantities import FIELD
 from lensdesign.optimization.limits.search import Limit, find_limits
 from lensdesign.optimization.local_search import Budget, search_from, starts_of
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
@@ -110,11 +110,11 @@ def main() -> None:
 def measured(name: str, asked: Specification, seeds: int) -> str:
     """Return a row of the table."""
     began = time.perf_counter()
-    found = [find_limits(asked, seed=seed, kinds=(FIELD,), most=1.0)[0] for seed in range(seeds)]
+    found = [find_limits(asked, seed=seed, quantities=(FIELD,), most=1.0)[0] for seed in range(seeds)]
     seconds = (time.perf_counter() - began) / seeds
     values = [one.reached for one in found if one.reached is not None]
     if not values:
-        above = "FOUND" if any_at(FIELD.changed(asked, 0.01 * FIELD.asked(asked)), None) else "none"
+        above = "FOUND" if any_at(FIELD.changed(asked, 0.01 * FIELD.value_in(asked)), None) else "none"
         return f"{name:45} none found with any seed {seconds:21.1f}         {above}"
     if len(values) < seeds:
         return f"{name:45} none found with {seeds - len(values)} of {seeds} seeds  DIFFER"
@@ -139,7 +139,7 @@ def any_above(asked: Specification, limit: Limit) -> bool:
     """Whether a dense multistart finds a lens for a field 1 % larger than a limit."""
     assert limit.lens is not None  # it was reached
     assert limit.reached is not None
-    if 1.01 * limit.reached > FIELD.asked(asked):
+    if 1.01 * limit.reached > FIELD.value_in(asked):
         return False
     return any_at(FIELD.changed(asked, 1.01 * limit.reached), limit)
 

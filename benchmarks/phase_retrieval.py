@@ -43,11 +43,11 @@ def iteration_seconds(distances_mm: tuple[float, ...]) -> tuple[list[float], lis
     ]
     wall, cpu = [], []
 
-    def tell(*_: object) -> None:
+    def on_progress(*_: object) -> None:
         wall.append(time.perf_counter())
         cpu.append(time.process_time())
 
-    retrieve(grid, WAVELENGTH_UM, recorded, "uniform", iterations=ITERATIONS, progress=tell)
+    retrieve(grid, WAVELENGTH_UM, recorded, "uniform", iterations=ITERATIONS, progress=on_progress)
     return list(np.diff(wall)), list(np.diff(cpu))
 
 

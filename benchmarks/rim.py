@@ -21,7 +21,7 @@ from lensdesign import load_design, scaled
 from wavesim import Engine, Field, Grid, Scene
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
-from wavesim.metrics.about_axis import summed_plane_waves
+from wavesim.metrics.axisymmetric_reference import summed_plane_waves
 from wavesim.scene.patches import patch_scene
 
 PLANE_MM, PITCH_MM = 2.0, 0.25e-3
@@ -36,7 +36,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scale", type=float, default=0.0625, help="of the twin")
     scale = parser.parse_args().scale
-    print(f"lens times {scale:g}: error of the field, and as it is told beforehand (%)")
+    print(f"lens times {scale:g}: measured and predicted error of the field (%)")
     for is_line in (True, False) if scale < LARGEST_PLANE else (True,):
         scene = _scene(scale, is_line)
         middle = tuple(n // 2 for n in scene.exit_grid.shape)
@@ -50,8 +50,8 @@ def main() -> None:
             found = engine.forward(_point(scene)).values
             along = found[middle[0] :] if is_line else found[middle[0] :, middle[1]]
             error = math.sqrt(np.sum(weight * np.abs(along - true) ** 2) / np.sum(weight * np.abs(true) ** 2))
-            where, told = "line" if is_line else "plane", engine.predicted_error()
-            print(f"{where}, {name:14} {100.0 * error:7.3f} {100.0 * told:7.3f}", flush=True)
+            where, predicted = "line" if is_line else "plane", engine.predicted_error()
+            print(f"{where}, {name:14} {100.0 * error:7.3f} {100.0 * predicted:7.3f}", flush=True)
 
 
 def _scene(scale: float, is_line: bool) -> Scene:

@@ -54,10 +54,10 @@ def kill_often(folder: Path) -> list[Row]:
         time.sleep(rng.uniform(0.0, WRITING_SECONDS if first else STARTING_SECONDS))
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
-        told = [int(line) for line in (first + process.communicate()[0]).split()]
+        printed = [int(line) for line in (first + process.communicate()[0]).split()]
         logs += store.with_name("store-wal").exists()
         held = count(store)
-        lost += max(last + (told[-1] if told else 0) - held, 0)
+        lost += max(last + (printed[-1] if printed else 0) - held, 0)
         gained += held > last
         last = held
     start(folder, store, TRIALS).communicate()

@@ -209,16 +209,16 @@ def measured_run(study: str, store: str, trials: str, options: str) -> dict[str,
     from tolerancing.run.run import run_study
     from tolerancing.study.files import load_study
 
-    told: list[tuple[float, int]] = []
+    calls: list[tuple[float, int]] = []
     outcome = run_study(
         load_study(study),
         store,
         trials=int(trials),
-        progress=lambda done, _: told.append((time.perf_counter(), done)),
+        progress=lambda done, _: calls.append((time.perf_counter(), done)),
         **json.loads(options),
     )
-    told = [entry for entry in told if entry[1] >= SHARE_LEFT_OUT * int(trials)]
-    (start, first), (end, last) = told[0], told[-1]
+    calls = [entry for entry in calls if entry[1] >= SHARE_LEFT_OUT * int(trials)]
+    (start, first), (end, last) = calls[0], calls[-1]
     own, workers = (
         resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )

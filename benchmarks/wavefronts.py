@@ -19,9 +19,9 @@ from lensdesign.optimization.specification.sections import Tolerances
 from lensdesign.optimization.specification.specification import load_specification
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing import load_study
-from tolerancing.merits.arrival import arriving_rays
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
+from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction import arrival_differentials, differentials, predict, predict_rays
@@ -87,11 +87,11 @@ def main() -> None:
     )
     for row in report.rows:
         waves = zip(row.predicted_rms_waves, row.rms_waves, row.rms_errors_waves, strict=True)
-        words = "; ".join(f"{told:.4f}, {rms:.4f} +- {2 * error:.4f}" for told, rms, error in waves)
+        words = "; ".join(f"{stated:.4f}, {rms:.4f} +- {2 * error:.4f}" for stated, rms, error in waves)
         print(f"{row.name}: rms predicted, by {trials} trials: {words}")
-        told = predict(lens if row is report.rows[0] else found.lens, loaded.study).good
+        stated = predict(lens if row is report.rows[0] else found.lens, loaded.study).good
         good = f"{row.good:.4f} ({row.low:.4f} to {row.high:.4f})"
-        print(f"{row.name}: good predicted {told:.4f}, by trials {good}")
+        print(f"{row.name}: good predicted {stated:.4f}, by trials {good}")
 
 
 def spreads_beside_others(lens: Lens) -> None:
@@ -135,13 +135,13 @@ def spreads_beside_others(lens: Lens) -> None:
     batch = PerturbationBatch(tuple(moved), values * units, 0.0)
     began = time.perf_counter()
     rays = known.arrival(known.changes.amounts(batch))
-    told = np.max(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), axis=1)
+    predicted = np.max(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), axis=1)
     seconds["derivatives"] += time.perf_counter() - began
     began = time.perf_counter()
     rays = arriving_rays(lens, batch, points, stop.points, wavelength)
     traced = np.max(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), axis=1)
     seconds["trials"] = time.perf_counter() - began
-    for name, own in (("Optiland", sines), ("trials", traced), ("derivatives", told)):
+    for name, own in (("Optiland", sines), ("trials", traced), ("derivatives", predicted)):
         angles = np.rad2deg(np.arcsin(own))
         off = np.max(np.abs(angles - np.rad2deg(np.arcsin(sines))))
         print(
@@ -168,13 +168,15 @@ def rays_beside_trials() -> None:
         for start in range(0, RAY_TRIALS, 500):
             batch = sample_perturbations(own, range(start, start + 500))
             scores.append(np.stack([merit.scores(context, batch) for merit in merits], axis=1))
-        for told, traced in zip(predicted, np.concatenate(scores).T, strict=True):
-            good = np.mean(told.merit.passed(traced))
+        for stated, traced in zip(predicted, np.concatenate(scores).T, strict=True):
+            good = np.mean(stated.merit.passed(traced))
             print(
-                f"tolerances x {factor:g}, {told.merit.label}: mean, deviation, good predicted "
-                f"{told.mean:.4f}, {told.deviation:.4f}, {100 * told.good:.1f} %; by {RAY_TRIALS} trials "
+                f"tolerances x {factor:g}, {stated.merit.label}: mean, deviation, good predicted "
+                f"{stated.mean:.4f}, {stated.deviation:.4f}, {100 * stated.good:.1f} %; "
+                f"by {RAY_TRIALS} trials "
                 f"{np.mean(traced):.4f}, {np.std(traced):.4f}, {100 * good:.1f} %; "
-                f"told to be off by {100 * told.left:.1f} % of the deviation; {seconds:.1f} s"
+                f"predicted to deviate by {100 * stated.relative_error:.1f} % of the deviation; "
+                f"{seconds:.1f} s"
             )
 
 
@@ -186,14 +188,14 @@ def compensators_beside_trials() -> None:
     )
     update = {"compensators": adapted, "trials": COMPENSATED_TRIALS}
     study = loaded.study.model_copy(update=update)
-    told, context, scores = predict(loaded.lens, study), context_of(loaded.lens, study), []
+    stated, context, scores = predict(loaded.lens, study), context_of(loaded.lens, study), []
     for start in range(0, COMPENSATED_TRIALS, 20):
         batch = sample_perturbations(study, range(start, start + 20))
         scores.append(study.merits[0].scores(context, batch))
     found = yield_of(study.merits[0].passed(np.concatenate(scores)))
     assert found is not None  # there are trials
     print(
-        f"decenter adapted: good predicted {told.good:.4f}, by {COMPENSATED_TRIALS} trials "
+        f"decenter adapted: good predicted {stated.good:.4f}, by {COMPENSATED_TRIALS} trials "
         f"{found.fraction:.4f} ({found.low:.4f} to {found.high:.4f})"
     )
 
@@ -209,15 +211,15 @@ def beside_optiland(lens: Lens) -> None:
     known = differentials(lens, moved, sizes, [point], plane_distance_mm=plane_mm)
     field = known.fields[0]
     values = np.random.default_rng(0).normal(size=(OPTILAND_TRIALS, 4)) * sizes
-    told = np.sqrt(field.waves(values) ** 2 @ field.weights)
+    predicted = np.sqrt(field.waves(values) ** 2 @ field.weights)
     ours = time.perf_counter() - began
     paths = nominal_paths(lens, [point], pupil_rings(RINGS, ARMS), wavelength, plane_mm)
     began = time.perf_counter()
     found = np.array([_by_optiland(lens, paths, field, one) for one in values])
     theirs = time.perf_counter() - began
-    rms = [float(np.sqrt(np.mean(own**2))) for own in (found, told)]
+    rms = [float(np.sqrt(np.mean(own**2))) for own in (found, predicted)]
     print(f"surface 2 decentered and tilted: rms {rms[0]:.4f} waves by Optiland, {rms[1]:.4f} by derivatives")
-    print(f"largest difference of {OPTILAND_TRIALS} trials: {np.max(np.abs(found - told)):.1e} waves")
+    print(f"largest difference of {OPTILAND_TRIALS} trials: {np.max(np.abs(found - predicted)):.1e} waves")
     print(f"seconds: {theirs:.1f} and {ours:.3f}")
 
 

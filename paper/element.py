@@ -119,15 +119,15 @@ class Work:
         Folder for pictures.
     parts
         Folder for what it keeps while it is made, and for others that need it; there is one for each element.
-    tell
-        Told what is being done.
+    progress
+        Progress callback, called with a text.
     """
 
     key: str
     settings: Mapping[str, Any]
     pictures: Path
     parts: Mapping[str, Path]
-    tell: Callable[[str], None]
+    progress: Callable[[str], None]
 
     @cached_property
     def lens(self) -> Lens:

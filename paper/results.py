@@ -86,11 +86,11 @@ def read_result(folder: Path, key: str) -> Result | None:
     if not path.is_file():
         return None
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        made = told.pop("made")
+        written = json.loads(path.read_text(encoding="utf-8"))
+        made = written.pop("made")
         numbers = tuple(Number(**one) for one in made.pop("numbers"))
         pictures = tuple(Picture(**one) for one in made.pop("pictures"))
-        return Result(**told, made=Made(numbers, tuple(made["commands"]), made["difference"], pictures))
+        return Result(**written, made=Made(numbers, tuple(made["commands"]), made["difference"], pictures))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: no result of this program ({error}); remove it") from None
 

@@ -85,10 +85,10 @@ def make_all(
             if element.key not in done:
                 bar.update(task, description=element.key)
 
-                def tell(text: str, key: str = element.key) -> None:
+                def progress(text: str, key: str = element.key) -> None:
                     bar.update(task, description=f"{key}: {text}")
 
-                done[element.key] = _made(element, folder, budget, elements, tell)
+                done[element.key] = _made(element, folder, budget, elements, progress)
                 bar.advance(task, round(_seconds(element, budget)))
                 console.print(f"{element.key}: {done[element.key].seconds:.1f} s", highlight=False)
             results.append(done[element.key])
@@ -100,14 +100,14 @@ def _made(
     folder: Path,
     budget: Budget,
     others: Mapping[str, Element],
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> Result:
     from wavesim import SamplingWarning
     from wavesim.sensor.sensor import FootprintWarning
 
     parts = {key: folder / PARTS / key for key in (element.key, *element.needs)}
     settings = element.settings.get(budget, {})
-    work = Work(element.key, settings, folder / PICTURES, parts, tell)
+    work = Work(element.key, settings, folder / PICTURES, parts, progress)
     started = time.monotonic()
     with styled(), warnings.catch_warnings():
         for kind in (SamplingWarning, FootprintWarning):

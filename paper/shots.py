@@ -149,6 +149,6 @@ def finest(found: Field, elements: tuple[UsafElement, ...]) -> UsafElement | Non
     return smallest_resolved_element(element_contrasts(found.values, found.grid, elements))
 
 
-def told(element: UsafElement | None) -> str:
+def element_text(element: UsafElement | None) -> str:
     """An element as the paper names it."""
     return "none" if element is None else f"{element.group}-{element.element}, {element.line_width_um:.3g} µm"

@@ -16,7 +16,7 @@ from wavesim.scene.scene import Scene
 PAPER = load_design("designs/paper_singlet.toml")
 WAVELENGTH_UM = 0.532
 
-pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.SamplingWarning")
 
 
 def small_scene(radius_x_mm: float) -> Scene:

@@ -279,10 +279,10 @@ FIGURES = dict(ROWS)
 
 @pytest.mark.parametrize("figure", FIGURES)
 def test_every_figure_of_the_readme_has_a_command(figure: str) -> None:
-    told = FIGURES[figure]
-    if told == "same":
-        told = [cell for _, cell in ROWS[: list(FIGURES).index(figure)] if cell != "same"][-1]
-    link = re.fullmatch(r"\[\w+ commands?\]\((docs/[\w-]+\.md)#([\w-]+)\)", told)
+    cell_text = FIGURES[figure]
+    if cell_text == "same":
+        cell_text = [cell for _, cell in ROWS[: list(FIGURES).index(figure)] if cell != "same"][-1]
+    link = re.fullmatch(r"\[\w+ commands?\]\((docs/[\w-]+\.md)#([\w-]+)\)", cell_text)
     if link:
         page = (ROOT / link[1]).read_text(encoding="utf-8")
         sections = {
@@ -291,8 +291,8 @@ def test_every_figure_of_the_readme_has_a_command(figure: str) -> None:
         }
         commands = [line for line in sections[link[2]].splitlines() if COMMAND.match(line)]
     else:
-        assert re.fullmatch(r"`[^`]+`", told), told
-        commands = [told.strip("`")]
+        assert re.fullmatch(r"`[^`]+`", cell_text), cell_text
+        commands = [cell_text.strip("`")]
     assert commands
     for command in commands:
         assert_there_is(shlex.split(command))

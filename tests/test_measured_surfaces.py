@@ -29,7 +29,7 @@ PAPER = load_design("designs/paper_singlet.toml")
 WAVELENGTH_UM = 0.532
 SEMI_MM = (8.26, 10.0)
 
-pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.SamplingWarning")
 
 
 def figured(surface: int, um: dict[int, float]) -> dict[int, SurfacePerturbation]:

@@ -1,9 +1,9 @@
-from .calibration.calibrated import Calibrated
+from .calibration.calibration_result import Calibrated
 from .calibration.frame_calibration import calibrate_frames
 from .engines.choosing import choose, engine_for
 from .fields.field import Field, Grid
-from .fields.guards import SamplingWarning
 from .fields.propagator import propagate
+from .fields.sampling_checks import SamplingWarning
 from .metrics.resolving import resolve
 from .plots.page import write_zoom_page
 from .plots.pyramid import write_pyramid

@@ -41,7 +41,7 @@ CHART_SEED = 23
 """Of the object whose frames tell the mounting."""
 
 FEWEST = 12
-"""Trials of which ranks are told."""
+"""Trials whose ranks are printed."""
 
 
 class Place(NamedTuple):

@@ -2,7 +2,7 @@
 
 A round field stop about any point of the object is lit by a plane wave. Its light goes through the perturbed
 lens (eikonal tiles) to where the sensor really stands, and is recorded with noise. The object is then found
-as if all were nominal, or with the mounting that frames of a known chart have told. What is found counts
+as if all were nominal, or with the mounting found from frames of a known chart. What is found counts
 where, and in which focus, it is most like the object.
 """
 
@@ -58,7 +58,7 @@ class Chain:
     stop_mm : float
         Its diameter.
     kind : {"amplitude", "complex"}
-        Of the object, which is told to the reconstruction; complex ones are recorded on four planes.
+        Kind of the object, which the reconstruction knows; complex ones are recorded on four planes.
     """
 
     lens: Lens

@@ -77,7 +77,7 @@ class Judge:
         except Exception:  # the other cases go on
             return _not_made(case, traceback.format_exc())
         begun = perf_counter()
-        found, status, message, told = self._reconstructed(case, frames, place, case.believed(bench.lens))
+        found, status, message, caught = self._reconstructed(case, frames, place, case.believed(bench.lens))
         seconds = perf_counter() - begun
         correlation = None if found is None else found.truth.get("object_correlation")
         right = correlation if case.group == "perfect" else self._without_error(case)
@@ -94,7 +94,7 @@ class Judge:
             status,
             cause,
             message,
-            told,
+            caught,
             "" if found is None else found.engine.name,
             None if found is None else found.predicted_error,
             seconds,

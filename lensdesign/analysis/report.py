@@ -109,8 +109,8 @@ class CheckReport:
     numerical_aperture
         Sine of the angle between the axis and the ray from the axial object point to the rim of the stop.
     plane_distances_mm, footprint_radius_mm
-        Distances of the sensor planes from the exit vertex, and radius on each plane of the circle that holds
-        the light of the whole field.
+        Distances of the sensor planes from the exit vertex, and radius on each plane of the circle that
+        contains the light of the whole field.
     sensor_half_side_mm
         Half of the sensor's shorter side.
     spot_heights_mm, rms_spot_diameter_mm, spot_plane_mm

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.cli import ghost as cli_ghost
-from lensdesign.cli import making as cli_making
-from lensdesign.cli import plates as cli_plates
-from lensdesign.cli import searching as cli_searching
+from lensdesign.cli import manufacture as cli_manufacture
+from lensdesign.cli import search as cli_search
+from lensdesign.cli import testplates as cli_testplates
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
 from lensdesign.cli import workbench as cli_workbench
-from lensdesign.cli.making import Design, Json
+from lensdesign.cli.manufacture import Design, Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.outputs import output_file, output_folder
@@ -102,19 +102,19 @@ def draw(
     _report_files(draw_all(lens, output, chosen, warn=lambda note: typer.echo(note, err=True)), as_json)
 
 
-app.command()(cli_searching.optimize)
-app.command()(cli_searching.explore)
-app.command()(cli_searching.limits)
-app.command("import")(cli_making.import_file)
-app.command()(cli_making.export)
-app.command()(cli_making.scene)
-app.command()(cli_making.drawing)
-app.command()(cli_making.sag)
+app.command()(cli_search.optimize)
+app.command()(cli_search.explore)
+app.command()(cli_search.limits)
+app.command("import")(cli_manufacture.import_file)
+app.command()(cli_manufacture.export)
+app.command()(cli_manufacture.scene)
+app.command()(cli_manufacture.drawing)
+app.command()(cli_manufacture.sag)
 app.command()(cli_ghost.ghost)
 app.command()(cli_view.view)
 app.command()(cli_workbench.studio)
 app.command()(cli_verify.verify)
-app.command("testplates")(cli_plates.fit)
+app.command("testplates")(cli_testplates.fit)
 
 
 @app.command()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.cli.making import Design, Json
+from lensdesign.cli.manufacture import Design, Json
 from lensdesign.common.console import print_json, print_whole
 
 if TYPE_CHECKING:

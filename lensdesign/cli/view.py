@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lensdesign.cli.making import Design, Json, outline_of, print_outline
+from lensdesign.cli.manufacture import Design, Json, outline_of, print_outline
 from lensdesign.common.console import print_json
 from lensdesign.common.outputs import output_file
 

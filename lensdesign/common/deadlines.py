@@ -15,7 +15,7 @@ clock = time.monotonic
 """The clock of all deadlines, in seconds; tests replace it."""
 
 
-class OutOfTime(Exception):
+class DeadlineExceeded(Exception):
     """Raised by :func:`check_time` when the current deadline has passed."""
 
 
@@ -51,6 +51,6 @@ def seconds_left() -> float:
 
 
 def check_time() -> None:
-    """Raise :class:`OutOfTime` if the current deadline has passed."""
+    """Raise :class:`DeadlineExceeded` if the current deadline has passed."""
     if seconds_left() <= 0.0:
-        raise OutOfTime
+        raise DeadlineExceeded

@@ -47,7 +47,7 @@ class _Stop:
         if time.monotonic() - self.at > REPEAT_SECONDS:
             self.end_at_once()
 
-    def swallowed(self, unraisable: Any) -> None:
+    def reraise_interrupt(self, unraisable: Any) -> None:
         """Raise an interrupt again that occurred where it cannot propagate, as in callbacks of a compiler.
 
         Other exceptions are passed to `others`, the previous hook.
@@ -103,7 +103,7 @@ def stoppable() -> Iterator[None]:
     _stop = _Stop(sys.unraisablehook)
     signals = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     previous = {number: signal.getsignal(number) for number in signals}
-    sys.unraisablehook = _stop.swallowed
+    sys.unraisablehook = _stop.reraise_interrupt
     for number, handler in previous.items():
         # Signals stay ignored if a shell (background command) or nohup has set that.
         if handler != signal.SIG_IGN:

@@ -18,7 +18,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.exploration.objectives import Axis, Objective, values_of
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of
+from lensdesign.optimization.local_search import Budget, SearchResult, search_from, starts_of
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
@@ -157,7 +157,7 @@ class Exploration:
     def _anchor(self, glasses: str, base: Lens, objective: Objective, max_starts: int = 3) -> ExploredPoint:
         """Search for the best lens by one objective without bounds on the others."""
         key = f"{glasses}; best {objective.name}" + (" from one start" if max_starts == 1 else "")
-        specification = objective.sought(self.specification)
+        specification = objective.as_goal(self.specification)
         problem = DesignProblem(specification, _with_object(base, specification))
         starts = itertools.islice(starts_of(problem, 0), max_starts)
         return self._search(key, glasses, problem, list(starts))
@@ -171,7 +171,7 @@ class Exploration:
         results: list[ExploredPoint],
     ) -> ExploredPoint:
         """Search for the best lens by the goal within limits, starting from the nearest known lens."""
-        specification = goal.sought(self.specification)
+        specification = goal.as_goal(self.specification)
         for objective, value in limits:
             specification = objective.limited(specification, value)
         problem = DesignProblem(specification, _with_object(base, specification))
@@ -195,7 +195,7 @@ class Exploration:
         """Search from all starts, or until `sufficient` of them meet every constraint; return the best."""
         if key in self.known:
             return self.known[key]
-        best: Found | None = None
+        best: SearchResult | None = None
         feasible = 0
         for start in starts:
             budget = Budget(problem.specification.optimize.max_evaluations)
@@ -209,7 +209,7 @@ class Exploration:
         self.on_result(explored)
         return explored
 
-    def _point_of(self, key: str, glasses: str, best: Found | None) -> ExploredPoint:
+    def _point_of(self, key: str, glasses: str, best: SearchResult | None) -> ExploredPoint:
         if best is None or best.outcome.violation > ACCEPTED_VIOLATION:
             return ExploredPoint(key, glasses, {}, (), None)
         point = best.outcome.point

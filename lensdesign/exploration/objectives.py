@@ -49,7 +49,7 @@ class Objective:
         """True if the objective is an input of a search instead of its goal."""
         return not self.goal
 
-    def sought(self, specification: Specification) -> Specification:
+    def as_goal(self, specification: Specification) -> Specification:
         """Return the specification with this objective as its goal."""
         return specification.model_copy(update={"optimize": specification.optimize.replaced(goal=self.goal)})
 

@@ -6,13 +6,13 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.number_limits import LARGEST_IN_FILES
-from lensdesign.common.section import Finite, Positive, Section
 
 NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 
 
-class Flange(Section):
+class Flange(FrozenModel):
     """A ring around the edge cylinder by which a moulded lens is mounted.
 
     Attributes
@@ -43,7 +43,7 @@ class Flange(Section):
     thickness_mm: Positive
 
 
-class Edge(Section):
+class Edge(FrozenModel):
     """The edge of one glass element, centred on the axis of the lens.
 
     Attributes

@@ -8,14 +8,14 @@ from typing import Any
 
 from pydantic import field_serializer, field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, as_path
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_path
 from lensdesign.lens.zernikes import zernike_orders
 
 TEST_WAVELENGTH_UM = 0.6328
 """Wavelength of the helium-neon laser of surface tests, the unit of "waves at 633 nm"."""
 
 
-class FigureSource(Section):
+class FigureSource(FrozenModel):
     """The source of a surface's measured figure (sag error, positive along +z).
 
     Exactly one of `file`, `zernike_um` and `zernike_waves_633nm` is given.

@@ -19,7 +19,7 @@ from lensdesign.lens.catalogues.agf import LINE_C_UM, LINE_D_UM, LINE_F_UM, AgfG
 from lensdesign.lens.catalogues.database import Page, database_pages, database_version, read_page
 from lensdesign.lens.catalogues.thermal import (
     REFERENCE_C,
-    Heated,
+    HeatedDispersion,
     Thermal,
     at_temperature,
     split_temperature,
@@ -218,7 +218,7 @@ def _at_temperature(material: str, files: tuple[Path, ...]) -> Material:
             f"{found.name} ({found.catalog}): the change of its index with temperature is not known; use a "
             "glass for which it is, or an AGF catalogue with a TD record"
         )
-    heated = Heated(found.dispersion, found.thermal, temperature_c)
+    heated = HeatedDispersion(found.dispersion, found.thermal, temperature_c)
     return replace(found, name=at_temperature(name, temperature_c), dispersion=heated)
 
 

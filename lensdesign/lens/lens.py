@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.frozen_model import FrozenModel, Positive, as_path, as_tuple
 from lensdesign.common.notebook import html_table
-from lensdesign.common.section import Positive, Section, as_path, tuples
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import refractive_index
-from lensdesign.lens.portrait import section_svg
+from lensdesign.lens.section_picture import section_svg
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.solid import (
     glass_element,
@@ -27,7 +27,7 @@ from lensdesign.lens.solid import (
 from lensdesign.lens.surface import Surface, vertex_z_mm
 
 
-class ObjectSpace(Section):
+class ObjectSpace(FrozenModel):
     """Object plane of a lens: field, numerical aperture and working distance.
 
     Attributes
@@ -57,7 +57,7 @@ class ObjectSpace(Section):
     working_distance_mm: Positive
 
 
-class Sensor(Section):
+class Sensor(FrozenModel):
     """The image sensor and its recording planes.
 
     Attributes
@@ -88,7 +88,7 @@ class Sensor(Section):
     pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
     plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
 
-    _lists = field_validator("pixels", "plane_distances_mm", mode="before")(tuples)
+    _lists = field_validator("pixels", "plane_distances_mm", mode="before")(as_tuple)
 
     @field_validator("plane_distances_mm")
     @classmethod
@@ -103,7 +103,7 @@ class Sensor(Section):
         return self.pixels[0] * self.pixel_pitch_um * 1e-3, self.pixels[1] * self.pixel_pitch_um * 1e-3
 
 
-class Lens(Section):
+class Lens(FrozenModel):
     """A transfer lens with its object, sensor and wavelengths: the content of a design file.
 
     Load one with :func:`lensdesign.load_design`, or build it from its components. Change it with
@@ -158,7 +158,7 @@ class Lens(Section):
     surfaces: Annotated[tuple[Surface, ...], Field(alias="surface", min_length=1)]
     edges: Annotated[tuple[Edge, ...], Field(alias="edge")] = ()
 
-    _lists = field_validator("wavelengths_um", "surfaces", "edges", mode="before")(tuples)
+    _lists = field_validator("wavelengths_um", "surfaces", "edges", mode="before")(as_tuple)
 
     @field_validator("glass_catalogs", mode="before")
     @classmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lensdesign.common.section import Section
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.errors import DesignError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.lens import Lens
@@ -94,7 +94,7 @@ def stopped_down(lens: Lens, numerical_aperture: float) -> Lens:
 def scaled_edge(edge: Edge, factor: float) -> Edge:
     """Return an edge with all its lengths scaled."""
 
-    def times(section: Section) -> dict[str, float]:
+    def times(section: FrozenModel) -> dict[str, float]:
         lengths = section.model_dump(exclude_none=True, exclude={"flange"})
         return {name: factor * value for name, value in lengths.items()}
 

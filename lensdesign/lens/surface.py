@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_tuple
 from lensdesign.lens.figure_source import FigureSource
 from lensdesign.lens.shapes.base import Shape, curvature_of, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 
 
-class Surface(Section):
+class Surface(FrozenModel):
     """A refracting surface and the medium behind it.
 
     Attributes
@@ -69,7 +69,7 @@ class Surface(Section):
     stop: bool = False
     figure: FigureSource | None = None
 
-    _lists = field_validator("asphere", mode="before")(tuples)
+    _lists = field_validator("asphere", mode="before")(as_tuple)
 
     @field_validator("shape_type")
     @classmethod

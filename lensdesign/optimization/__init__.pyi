@@ -1,18 +1,18 @@
 from .compliance import check_against
 from .limits.feasibility import FeasibilityLimit
-from .limits.kinds import Kind
+from .limits.limited_quantities import LimitedQuantity
 from .limits.search import Limit, LimitsInterrupted, find_limits
-from .plates import FittedSurface, PlateFit, fit_plates, load_plates
 from .result import OptimizationResult
 from .search import SearchInterrupted, optimize
 from .specification.sections import Settings
 from .specification.specification import Specification, load_specification
+from .testplates import FittedSurface, PlateFit, fit_plates, load_plates
 
 __all__ = [
     "FeasibilityLimit",
     "FittedSurface",
-    "Kind",
     "Limit",
+    "LimitedQuantity",
     "LimitsInterrupted",
     "OptimizationResult",
     "PlateFit",

@@ -68,7 +68,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Result of one start.
 
     Attributes
@@ -104,7 +104,7 @@ def search_from(
     on_improvement: Improved,
     only_feasible: bool = False,
     on_point: Callable[[Array], None] | None = None,
-) -> Found:
+) -> SearchResult:
     """Search from a start point; add worse rays of a dense check to the working set and repeat.
 
     Parameters
@@ -148,10 +148,10 @@ def search_from(
             point, final.objective, final.violation, budget.spent - spent_before, outcome.stopped_because
         )
     converged = worse is None and _stationary(lambda _: final, point)
-    return Found(problem, dense, result, converged, "" if converged else limit)
+    return SearchResult(problem, dense, result, converged, "" if converged else limit)
 
 
-def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int, limit: str) -> Found:
+def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int, limit: str) -> SearchResult:
     """Return the last point of a stopped start that meets every constraint over dense rays.
 
     The very last point need not meet them, since it was evaluated with the working set of rays only.
@@ -170,7 +170,7 @@ def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int
     newest = list(reversed(points))
     every = max(1, math.ceil(2 * len(newest) / most))
     chosen = [*newest[: most // 2], *newest[most // 2 :: every]]
-    found: list[Found] = []
+    found: list[SearchResult] = []
     for point in chosen:
         found.append(_evaluated(problem, point, dense, evaluations, limit))
         if not found[-1].rank[0]:
@@ -178,14 +178,18 @@ def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int
     return min(found, key=lambda one: one.rank)
 
 
-def _evaluated(problem: DesignProblem, point: Array, dense: Rays, evaluations: int, limit: str) -> Found:
+def _evaluated(
+    problem: DesignProblem, point: Array, dense: Rays, evaluations: int, limit: str
+) -> SearchResult:
     """Evaluate a point over dense rays, without derivatives."""
     goals, constraints = problem.rows(point, dense, derivatives=False)
     violation = max((float(np.max(row.values, initial=0.0)) for row in constraints), default=0.0)
     objective = max(float(np.max(row.values)) for row in goals)
     rank = (0.0, violation) if violation > ACCEPTED_VIOLATION else (objective, max(0.0, violation))
     objective, violation = (value if math.isfinite(value) else UNTRACEABLE for value in rank)
-    return Found(problem, dense, Outcome(point, objective, violation, evaluations, limit), False, limit)
+    return SearchResult(
+        problem, dense, Outcome(point, objective, violation, evaluations, limit), False, limit
+    )
 
 
 def dense_rays(problem: DesignProblem) -> Rays:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.deadlines import OutOfTime, now
+from lensdesign.common.deadlines import DeadlineExceeded, now
 from lensdesign.errors import InputError
 
 FEASIBLE = 1e-8
@@ -140,7 +140,7 @@ class _Search:
         key = x[: self.n].tobytes()
         if self._last is None or self._last[0] != key:
             if now() >= self.end:
-                raise OutOfTime
+                raise DeadlineExceeded
             self._last = (key, self._finite(self.evaluate(np.clip(x[: self.n], 0.0, 1.0))))
             self.evaluations += 1
             self._remember(x, self._last[1])
@@ -289,7 +289,7 @@ def minimize(
     nlopt.srand(seed + 1)
     x0 = np.append(start, max(0.0, first.objective)) if method.bounded else start
     reason = _run(nlopt, opt, search, x0)
-    if search.error is not None and not isinstance(search.error, OutOfTime):
+    if search.error is not None and not isinstance(search.error, DeadlineExceeded):
         raise search.error
     assert search.point is not None  # at least the start was evaluated
     return Outcome(search.point, search.best[1], search.best[0], search.evaluations, reason)
@@ -340,6 +340,6 @@ def _run(nlopt: Any, opt: Any, search: _Search, x0: Array) -> str:
         kind = type(error).__name__.lower().replace("_", "")
         if search.error is None and kind == "invalidargument":
             raise InputError(f"nlopt refused the problem: {kind} {error}") from error
-        if isinstance(search.error, OutOfTime):
+        if isinstance(search.error, DeadlineExceeded):
             return "time limit"
         return "rounding limits further progress" if kind == "roundofflimited" else f"nlopt stopped: {kind}"

@@ -17,13 +17,13 @@ from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.lens.temperature import lens_at_temperature
 from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_built
-from lensdesign.optimization.heated import Heat, Heated
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
 from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import VariableRange
+from lensdesign.optimization.temperature_derivatives import HeatedLens, TemperatureChange
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.gradients import GradientTrace, Variable, gradient_trace
 
@@ -125,16 +125,20 @@ class DesignProblem:
         self._tolerances = specification.as_built
         self._as_built: tuple[tuple[bytes, bool], AsBuiltValues] | None = None
         self._losses: tuple[tuple[bytes, bool], LossValues] | None = None
-        self._hot: tuple[tuple[bytes, bool], Heated] | None = None
-        self.heat, self.heated = self._temperatures(temperature_c)
+        self._hot: tuple[tuple[bytes, bool], HeatedLens] | None = None
+        self.temperature_change, self.heated = self._temperatures(temperature_c)
 
-    def _temperatures(self, temperature_c: float | None) -> tuple[Heat | None, tuple[DesignProblem, ...]]:
+    def _temperatures(
+        self, temperature_c: float | None
+    ) -> tuple[TemperatureChange | None, tuple[DesignProblem, ...]]:
         """Return the temperature of this problem, or the problems at all temperatures."""
         asked = self.specification.environment
         if asked is None:
             return None, ()
         if temperature_c is not None:
-            return Heat(self.base, self.variables, temperature_c, asked.mount_expansion_per_k), ()
+            return TemperatureChange(
+                self.base, self.variables, temperature_c, asked.mount_expansion_per_k
+            ), ()
         others = (DesignProblem(self.specification, self.base, t) for t in asked.temperatures_c)
         return None, tuple(others)
 
@@ -146,7 +150,9 @@ class DesignProblem:
     @cached_property
     def compiled(self) -> tuple[CompiledSystem, ...]:
         """Compiled base lens at each wavelength."""
-        base = self.base if self.heat is None else self.heat.with_glasses(self.base)
+        base = (
+            self.base if self.temperature_change is None else self.temperature_change.with_glasses(self.base)
+        )
         return tuple(compile_system(base, w) for w in base.wavelengths_um)
 
     def to_unit(self, lens: Lens) -> Array:
@@ -156,7 +162,7 @@ class DesignProblem:
 
     def lens_at(self, point: Array) -> Lens:
         """Return the lens at a point of the unit box, with semi-diameters as given, not validated."""
-        return self._designed(point) if self.heat is None else self._heated(point, False).lens
+        return self._designed(point) if self.temperature_change is None else self._heated(point, False).lens
 
     def _designed(self, point: Array) -> Lens:
         changes: dict[int, dict[str, object]] = {}
@@ -175,12 +181,12 @@ class DesignProblem:
         surfaces = [s.model_copy(update=changes.get(i, {})) for i, s in enumerate(self.base.surfaces)]
         return self.base.model_copy(update={"surfaces": tuple(surfaces), "object": scene})
 
-    def _heated(self, point: Array, derivatives: bool) -> Heated:
+    def _heated(self, point: Array, derivatives: bool) -> HeatedLens:
         """Return the lens at the temperature, derived from the lens as designed and its rim rays."""
-        assert self.heat is not None  # callers check this
+        assert self.temperature_change is not None  # callers check this
         key = point.tobytes(), derivatives
         if self._hot is None or self._hot[0] != key:
-            self._hot = key, self.heat.at(self._cold.state(point, self._rim, derivatives))
+            self._hot = key, self.temperature_change.at(self._cold.state(point, self._rim, derivatives))
         return self._hot[1]
 
     @cached_property
@@ -194,15 +200,15 @@ class DesignProblem:
 
     def state(self, point: Array, rays: Rays, derivatives: bool = True) -> State:
         """Trace rays through the lens at a point of the unit box, with or without derivatives."""
-        heat = self.heat
+        change = self.temperature_change
         return State(
             self.lens_at(point),
             self.variables if derivatives else (),
             rays.fields_mm,
             tuple(self._trace(point, base, rays, derivatives) for base in self.compiled),
             self.as_built(point, derivatives),
-            None if heat is None else heat.temperature_c,
-            None if heat is None else heat.sizes,
+            None if change is None else change.temperature_c,
+            None if change is None else change.sizes,
             tuple(other.state(point, rays, derivatives) for other in self.heated),
             self.losses(point, derivatives),
         )
@@ -229,11 +235,11 @@ class DesignProblem:
         lens, chain = self.lens_at(point), None
         stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
         variables = self.variables if derivatives else ()
-        if self.heat is not None:
+        if self.temperature_change is not None:
             hot = self._heated(point, derivatives)
             stop = hot.stop_semi_diameter_mm
             if derivatives:
-                variables = self.heat.own
+                variables = self.temperature_change.own
                 chain = hot.chain if planes_mm is None else hot.chain.with_fixed_planes(len(planes_mm))
         return gradient_trace(
             _shaped(base, lens),
@@ -253,8 +259,8 @@ class DesignProblem:
         lens = self.lens_at(point)
         shapes = [surface.shape for surface in lens.surfaces]
         own, by = self.variables, np.eye(len(self.variables))[:, variable]
-        if self.heat is not None:
-            own, by = self.heat.own, self._heated(point, True).chain.variables[:, variable]
+        if self.temperature_change is not None:
+            own, by = self.temperature_change.own, self._heated(point, True).chain.variables[:, variable]
         vertices, object_z = lens.vertex_z_mm.astype(complex), complex(lens.object_z_mm)
         for one, change in zip(own, step * by, strict=True):
             if one.is_shape_term and change:
@@ -267,7 +273,7 @@ class DesignProblem:
 
     def planes_by(self, point: Array, variable: int) -> Array:
         """Return the derivatives of the sensor distances by a variable, due to the temperature."""
-        if self.heat is None:
+        if self.temperature_change is None:
             return np.zeros(len(self.base.sensor.plane_distances_mm))
         return np.asarray(self._heated(point, True).chain.planes[:, variable])
 

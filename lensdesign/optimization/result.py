@@ -23,7 +23,7 @@ from lensdesign.optimization.limits.feasibility import (
     feasibility_limit_of,
 )
 from lensdesign.optimization.limits.search import LimitsInterrupted, binding
-from lensdesign.optimization.local_search import Found
+from lensdesign.optimization.local_search import SearchResult
 from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import finished_lens
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
@@ -69,11 +69,11 @@ class GlassChoiceResult:
     """
 
     glasses: str
-    found: tuple[Found, ...]
+    found: tuple[SearchResult, ...]
     limit: str
 
     @property
-    def best(self) -> Found:
+    def best(self) -> SearchResult:
         """Result of the best start; of equally good ones, one that has converged."""
         first = min(self.found, key=lambda f: f.rank)
         alike = [f for f in self.found if f.converged and agree(f, first, 1e-6)]
@@ -85,7 +85,7 @@ class GlassChoiceResult:
         return sum(agree(f, self.best) for f in self.found)
 
 
-def agree(one: Found, other: Found, tolerance: float = 1e-3) -> bool:
+def agree(one: SearchResult, other: SearchResult, tolerance: float = 1e-3) -> bool:
     """Return whether two starts agree: in their goals or, without a feasible lens, in largest violations."""
     (violation, goal), (other_violation, other_goal) = one.rank, other.rank
     if violation or other_violation:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.deadlines import OutOfTime, deadline, no_deadline, now
+from lensdesign.common.deadlines import DeadlineExceeded, deadline, no_deadline, now
 from lensdesign.errors import DesignError
-from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of, stopped_at
+from lensdesign.optimization.local_search import Budget, SearchResult, search_from, starts_of, stopped_at
 from lensdesign.optimization.nlopt_driver import FEASIBLE
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.result import INTERRUPT, GlassChoiceResult, OptimizationResult, result_of
@@ -132,8 +132,8 @@ def _try(
                 progress.points = []
                 if tried.at_best >= settings.agreeing:
                     return replace(tried, limit="")
-    except (KeyboardInterrupt, OutOfTime) as stop:
-        limit = "max_seconds" if isinstance(stop, OutOfTime) else INTERRUPT
+    except (KeyboardInterrupt, DeadlineExceeded) as stop:
+        limit = "max_seconds" if isinstance(stop, DeadlineExceeded) else INTERRUPT
         return _kept(tried, problem, progress, limit)
     return tried
 
@@ -142,7 +142,7 @@ def _kept(
     tried: GlassChoiceResult, problem: DesignProblem, progress: _Progress, limit: str
 ) -> GlassChoiceResult:
     """Return the finished starts of a stopped choice of glasses, and the best point of the running start."""
-    found: tuple[Found, ...] = tried.found
+    found: tuple[SearchResult, ...] = tried.found
     if progress.points:
         with no_deadline():
             found = (*found, stopped_at(problem, progress.points, progress.evaluations, limit))

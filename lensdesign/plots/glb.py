@@ -73,12 +73,20 @@ def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     return tuple(scene.geometry)
 
 
-def _mesh(part: ScenePart, tube_mm: float) -> trimesh.Trimesh:
+def _mesh(scene_part: ScenePart, tube_mm: float) -> trimesh.Trimesh:
     import trimesh
 
-    vertices, faces = _tubes(part.lines, tube_mm) if part.kind == "rays" else (part.vertices, part.faces)
+    vertices, faces = (
+        _tubes(scene_part.lines, tube_mm)
+        if scene_part.kind == "rays"
+        else (scene_part.vertices, scene_part.faces)
+    )
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.visual = glass_visuals(part.glass) if part.glass else plain_visuals(part.color, part.opacity)
+    mesh.visual = (
+        glass_visuals(scene_part.glass)
+        if scene_part.glass
+        else plain_visuals(scene_part.color, scene_part.opacity)
+    )
     return mesh
 
 

@@ -112,20 +112,20 @@ def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_um: float) -> str:
     )
 
 
-def _packed(part: ScenePart) -> dict[str, Any]:
+def _packed(scene_part: ScenePart) -> dict[str, Any]:
     """Return a part for the page's script: 32-bit floats and integers, little endian, in base 64."""
     edge_colors = {"glass": "#4A7FA5", "plane": "#404040"}
     return {
-        "kind": part.kind,
-        "label": part.label,
-        "color": part.color,
-        "edge": edge_colors.get(part.kind),
-        "opacity": part.opacity,
-        "below": part.label_below,
-        "vertices": _base64(part.vertices, "<f4"),
-        "faces": _base64(part.faces, "<u4"),
-        "lines": _base64(part.lines, "<f4"),
-        "points": part.lines.shape[1],
+        "kind": scene_part.kind,
+        "label": scene_part.label,
+        "color": scene_part.color,
+        "edge": edge_colors.get(scene_part.kind),
+        "opacity": scene_part.opacity,
+        "below": scene_part.label_below,
+        "vertices": _base64(scene_part.vertices, "<f4"),
+        "faces": _base64(scene_part.faces, "<u4"),
+        "lines": _base64(scene_part.lines, "<f4"),
+        "points": scene_part.lines.shape[1],
     }
 
 

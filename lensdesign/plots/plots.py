@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lensdesign.analysis.arrival import ArrivalAngles, arrival_angles
+from lensdesign.analysis.arrival_angles import ArrivalAngles, arrival_angles
 from lensdesign.analysis.matching import spread_limit_sine
 from lensdesign.analysis.spread import rms_spot_diameter
 from lensdesign.common.arrays import Array

@@ -145,12 +145,12 @@ def _plotter(
     return plotter
 
 
-def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
+def _add_glass(plotter: pyvista.Plotter, scene_part: ScenePart) -> None:
     import pyvista
 
     plotter.add_mesh(
-        pyvista.PolyData.from_regular_faces(part.vertices, part.faces),
-        color=part.color,
+        pyvista.PolyData.from_regular_faces(scene_part.vertices, scene_part.faces),
+        color=scene_part.color,
         opacity=0.3,
         ambient=0.45,
         smooth_shading=True,

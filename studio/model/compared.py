@@ -11,7 +11,7 @@ from lensdesign.lens.lens import Lens
 
 
 @dataclass(frozen=True)
-class Line:
+class ComparedValue:
     """A value of all designs.
 
     Attributes
@@ -32,14 +32,14 @@ class Line:
     met: tuple[bool | None, ...]
 
 
-def compared(lenses: Sequence[Lens]) -> tuple[Line, ...]:
+def compared(lenses: Sequence[Lens]) -> tuple[ComparedValue, ...]:
     """Return values and figures of several designs, one line for each."""
     columns = [_values(lens) for lens in lenses]
     names = list(dict.fromkeys(name for column in columns for name in column))
     return tuple(_line(name, [column.get(name) for column in columns]) for name in names)
 
 
-def _line(name: str, found: Sequence[tuple[float | str, bool | None] | None]) -> Line:
+def _line(name: str, found: Sequence[tuple[float | str, bool | None] | None]) -> ComparedValue:
     values = [None if one is None else one[0] for one in found]
     numbers = [v for v in values if isinstance(v, float)]
     if len(numbers) == len(values):
@@ -47,7 +47,7 @@ def _line(name: str, found: Sequence[tuple[float | str, bool | None] | None]) ->
     else:
         differs = len(set(values)) > 1
     shown = tuple("" if v is None else f"{v:.7g}" if isinstance(v, float) else v for v in values)
-    return Line(name, shown, differs, tuple(None if one is None else one[1] for one in found))
+    return ComparedValue(name, shown, differs, tuple(None if one is None else one[1] for one in found))
 
 
 def _values(lens: Lens) -> dict[str, tuple[float | str, bool | None]]:

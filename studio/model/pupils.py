@@ -131,7 +131,7 @@ def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | 
         If rays do not arrive.
     """
     chain = _chain(lens, height_mm, samples)
-    actual = chain.perturbed(what_if.state(lens)).returned(_chart(chain), "focus").values
+    actual = chain.perturbed(what_if.state(lens)).reconstruct(_chart(chain), "focus").values
     return PatchPicture(chain.patch_um, np.abs(actual) ** 2, _nominal(lens, height_mm, samples))
 
 
@@ -147,7 +147,7 @@ def _chain(lens: Lens, height_mm: float, samples: int | None) -> PatchChain:
 @lru_cache(maxsize=4)
 def _nominal(lens: Lens, height_mm: float, samples: int | None) -> Array:
     chain = _chain(lens, height_mm, samples)
-    return np.asarray(np.abs(chain.perturbed().returned(_chart(chain), "focus").values) ** 2)
+    return np.asarray(np.abs(chain.perturbed().reconstruct(_chart(chain), "focus").values) ** 2)
 
 
 def _resolution_um(lens: Lens) -> float:

@@ -67,7 +67,7 @@ class Search:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchSummary:
     """Result of a search in plain values.
 
     Attributes
@@ -143,7 +143,7 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
 
 def run_search(
     lens: Lens, search: Search, quality: ManufacturingQuality | None, report: Callable[[str], None]
-) -> Found:
+) -> SearchSummary:
     """Run a search in the calling process.
 
     Raises
@@ -161,7 +161,7 @@ def run_search(
         f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts reached this lens"
     )
     text = design_text(result.lens.replaced(title=lens.title), Path("/"))
-    return Found(text, result.feasible, tuple(result.violations), tuple(result.binding), summary)
+    return SearchSummary(text, result.feasible, tuple(result.violations), tuple(result.binding), summary)
 
 
 def run_exploration(

@@ -24,7 +24,7 @@ class Value:
 
     Attributes
     ----------
-    place
+    table_path
         Position of the value in the tables.
     group
         Heading under which it is shown.
@@ -82,11 +82,11 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
             return Value(table_path, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
         middle = own if not isinstance(first, int | float) else first
         half = max(span * abs(middle), least)
-        step = nice(half / STEPS)
+        step = rounded_down(half / STEPS)
         if not middle - half <= own <= middle + half:
             middle = own
             half = max(span * abs(middle), least)
-            step = nice(half / STEPS)
+            step = rounded_down(half / STEPS)
         half = step * STEPS
         return Value(
             table_path, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step
@@ -164,7 +164,7 @@ def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
     return found[:most] or ([hint] if hint else [])
 
 
-def nice(value: float) -> float:
+def rounded_down(value: float) -> float:
     """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(s * power for s in (1.0, 2.0, 5.0) if s * power <= value * (1.0 + 1e-9))

@@ -23,7 +23,7 @@ MOVES = (
 
 
 @dataclass(frozen=True)
-class Amount:
+class DeviationRange:
     """A possible deviation and the range of its slider.
 
     Attributes
@@ -51,7 +51,7 @@ class Amount:
 
 @dataclass(frozen=True)
 class WhatIf:
-    """Deviations from the design by keys of :class:`Amount`; deviations of 0 are omitted."""
+    """Deviations from the design by keys of :class:`DeviationRange`; deviations of 0 are omitted."""
 
     values: Mapping[str, float] = field(default_factory=dict)
 
@@ -91,24 +91,28 @@ def _has(lens: Lens, target: str) -> bool:
     return not number or int(number) <= len(lens.glass_fronts if kind == "element" else lens.surfaces)
 
 
-def amounts_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[Amount, ...]:
+def amounts_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[DeviationRange, ...]:
     """Return the possible deviations: of the lens, its elements (if several), radii, and temperature.
 
     Other deviations of `what_if`, such as those of a study's trial, are appended.
     """
-    found = [Amount("lens", *move) for move in MOVES]
+    found = [DeviationRange("lens", *move) for move in MOVES]
     if len(lens.glass_fronts) > 1:
-        found += [Amount(f"element {k + 1}", *move) for k in range(len(lens.glass_fronts)) for move in MOVES]
+        found += [
+            DeviationRange(f"element {k + 1}", *move) for k in range(len(lens.glass_fronts)) for move in MOVES
+        ]
     found += [
-        Amount(f"surface {i + 1}", "radius_percent", f"radius {i + 1}", "%", 0.5, 0.0025)
+        DeviationRange(f"surface {i + 1}", "radius_percent", f"radius {i + 1}", "%", 0.5, 0.0025)
         for i, surface in enumerate(lens.surfaces)
         if surface.radius_mm is not None
     ]
-    found.append(Amount("environment", "temperature_c", "temperature", "K", 40.0, 0.2))
+    found.append(DeviationRange("environment", "temperature_c", "temperature", "K", 40.0, 0.2))
     known = {amount.key for amount in found}
     for key, value in what_if.of(lens).values.items():
         if key not in known:
             target, _, parameter = key.rpartition(".")
             label, _, unit = parameter.rpartition("_")
-            found.append(Amount(target, parameter, label or unit, unit, 3.0 * abs(value), 0.01 * abs(value)))
+            found.append(
+                DeviationRange(target, parameter, label or unit, unit, 3.0 * abs(value), 0.01 * abs(value))
+            )
     return tuple(found)

@@ -109,7 +109,7 @@ def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
                 ("Tolerances", _card(panes.tolerances(bench, dressers))),
                 ("Compare", _card(panes.compare(bench))),
                 ("Export", _card(panes.export(bench))),
-                ("Reconstructions", _card(panes.look(bench))),
+                ("Reconstructions", _card(panes.result_folder_pane(bench))),
             ),
         )
     )
@@ -180,8 +180,8 @@ def _styled(column: pn.Column) -> pn.Column:
     """Apply the page's style sheet to the texts and widgets of a column."""
     column.sizing_mode = "stretch_width"
     column.styles = {"gap": "1px", **column.styles}
-    for part in column.select(lambda part: isinstance(part, pn.pane.HTML | pn.widgets.Widget)):
-        part.stylesheets = [PARTS]
+    for child in column.select(lambda child: isinstance(child, pn.pane.HTML | pn.widgets.Widget)):
+        child.stylesheets = [PARTS]
     return column
 
 

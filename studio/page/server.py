@@ -138,12 +138,12 @@ def _alive() -> type:
 
     name = uuid.uuid4().hex
 
-    class Alive(RequestHandler):
+    class Heartbeat(RequestHandler):
         def get(self) -> None:
             self.set_header("Cache-Control", "no-store")
             self.finish(name)
 
-    return Alive
+    return Heartbeat
 
 
 def _token(kept: Any) -> str:

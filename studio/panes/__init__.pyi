@@ -1,8 +1,8 @@
 from .comparison import compare
 from .front import explore
-from .making import export
+from .manufacture import export
 from .rays import footprint, layout, spread
-from .results import look
+from .results import result_folder_pane
 from .search import optimize
 from .summary import as_built, findings
 from .trials import tolerances
@@ -18,9 +18,9 @@ __all__ = [
     "findings",
     "footprint",
     "layout",
-    "look",
     "optimize",
     "patch",
+    "result_folder_pane",
     "spread",
     "surfaces",
     "tolerances",

@@ -15,7 +15,7 @@ from studio.model.results import FolderContents, read_folder
 from studio.panes.common import bench_of, follow, text
 
 
-def look(lens: Workbench | Lens) -> pn.Column:
+def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
     """Return a pane that opens a folder of frames, a reconstruction or a calibration."""
     bench = bench_of(lens)
     jobs: list[Job] = []

@@ -14,7 +14,7 @@ from studio.model.bench import Workbench
 from studio.model.built import manufacturing_quality
 from studio.model.editing import lens_from
 from studio.model.jobs import Job
-from studio.model.searches import CONSTRAINTS, GOALS, Found, Search, run_search, variables_of
+from studio.model.searches import CONSTRAINTS, GOALS, Search, SearchSummary, run_search, variables_of
 from studio.panes.common import bench_of, follow, text
 from studio.panes.comparison import comparison
 from tolerancing.perturbations.grades import GRADES
@@ -125,7 +125,7 @@ class _Optimize:
         self.job, self.shown, self.message.object = None, None, ""
         self.accept.visible = self.discard.visible = False
 
-    def _found(self) -> Found | None:
+    def _found(self) -> SearchSummary | None:
         job = self.job
         return job.result if job is not None and job.state == "done" else None
 
@@ -152,7 +152,7 @@ class _Optimize:
         else:
             self._show(job.result)
 
-    def _show(self, found: Found) -> None:
+    def _show(self, found: SearchSummary) -> None:
         assert self.start is not None  # a search ran
         lens = lens_from(tomllib.loads(found.text), Path("found.toml"))
         kind, words = ("good", "every constraint is met") if found.feasible else ("bad", "not all is met")

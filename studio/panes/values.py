@@ -11,7 +11,7 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
 from studio.model.values import Value, glasses_like, parsed, values_of
-from studio.model.whatif import Amount, WhatIf, amounts_of
+from studio.model.whatif import DeviationRange, WhatIf, amounts_of
 from studio.panes.common import HERE, ScriptPart, bench_of, follow
 
 
@@ -108,7 +108,7 @@ def what_if(lens: Workbench | Lens) -> Values:
     return pane
 
 
-def _group_of(amount: Amount) -> str:
+def _group_of(amount: DeviationRange) -> str:
     if amount.parameter in ("radius_percent", "temperature_c"):
         return "radii and heat"
     return amount.target

@@ -45,8 +45,8 @@ def called(run: Run, command: str) -> tuple[int, str, str]:
         status = 0
     except SystemExit as ended:
         status = int(ended.code or 0)
-    told = capsys.readouterr()
-    return status, told.out, told.err
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
 
 
 @pytest.fixture

@@ -44,7 +44,7 @@ from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.store.file import check_is_store
 from tolerancing.study.files import load_from_files, load_study
-from wavesim.calibration.calibrated import read_calibration
+from wavesim.calibration.calibration_result import read_calibration
 from wavesim.cli.commands import main as wavesim_main
 from wavesim.sensor.frames import read_frame
 from wavesim.targets.patterns import read_grey

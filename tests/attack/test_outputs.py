@@ -64,12 +64,12 @@ def refused(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     monkeypatch.setattr("sys.argv", [program, *rest])
     with pytest.raises(SystemExit) as ended:
         MAINS[program]()
-    told = capsys.readouterr()
-    assert ended.value.code == 2, told
-    assert told.out == ""
-    assert told.err.startswith("error: cannot write ")
-    assert len(told.err.splitlines()) == 1
-    return told.err
+    captured = capsys.readouterr()
+    assert ended.value.code == 2, captured
+    assert captured.out == ""
+    assert captured.err.startswith("error: cannot write ")
+    assert len(captured.err.splitlines()) == 1
+    return captured.err
 
 
 @pytest.mark.parametrize("command", WRITERS)
@@ -173,10 +173,10 @@ def test_what_no_writer_expects_still_is_one_sentence(
     monkeypatch.setattr("sys.argv", ["lensdesign", "check", PAPER])
     with pytest.raises(SystemExit) as ended:
         lensdesign_main()
-    told = capsys.readouterr().err
+    captured = capsys.readouterr().err
     assert ended.value.code == status
-    assert said in told
-    assert len(told.splitlines()) == 1
+    assert said in captured
+    assert len(captured.splitlines()) == 1
 
 
 def test_memory_that_runs_out_is_one_sentence(

@@ -108,25 +108,25 @@ class TestLens:
         self, results: Results, paper_lens: Lens
     ) -> None:
         """Isotropic sources have 1 / cos of their axial radiance; lenses without loss conserve it."""
-        told = numbers(results, "figure-2d")
+        by_name = numbers(results, "figure-2d")
         heights = np.linspace(0.0, 1.0, 401)
         pupil = np.stack([np.zeros_like(heights), heights], axis=-1)
         origins, directions = launch(paper_lens, [(0.0, 0.0)], pupil, 0.532)
         rays = trace(paper_lens, origins, directions, 0.532, plane_z_mm=paper_lens.exit_vertex_z_mm + 3.0)
         for point in (0, 3, 7, 9):
-            assert told[f"largest angle at (0, {point}) mm"].agrees
+            assert by_name[f"largest angle at (0, {point}) mm"].agrees
             cosine = np.interp(point, rays.position[:, 1], directions[:, 2])
-            measured = told[f"radiance at (0, {point}) mm, over the source's along its axis"]
+            measured = by_name[f"radiance at (0, {point}) mm, over the source's along its axis"]
             rays_there = int(measured.remark.split()[0])
             # A ninth of the directions are averaged, and a little less than a ninth of the rays.
             assert measured.here == pytest.approx(1.0 / cosine, rel=4.0 * (rays_there / 9) ** -0.5)
 
     def test_the_example_of_measured_surfaces_has_the_papers_errors(self, results: Results) -> None:
-        told = numbers(results, "figure-2g")
-        assert told["peak-to-valley of the entrance surface"].agrees
-        assert told["peak-to-valley of the exit surface"].agrees
-        waves = told["wavefront that they leave, 0 mm off the axis"].here
-        ratio = told["Strehl ratio of the reconstruction there, 0 mm off the axis"].here
+        by_name = numbers(results, "figure-2g")
+        assert by_name["peak-to-valley of the entrance surface"].agrees
+        assert by_name["peak-to-valley of the exit surface"].agrees
+        waves = by_name["wavefront that they leave, 0 mm off the axis"].here
+        ratio = by_name["Strehl ratio of the reconstruction there, 0 mm off the axis"].here
         assert isinstance(waves, float)
         assert ratio == pytest.approx(np.exp(-((2.0 * np.pi * waves) ** 2)), abs=5e-3)  # Marechal
 
@@ -142,9 +142,9 @@ class TestMethod:
 
     def test_slices_are_cut_as_the_surfaces_lie(self, results: Results, paper_lens: Lens) -> None:
         """Planes and radii of one slice against the sag, and the gain of Eq. 4 against its thickness."""
-        told = numbers(results, "figure-4")
+        by_name = numbers(results, "figure-4")
         back, index = paper_lens.surfaces[1], paper_lens.indices(0.532)[1]
-        here = {name: number.here for name, number in told.items()}
+        here = {name: number.here for name, number in by_name.items()}
         near, far = (
             here["its plane z_p, from the exit vertex"],
             here["its plane z_(p+1), from the exit vertex"],
@@ -155,7 +155,7 @@ class TestMethod:
         assert back.sag_mm(np.array([inner, outer])) == pytest.approx([near, far], abs=1e-6)
         gained = here["compensation over it: glass in place of air"]
         assert gained == pytest.approx((index - 1.0) * (near - far) / 0.532e-3, rel=1e-9)
-        assert told["slices of each surface"].agrees
+        assert by_name["slices of each surface"].agrees
         assert here["largest error of vertical compensation in one slice"] > 1.0
         assert here["largest error of oblique compensation in one slice"] < 1e-3
 
@@ -164,47 +164,47 @@ class TestMethod:
         assert sum(n.agrees is True for n in results["figure-3"].made.numbers) == 6
 
     def test_the_virtual_plane_lies_in_the_glass(self, results: Results) -> None:
-        told = numbers(results, "figure-11")
-        virtual = told["virtual plane z_temp: where the exit slices are summed"].here
-        entrance = told["first cutting plane of the entrance surface"].here
+        by_name = numbers(results, "figure-11")
+        virtual = by_name["virtual plane z_temp: where the exit slices are summed"].here
+        entrance = by_name["first cutting plane of the entrance surface"].here
         assert isinstance(virtual, float)
         assert entrance < virtual < 0.0
 
     def test_chirps_take_a_beam_to_other_samples(self, results: Results) -> None:
-        told = numbers(results, "equation-b1")
-        assert told["relative error against the closed form of a Gaussian beam"].here < 1e-3
-        wanted = told["what the Fourier transform needs, 2π f x"].here
-        assert told["sum of π[l x² + f²/l − (l x − f)²/l]"].here == pytest.approx(wanted)
+        by_name = numbers(results, "equation-b1")
+        assert by_name["relative error against the closed form of a Gaussian beam"].here < 1e-3
+        wanted = by_name["what the Fourier transform needs, 2π f x"].here
+        assert by_name["sum of π[l x² + f²/l − (l x − f)²/l]"].here == pytest.approx(wanted)
 
     def test_a_chart_is_found_where_it_stands(self, results: Results) -> None:
-        told = numbers(results, "equation-5")
-        assert told["found too far by"].here == pytest.approx(told["true"].here, abs=0.05)
+        by_name = numbers(results, "equation-5")
+        assert by_name["found too far by"].here == pytest.approx(by_name["true"].here, abs=0.05)
 
     def test_slices_help_wide_lines_at_once_and_fine_ones_only_if_oblique(self, results: Results) -> None:
-        told = numbers(results, "figure-7a")
-        assert told["gain from 10 to 30 slices, 1.55 µm, vertical"].here > 0.1
-        assert abs(told["gain from 30 to 50 slices, 1.55 µm, vertical"].here) < 0.05
-        assert told["contrast of 0.775 µm lines, 50 slices, vertical"].here < 0.2
-        assert told["contrast of 0.775 µm lines, 10 slices, oblique"].here > 0.9
+        by_name = numbers(results, "figure-7a")
+        assert by_name["gain from 10 to 30 slices, 1.55 µm, vertical"].here > 0.1
+        assert abs(by_name["gain from 30 to 50 slices, 1.55 µm, vertical"].here) < 0.05
+        assert by_name["contrast of 0.775 µm lines, 50 slices, vertical"].here < 0.2
+        assert by_name["contrast of 0.775 µm lines, 10 slices, oblique"].here > 0.9
 
     def test_tilt_blurs_fine_lines_and_decenter_does_not(self, results: Results) -> None:
-        told = numbers(results, "figure-7bc")
-        assert told["contrast of 0.775 µm lines, decenter 0.05 mm"].here > 0.9
-        assert told["contrast of 0.775 µm lines, tilt 0.5°"].here < 0.75
-        assert told["contrast of 1.55 µm lines, tilt 0.5°"].here > 0.9
+        by_name = numbers(results, "figure-7bc")
+        assert by_name["contrast of 0.775 µm lines, decenter 0.05 mm"].here > 0.9
+        assert by_name["contrast of 0.775 µm lines, tilt 0.5°"].here < 0.75
+        assert by_name["contrast of 1.55 µm lines, tilt 0.5°"].here > 0.9
 
     def test_a_tilt_about_the_exit_vertex_loses_fine_lines_where_nothing_is_refocused(
         self,
         results: Results,
     ) -> None:
-        told = numbers(results, "figure-7bc")
+        by_name = numbers(results, "figure-7bc")
         name = "contrast of {} µm lines, tilt {}° about the {}, {}"
-        assert told[name.format(0.775, 0.5, "exit vertex", "refocused")].here > 0.7
-        assert told[name.format(0.775, 0.5, "exit vertex", "not refocused")].here < 0.2
-        assert told[name.format(0.775, 0.3, "exit vertex", "not refocused")].here > 0.7
-        assert told[name.format(1.55, 0.5, "exit vertex", "not refocused")].here > 0.8
+        assert by_name[name.format(0.775, 0.5, "exit vertex", "refocused")].here > 0.7
+        assert by_name[name.format(0.775, 0.5, "exit vertex", "not refocused")].here < 0.2
+        assert by_name[name.format(0.775, 0.3, "exit vertex", "not refocused")].here > 0.7
+        assert by_name[name.format(1.55, 0.5, "exit vertex", "not refocused")].here > 0.8
         lost = "lines of 0.775 µm resolved at a tilt of 0.5° about the exit vertex, not refocused"
-        assert told[lost].here == "no"
+        assert by_name[lost].here == "no"
 
 
 class TestRetrieval:
@@ -217,28 +217,29 @@ class TestRetrieval:
         check_numbers_and_commands(results[key].made)
 
     def test_only_a_good_start_leads_to_the_chart_and_a6_does_not_tell(self, results: Results) -> None:
-        told = numbers(results, "figure-8")
+        by_name = numbers(results, "figure-8")
         model, even, random = (
-            told[f"correlation of the object, start: {start}"].here
+            by_name[f"correlation of the object, start: {start}"].here
             for start in ("forward model", "even phase", "random phase")
         )
         assert model > 0.5
         assert max(even, random) < 0.3
         assert all(
-            told[f"correlation A6, start: {start}"].here > 0.98 for start in ("forward model", "even phase")
+            by_name[f"correlation A6, start: {start}"].here > 0.98
+            for start in ("forward model", "even phase")
         )
         assert numbers(results, "figure-10")["correlation A6 at the end"].agrees
         frames = "from frames: correlation {}, start: {}"
-        assert told[frames.format("of the object", "forward model")].here > 2.0 * max(
-            told[frames.format("of the object", start)].here for start in ("even phase", "random phase")
+        assert by_name[frames.format("of the object", "forward model")].here > 2.0 * max(
+            by_name[frames.format("of the object", start)].here for start in ("even phase", "random phase")
         )
-        assert told[frames.format("A6", "even phase")].here > 0.95
+        assert by_name[frames.format("A6", "even phase")].here > 0.95
 
     def test_spectra_end_at_the_circle_of_the_pixels(self, results: Results) -> None:
-        told = numbers(results, "figure-2e")
+        by_name = numbers(results, "figure-2e")
         for name in ("USAF chart", "tissue"):
-            assert told[f"energy beyond it in the light itself, {name}"].here < 1e-3
-            assert told[f"energy beyond 156.25 lp/mm, {name}, retrieved"].here < 0.02
+            assert by_name[f"energy beyond it in the light itself, {name}"].here < 1e-3
+            assert by_name[f"energy beyond 156.25 lp/mm, {name}, retrieved"].here < 0.02
 
 
 class TestObjects:
@@ -251,25 +252,27 @@ class TestObjects:
         check_numbers_and_commands(results[key].made)
 
     def test_brackets_bring_the_lens_more_than_one_exposure(self, results: Results) -> None:
-        told = {name: number.here for name, number in numbers(results, "figure-5-at-size").items()}
+        by_name = {name: number.here for name, number in numbers(results, "figure-5-at-size").items()}
         name = "correlation with the object: {}"
-        assert told[name.format("three exposures")] > told[name.format("one exposure, the paper's")] + 0.1
+        assert (
+            by_name[name.format("three exposures")] > by_name[name.format("one exposure, the paper's")] + 0.1
+        )
 
     def test_the_chart_comes_back_with_the_lens_and_coarser_without(self, results: Results) -> None:
         """By the aperture, and by the pixels of a camera without lens: 7-2 is the last below 156 lp/mm."""
-        told = numbers(results, "figure-5")
-        assert told["correlation with the object, in the object domain"].here > 0.9
-        assert told["with the lens, in the object domain: finest element"].here.startswith("9-")
-        assert told["without the lens: finest element"].here[:3] in ("7-2", "7-3")
-        assert told["correlation with the object, thin lens"].here < 0.5
+        by_name = numbers(results, "figure-5")
+        assert by_name["correlation with the object, in the object domain"].here > 0.9
+        assert by_name["with the lens, in the object domain: finest element"].here.startswith("9-")
+        assert by_name["without the lens: finest element"].here[:3] in ("7-2", "7-3")
+        assert by_name["correlation with the object, thin lens"].here < 0.5
 
     def test_tissue_is_seen_as_by_the_larger_objective(self, results: Results) -> None:
-        told = numbers(results, "figure-6")
-        assert told["correlation with the tissue, complex"].here > 0.8
-        high = told["with the 20× objective's, condenser 0.7 NA"].here
+        by_name = numbers(results, "figure-6")
+        assert by_name["correlation with the tissue, complex"].here > 0.8
+        high = by_name["with the 20× objective's, condenser 0.7 NA"].here
         assert high > 0.9
-        assert high > told["with the 2× objective's, condenser 0.7 NA"].here + 0.02
-        assert told["that over the 20× objective's 1.25 mm"].agrees
+        assert high > by_name["with the 2× objective's, condenser 0.7 NA"].here + 0.02
+        assert by_name["that over the 20× objective's 1.25 mm"].agrees
 
 
 class TestOtherWays:
@@ -282,9 +285,9 @@ class TestOtherWays:
         check_numbers_and_commands(results[key].made)
 
     def test_appendix_a_wants_other_frames_and_oblique_slices(self, results: Results) -> None:
-        told = {name: number.here for name, number in numbers(results, "the-papers-way").items()}
+        by_name = {name: number.here for name, number in numbers(results, "the-papers-way").items()}
         correlation = {
-            name.partition(": ")[2]: here for name, here in told.items() if name.startswith("corr")
+            name.partition(": ")[2]: here for name, here in by_name.items() if name.startswith("corr")
         }
         assert correlation["one exposure, two planes: the paper's"] < 0.4
         best = correlation["the same, pixels that are points"]
@@ -297,19 +300,19 @@ class TestOtherWays:
         assert vertical < oblique - 0.2
 
     def test_what_is_left_to_later_work_has_numbers(self, results: Results) -> None:
-        told = {name: number.here for name, number in numbers(results, "discussion").items()}
-        assert told["calibration: decenter found"] == pytest.approx(
-            told["calibration: decenter put"], abs=0.3
+        by_name = {name: number.here for name, number in numbers(results, "discussion").items()}
+        assert by_name["calibration: decenter found"] == pytest.approx(
+            by_name["calibration: decenter put"], abs=0.3
         )
         assert (
-            told["calibration: misfit with what is found"]
-            < 1.2 * told["calibration: misfit of the noise alone"]
+            by_name["calibration: misfit with what is found"]
+            < 1.2 * by_name["calibration: misfit of the noise alone"]
         )
         shot = "single shot, {} object: correlation from one plane"
-        assert told[shot.format("amplitude")] > 0.88 > told[shot.format("complex")]
-        confined = told[f"{shot.format('complex')}, confined to 0.6 of the field's diameter"]
-        assert confined > told[shot.format("complex")] + 0.05
-        assert told["moulded plastic asphere: largest angle behind it over the limit"] <= 1.0
+        assert by_name[shot.format("amplitude")] > 0.88 > by_name[shot.format("complex")]
+        confined = by_name[f"{shot.format('complex')}, confined to 0.6 of the field's diameter"]
+        assert confined > by_name[shot.format("complex")] + 0.05
+        assert by_name["moulded plastic asphere: largest angle behind it over the limit"] <= 1.0
 
 
 def test_an_objective_passes_its_aperture_and_no_more() -> None:

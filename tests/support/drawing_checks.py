@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.lens.lens import Lens
-from lensdesign.manufacture.drawing.strokes import SHEET_MM, Drawing, Sheet, Stroke
+from lensdesign.manufacture.drawing.primitives import SHEET_MM, Drawing, Sheet, Stroke
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, SurfaceTolerances
 
 SECTIONS: dict[str, Any] = {

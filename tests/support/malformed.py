@@ -64,7 +64,7 @@ def malformed(data: bytes, rng: np.random.Generator, own: Sequence[bytes] = ()) 
 def outcomes(
     path: Path, files: Sequence[bytes], read: Callable[[Path], object], check: Callable[[object], bool]
 ) -> list[bool]:
-    """Read each; True where it was read, with `check` of the result, False where a fault was told.
+    """Read each; True where it was read, with `check` of the result, False where a fault was reported.
 
     Any other exception, a fault that does not name the file or one that it names, or a file beside it is an
     error.

@@ -20,10 +20,10 @@ from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import RmsWaves, Strehl
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
 from tolerancing.prediction.system import amounts_of, columns_of
 from tolerancing.prediction.wavefront_prediction import (
-    Judged,
+    WavefrontLimit,
     drawn_batch,
     first_order,
     is_predicted_wavefront,
@@ -229,7 +229,7 @@ def _merit_models(lens: Lens, study: Study, probes: Array) -> list[_MeritModel |
 
 
 def _wavefront(lens: Lens, study: Study, merit: RmsWaves | Strehl) -> _Wavefront:
-    judged = tuple(Judged(point, merit.wavelength_um, 1.0) for point in merit.points)
+    judged = tuple(WavefrontLimit(point, merit.wavelength_um, 1.0) for point in merit.points)
     known = study_derivatives(lens, study, judged, second=False)
     # Compensators respond to perturbations to first order, without limits.
     follow = known.compensation.following(known.changes.count)

@@ -100,7 +100,7 @@ def _rays_dict(rays: tuple[RayPrediction, ...], columns: tuple[str, ...]) -> lis
             "deviation": r.deviation,
             "good": r.good,
             "alone": dict(zip(columns, r.alone.tolist(), strict=True)),
-            "left": r.left,
+            "left": r.relative_error,
             "first_order_suffices": r.first_order_suffices,
         }
         for r in rays
@@ -137,7 +137,7 @@ def _print_rays(title: str, rays: tuple[RayPrediction, ...], columns: tuple[str,
             r.merit.column,
             *(f"{value:.4f}" for value in (r.nominal, r.mean, r.deviation)),
             f"{100.0 * r.good:.1f}",
-            f"{100.0 * r.left:.1f}",
+            f"{100.0 * r.relative_error:.1f}",
         )
         for r in rays
     ]

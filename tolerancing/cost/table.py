@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from lensdesign.common.section import Positive, Section
+from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import InputError
 
@@ -34,7 +34,7 @@ QUANTITIES = {
 """Quantities that a process can have prices for."""
 
 
-class Price(Section):
+class Price(FrozenModel):
     """Price of one tolerance: share * reference / tolerance, relative to a part without tolerances.
 
     Attributes
@@ -49,7 +49,7 @@ class Price(Section):
     share: Positive
 
 
-class Process(Section):
+class Process(FrozenModel):
     """Prices of one manufacturing process; other quantities have no price.
 
     Attributes
@@ -64,7 +64,7 @@ class Process(Section):
     prices: Mapping[str, Price]
 
 
-class CostTable(Section):
+class CostTable(FrozenModel):
     """Price table of tolerances.
 
     Attributes

@@ -3,10 +3,10 @@ from .chain import ReconstructedContrast
 from .compensators import Compensator
 from .context import Context, Sampling
 from .line_pairs import LinePairContrast
-from .loss import ReconstructionLoss
 from .pupil import ImageShift, ModulationTransfer, PupilMerit, RmsWaves, SmallestResolvedLine, Strehl
 from .python import PythonMerit, Trial
 from .rays import FootprintRadius, LargestSpread, RayMerit, Throughput
+from .reconstruction_loss import ReconstructionLoss
 from .registry import MERITS, merit_from_table
 
 __all__ = [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Bounded, Positive, Section
+from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -23,7 +23,7 @@ LARGEST_SCORE = 1e100
 """Largest absolute value of a score. Sums and squares of larger scores might not be finite."""
 
 
-class Merit(Section):
+class Merit(FrozenModel):
     """A figure of merit and its limit.
 
     This is the base class; :data:`tolerancing.merits.MERITS` lists the merits by kind.

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive
+from lensdesign.common.frozen_model import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.bars import SIDE, Chain, Ground, Method, Point

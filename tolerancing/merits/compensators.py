@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive
+from lensdesign.common.frozen_model import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -24,7 +24,7 @@ from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
-    from wavesim.pupil.patch_return import PerturbedPatch
+    from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 
 GAUSS_NEWTON_STEPS = 2

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
-from lensdesign.common.section import Positive, Section
+from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lensdesign.raytrace.bundles import PupilSamples
-    from tolerancing.merits.arrival import Arrival
     from tolerancing.merits.compensators import Compensator, ModelPupils
+    from tolerancing.merits.sensor_rays import Arrival
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
-    from wavesim.pupil.patch_return import PerturbedPatch
+    from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 Result = TypeVar("Result")
 Points = tuple[tuple[float, float], ...]
 
 
-class Sampling(Section):
+class Sampling(FrozenModel):
     """Sampling of rays and pupils for merits.
 
     Attributes
@@ -172,7 +172,7 @@ class Context:
         wavelength = self.wavelength_um(wavelength_um)
 
         def compute() -> Arrival:
-            from tolerancing.merits.arrival import arriving_rays
+            from tolerancing.merits.sensor_rays import arriving_rays
 
             samples = self.stop_samples() if stop is None else stop
             return arriving_rays(self.lens, batch, field_points_mm, samples.points, wavelength)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive
+from lensdesign.common.frozen_model import Positive
 from tolerancing.merits.base import orientation_text
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import Axis, Orientation, PupilMerit, worse
@@ -16,7 +16,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
     from wavesim import ReconstructionPupil
-    from wavesim.pupil.patch_return import PerturbedPatch
+    from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 
 BARS = 5

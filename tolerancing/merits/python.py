@@ -15,13 +15,13 @@ from pydantic import Field, PrivateAttr, field_validator
 from lensdesign.errors import DesignError, InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import LARGEST_SCORE, Merit
-from tolerancing.merits.containment import run_user_code
 from tolerancing.merits.context import Context
+from tolerancing.merits.user_code import run_user_code
 from tolerancing.perturbations.batch import PerturbationBatch
 from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
-    from tolerancing.merits.arrival import Arrival
+    from tolerancing.merits.sensor_rays import Arrival
     from wavesim import ReconstructionPupil
 
 

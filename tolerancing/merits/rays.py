@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Bounded, Positive, rows
+from lensdesign.common.frozen_model import Bounded, Positive, as_nested_tuple
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
+from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class RayMerit(Merit):
     levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256
 
-    _lists = field_validator("field_points_mm", mode="before")(rows)
+    _lists = field_validator("field_points_mm", mode="before")(as_nested_tuple)
 
     def check(self, lens: Lens) -> None:
         for point in self.field_points_mm:

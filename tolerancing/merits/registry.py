@@ -8,7 +8,6 @@ from lensdesign.common.toml_files import pick, validate
 from tolerancing.merits.base import Merit
 from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.line_pairs import LinePairContrast
-from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.merits.pupil import (
     ImageShift,
     ModulationTransfer,
@@ -19,6 +18,7 @@ from tolerancing.merits.pupil import (
 from tolerancing.merits.python import PythonMerit
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
 from tolerancing.merits.reconstruction.merit import Reconstruction
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 
 MERITS: dict[str, type[Merit]] = {
     "largest_spread_deg": LargestSpread,

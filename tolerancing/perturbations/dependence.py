@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Section, rows, tuples
+from lensdesign.common.frozen_model import FrozenModel, as_nested_tuple, as_tuple
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
@@ -28,7 +28,7 @@ ROUNDING = 1e-9
 """Rounding error of the entries of a correlation matrix that is accepted."""
 
 
-class Correlation(Section):
+class Correlation(FrozenModel):
     """Perturbations whose deviations are correlated; a ``[[correlation]]`` table.
 
     Attributes
@@ -51,9 +51,9 @@ class Correlation(Section):
     coefficient: Coefficient | None = None
     matrix: tuple[tuple[Coefficient, ...], ...] | None = None
 
-    _lists = field_validator("names", mode="before")(tuples)
+    _lists = field_validator("names", mode="before")(as_tuple)
 
-    _rows = field_validator("matrix", mode="before")(rows)
+    _rows = field_validator("matrix", mode="before")(as_nested_tuple)
 
     @field_validator("names")
     @classmethod

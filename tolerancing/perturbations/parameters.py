@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from lensdesign.common.section import Bounded, Section
+from lensdesign.common.frozen_model import Bounded, FrozenModel
 from lensdesign.common.toml_files import joined_faults, pick, unknown_key, validate
 from lensdesign.errors import DesignError, MaterialError
 from lensdesign.lens.lens import Lens
@@ -85,7 +85,7 @@ UNITS = ("mm", "um", "deg", "percent", "fringes", "waves", "c")
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
-class PerturbedParameter(Section):
+class PerturbedParameter(FrozenModel):
     """A parameter of the lens, of one of its surfaces or elements, or of its surroundings.
 
     Attributes

@@ -1,6 +1,6 @@
-from .arrivals import ArrivalDifferentials, arrival_differentials
 from .derivatives import Differentials, differentials
 from .ray_prediction import RayPrediction, predict_rays
+from .sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
 from .study_prediction import LimitPrediction, StudyPrediction, predict_study
 from .wavefront_prediction import WavefrontPrediction, predict
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.bundles import PupilSamples
-from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context, Points
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
+from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.prediction.arrivals import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
 from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.study import Study
 
@@ -46,7 +46,7 @@ class RayPrediction:
         True for drawn lenses within the limit.
     alone : ndarray, shape (perturbations,)
         Standard deviation for each perturbation alone.
-    left : float
+    relative_error : float
         Root mean square error of the predictions for the traced draws, as a fraction of their deviation.
     """
 
@@ -56,7 +56,7 @@ class RayPrediction:
     deviation: float
     passed: NDArray[np.bool_]
     alone: Array
-    left: float
+    relative_error: float
 
     @property
     def good(self) -> float:
@@ -72,9 +72,9 @@ class RayPrediction:
     @property
     def first_order_suffices(self) -> bool:
         """True if the error of the first order is small."""
-        # Root mean square that first order may leave of the traced draws, as a share of their deviation.
+        # Root mean square that first order may leave of the traced draws, as a fraction of their deviation.
         largest_fraction = 0.05
-        return self.left <= largest_fraction
+        return self.relative_error <= largest_fraction
 
 
 class FirstOrderRays(Context):
@@ -200,13 +200,13 @@ def predict_rays(
     unperturbed = replace(blocks[0], values=np.zeros_like(blocks[0].values))
     nominal = _scores(merits, context, unperturbed)[0]
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
-    left = np.zeros(len(merits))
+    relative_error = np.zeros(len(merits))
     if checked:
         # The first 64 draws are traced.
         traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, 64)))
         errors = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
         # A score that no perturbation changes has only rounding errors.
-        left = errors / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
+        relative_error = errors / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
     return tuple(
         RayPrediction(
             merit,
@@ -215,7 +215,7 @@ def predict_rays(
             float(np.std(scores[:, k])),
             merit.passed(scores[:, k]),
             alone[:, k],
-            float(left[k]),
+            float(relative_error[k]),
         )
         for k, merit in enumerate(merits)
     )

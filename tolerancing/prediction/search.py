@@ -25,17 +25,21 @@ from lensdesign.optimization.problem import DesignProblem
 from lensdesign.raytrace.gradients import Variable
 from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
-from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
+from tolerancing.prediction.drawing_yield import DrawingYieldPredictor
 from tolerancing.prediction.goals.compensated import CompensatedWaves, WavefrontLoads
 from tolerancing.prediction.goals.design import DesignPoint, Scatter, bent, sized
-from tolerancing.prediction.goals.forms import wavefront_forms
-from tolerancing.prediction.goals.joint import DrawnLoads, failing_fraction
-from tolerancing.prediction.goals.mean_losses import SearchedLosses
+from tolerancing.prediction.goals.joint_yield import DrawnLoads, failing_fraction
+from tolerancing.prediction.goals.quadratic_forms import wavefront_forms
 from tolerancing.prediction.goals.ray_loads import FollowedRays, RayLoads, judged_rays
+from tolerancing.prediction.goals.reconstruction_loss import SearchedLosses
 from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
-from tolerancing.prediction.sheet_scores import StudySheets
-from tolerancing.prediction.wavefront_prediction import Judged, is_predicted_wavefront, wavefront_points
+from tolerancing.prediction.wavefront_prediction import (
+    WavefrontLimit,
+    is_predicted_wavefront,
+    wavefront_points,
+)
 from tolerancing.study.evaluate import compensated_points, prepare_merits
 from tolerancing.study.files import check_against, load_study
 from tolerancing.study.study import Study
@@ -64,9 +68,9 @@ class StudyAsBuilt:
     costs: Path | None = None
     amount: float | None = None
 
-    def sheets(self) -> StudySheets:
-        """Return an object that derives and scores the tolerances of drawings by the study."""
-        return StudySheets(self.study, self.source)
+    def yield_predictor(self) -> DrawingYieldPredictor:
+        """Return an object that derives tolerances of drawings and predicts their yields by the study."""
+        return DrawingYieldPredictor(self.study, self.source)
 
     def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
         """Return the study with a table of costs and, if given, a cost to which tolerances are scaled."""
@@ -103,7 +107,7 @@ class StudyAsBuilt:
         return replace(self, study=_multiplied(self.study, factor))
 
     @cached_property
-    def judged(self) -> tuple[Judged, ...]:
+    def judged(self) -> tuple[WavefrontLimit, ...]:
         """Object points at which wavefronts are limited, and their limits."""
         return wavefront_points(self.study)
 

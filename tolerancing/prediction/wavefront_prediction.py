@@ -35,7 +35,7 @@ _At = tuple[Changes, tuple[FieldDifferentials, ...]]
 
 
 @dataclass(frozen=True)
-class Judged:
+class WavefrontLimit:
     """An object point and the limit of the root mean square wavefront error there.
 
     Attributes
@@ -57,7 +57,7 @@ class PointPrediction:
 
     Attributes
     ----------
-    judged : Judged
+    judged : WavefrontLimit
     rms_waves : float
         Root of the mean square over pupil and lenses.
     first_order_rms_waves : float
@@ -68,7 +68,7 @@ class PointPrediction:
         True for drawn lenses within the limit.
     """
 
-    judged: Judged
+    judged: WavefrontLimit
     rms_waves: float
     first_order_rms_waves: float
     shares: Array
@@ -128,20 +128,20 @@ def is_predicted_wavefront(merit: Merit) -> TypeGuard[RmsWaves | Strehl]:
     return isinstance(merit, RmsWaves | Strehl) and merit.refocus
 
 
-def wavefront_points(study: Study) -> tuple[Judged, ...]:
+def wavefront_points(study: Study) -> tuple[WavefrontLimit, ...]:
     """Return the object points at which a study limits the wavefront, with their limits.
 
     A limit on the Strehl ratio S is converted to a root mean square by S = exp(-(2 pi rms)^2).
     """
     return tuple(
-        Judged(point, merit.wavelength_um, _limit_waves(merit))
+        WavefrontLimit(point, merit.wavelength_um, _limit_waves(merit))
         for merit in study.merits
         if is_predicted_wavefront(merit)
         for point in merit.points
     )
 
 
-def judged_points(study: Study) -> tuple[Judged, ...]:
+def judged_points(study: Study) -> tuple[WavefrontLimit, ...]:
     """Return :func:`wavefront_points` of a study, which must have some.
 
     Raises
@@ -169,7 +169,7 @@ def _limit_waves(merit: PupilMerit) -> float:
 def predict(
     lens: Lens,
     study: Study,
-    points: Sequence[Judged] | None = None,
+    points: Sequence[WavefrontLimit] | None = None,
     amounts: Array | None = None,
     second: bool = True,
 ) -> WavefrontPrediction:
@@ -223,13 +223,15 @@ def drawn_amounts(study: Study, draws: int = 8192) -> Array:
 class StudyDerivatives:
     """Derivatives of a study's wavefronts by its changes and compensators, at the judged field points."""
 
-    judged: tuple[Judged, ...]
+    judged: tuple[WavefrontLimit, ...]
     changes: Changes
     compensation: Compensation
     fields: tuple[FieldDifferentials, ...]
 
 
-def study_derivatives(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> StudyDerivatives:
+def study_derivatives(
+    lens: Lens, study: Study, judged: Sequence[WavefrontLimit], second: bool
+) -> StudyDerivatives:
     """Differentiate the wavefronts of a lens by all perturbations and compensators of a study."""
 
     def at(points: Sequence[Place], perturbed: Sequence[PerturbedParameter], sizes: list[float]) -> _At:

@@ -158,7 +158,7 @@ def _one_by_one(loaded: LoadedStudy, levels: Mapping[str, str], suspects: list[T
         raise RunError(WORKER_DIED)
 
 
-class EndedError(InputError):
+class WorkerEndedError(InputError):
     """A merit in Python ended the process that scored it."""
 
 
@@ -189,7 +189,7 @@ class Rehearsal(Processes):
         Raises
         ------
         InputError
-            If a merit cannot score. The error is an :class:`EndedError` if the merit ends its process.
+            If a merit cannot score. The error is an :class:`WorkerEndedError` if the merit ends its process.
         """
         from tolerancing.study.evaluate import prepare_merits
 
@@ -203,7 +203,7 @@ class Rehearsal(Processes):
 
         Raises
         ------
-        EndedError
+        WorkerEndedError
             If a merit ends the process.
         RunError
             If a worker dies for another reason.
@@ -218,7 +218,7 @@ class Rehearsal(Processes):
         try:
             return self.submit(work).result()
         except BrokenProcessPool as error:
-            raise EndedError(
+            raise WorkerEndedError(
                 f"{self._files}: {self.end()} ended the process that was to score the nominal lens; nothing "
                 "was run. Correct the merit and run the command again"
             ) from error

@@ -48,7 +48,7 @@ def start_ahead() -> None:
     if sys.platform != "linux":  # On other systems it is not safe to fork a process with these libraries.
         return
     one_blas_thread()
-    forkserver.set_forkserver_preload(["tolerancing.run.preloaded"])
+    forkserver.set_forkserver_preload(["tolerancing.run.forkserver_preload"])
     with _signals_blocked():
         resource_tracker.ensure_running()  # First: it unblocks the signals again.
     with _signals_blocked():
@@ -122,7 +122,7 @@ class Processes:
 def follow_parent() -> None:
     """Ignore interrupts in this worker process, and end it when its parent process ends.
 
-    The terminal sends interrupts to the whole process group. Only the process that holds the store may act
+    The terminal sends interrupts to the whole process group. Only the process with the open store may act
     on them.
     """
     for name in ("SIGINT", "SIGHUP"):

@@ -15,7 +15,7 @@ from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError
 from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.executors import Perform, RunError, cluster_workers, this_process
-from tolerancing.run.pool import EndedError, LocalPool, Rehearsal
+from tolerancing.run.pool import LocalPool, Rehearsal, WorkerEndedError
 from tolerancing.run.tasks import (
     Task,
     all_tasks,
@@ -177,7 +177,7 @@ def run_study(
                         steps = tuple(missing_steps(loaded.study, store))
                         estimate = partial(estimate_run, loaded, missing, steps, processes, size)
                         early = all_tasks(loaded.study, planned, crew) if is_new else ()
-                        with suppress(EndedError):  # The run finds out which trial it is.
+                        with suppress(WorkerEndedError):  # The run finds out which trial it is.
                             on_estimate(rehearsal.run(estimate, early, levels))
                     in_this_process = processes == 1 and rehearsal.in_this_process
                     rehearsal.close()
@@ -262,7 +262,7 @@ def _missing(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
 def _ready_store(
     path: Path, loaded: LoadedStudy, planned: int, crew: int, fresh: bool, rehearsal: Rehearsal
 ) -> tuple[Store, bool]:
-    """Return a store that holds this study and the planned number of trials, and whether it is new."""
+    """Return a store of this study with the planned number of trials, and whether it is new."""
     if os.path.exists(path):
         open_store(path).close()  # Raises for a file that is no store, which must never be replaced.
         if not fresh:

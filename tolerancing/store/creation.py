@@ -108,7 +108,7 @@ def _fill(
     merits: Sequence[MeritRecord],
     files: Mapping[str, bytes],
 ) -> None:
-    """Write tables, study and merits into a new file, and leave no log beside it."""
+    """Write tables, study and merits into a new file, without a log file."""
     connection = sqlite3.connect(temporary, isolation_level=None)
     try:
         # One transaction, because each one waits for the disk.

@@ -1,4 +1,4 @@
-"""The SQLite file of a store, with a write-ahead log beside it while it is written.
+"""The SQLite file of a store, with a write-ahead log in the same folder while it is written.
 
 SQLite merges a log that was left behind into any database of the same name. A store may therefore replace
 another one only if the log of the other is gone and no other process has it open.

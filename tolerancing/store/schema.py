@@ -194,7 +194,7 @@ def trial_rows(results: TrialResults) -> Rows:
 
 
 def high_fidelity_rows(results: HighFidelityResults) -> Rows:
-    """Return the rows of the table ``dear``, which holds the high-fidelity scores."""
+    """Return the rows of the table ``dear`` of high-fidelity scores."""
     finished = time.time()
     return [
         (trial, chosen, *scores, message, seconds, finished)

@@ -1,4 +1,4 @@
-"""The store of a study: one SQLite file that holds its files, trials, steps and pictures.
+"""The store of a study: one SQLite file with its files, trials, steps and pictures.
 
 A new store gets its name only when its tables and its study are written, and each batch of results is one
 transaction. A run that is interrupted at any moment therefore leaves a store that opens and holds complete

@@ -10,8 +10,8 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, validate_inside
-from lensdesign.common.section import Section
 from lensdesign.common.toml_files import joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.design import load_design
@@ -28,7 +28,7 @@ from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
 
-class Checked(Protocol):
+class LensCheckable(Protocol):
     """A section of a study that can be checked against a lens."""
 
     def check(self, lens: Lens) -> None:
@@ -258,7 +258,7 @@ def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = N
     """
     faults: list[str] = []
     data = dict(data)
-    readers: dict[str, Callable[[dict[str, Any], str], Section]] = {
+    readers: dict[str, Callable[[dict[str, Any], str], FrozenModel]] = {
         "perturbation": perturbation_from_table,
         "merit": merit_from_table,
         "sweep": lambda table, location: validate(Sweep, table, location),
@@ -287,7 +287,7 @@ def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = N
     return validate(Study, data, source)
 
 
-def _with_its_file(item: Section, folder: Path, source: str, location: str) -> Section:
+def _with_its_file(item: FrozenModel, folder: Path, source: str, location: str) -> FrozenModel:
     """Return a perturbation or merit with the data of its file; other sections are returned unchanged."""
     if not isinstance(item, Perturbation | Merit):
         return item
@@ -374,7 +374,7 @@ def _faults_of_merits(study: Study) -> list[str]:
     return list(faults)
 
 
-def _faults(items: Iterable[Checked], key: str, lens: Lens) -> list[str]:
+def _faults(items: Iterable[LensCheckable], key: str, lens: Lens) -> list[str]:
     faults = []
     for number, item in enumerate(items, start=1):
         try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from lensdesign.common.section import Bounded, Positive, Section, tuples
+from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive, as_tuple
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -55,7 +55,7 @@ class Series(ABC):
         return None
 
 
-class LinePairSection(Section):
+class LinePairSection(FrozenModel):
     """Scores of sweeps and grids: merits of the study, and contrasts of additional line pairs.
 
     Attributes
@@ -75,7 +75,7 @@ class LinePairSection(Section):
     orientation: Orientation = "worse"
     field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
 
-    _own_lists = field_validator("line_widths_um", "merits", "field_mm", mode="before")(tuples)
+    _own_lists = field_validator("line_widths_um", "merits", "field_mm", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _check_scores(self) -> Any:
@@ -116,7 +116,7 @@ class LinePairSection(Section):
         return (*(m for m in merits if m.label in self.merits), *self.line_pairs())
 
 
-def validate_unique(section: Section, *keys: str) -> None:
+def validate_unique(section: FrozenModel, *keys: str) -> None:
     """Raise a ValueError for lists with repeated values."""
     for key in keys:
         items = getattr(section, key)

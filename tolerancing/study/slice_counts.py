@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Bounded, Positive, Section, tuples
+from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive, as_tuple
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -32,7 +32,7 @@ Compensation = Literal["vertical", "oblique"]
 Result = TypeVar("Result")
 
 
-class SliceCounts(Section, Series):
+class SliceCounts(FrozenModel, Series):
     """Series over numbers of annular slices and phase compensations.
 
     Attributes
@@ -59,7 +59,7 @@ class SliceCounts(Section, Series):
     picture_slices: tuple[int, ...] = ()
 
     _lists = field_validator("slices", "compensations", "line_widths_um", "picture_slices", mode="before")(
-        tuples
+        as_tuple
     )
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, SerializeAsAny, model_validator
 
-from lensdesign.common.section import Bounded, Section
+from lensdesign.common.frozen_model import Bounded, FrozenModel
 from tolerancing.merits.base import Merit
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
@@ -24,7 +24,7 @@ MOST_TRIALS = 10_000_000
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class Fidelity(Section):
+class Fidelity(FrozenModel):
     """Criteria for the levels of merits, and for the trials that high-fidelity merits score.
 
     A high-fidelity merit names in `predicted_by` the low-fidelity merit that it refines.
@@ -50,7 +50,7 @@ class Fidelity(Section):
     random_share: Fraction = 0.05
 
 
-class Study(Section):
+class Study(FrozenModel):
     """A tolerance study: the contents of a study file.
 
     The names in brackets below are the tables of the file. :meth:`replaced` returns a changed study.

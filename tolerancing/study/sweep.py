@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Bounded, tuples
+from lensdesign.common.frozen_model import Bounded, as_tuple
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
@@ -39,7 +39,7 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
     values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
     picture_values: tuple[Bounded, ...] = ()
 
-    _lists = field_validator("values", "picture_values", mode="before")(tuples)
+    _lists = field_validator("values", "picture_values", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _consistent(self) -> Sweep:
@@ -79,7 +79,7 @@ class GridAxis(PerturbedParameter):
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
 
-    _lists = field_validator("values", mode="before")(tuples)
+    _lists = field_validator("values", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _check_values(self) -> GridAxis:

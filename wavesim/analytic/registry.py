@@ -27,8 +27,8 @@ ORACLES: dict[str, str] = {
     "plate": "wavesim.analytic.plane_interface:plate_scene",
     "tilted-plate": "wavesim.analytic.tilted_plate:tilted_plate_scene",
     "half-plane": "wavesim.analytic.half_plane:half_plane_scene",
-    "slit": "wavesim.analytic.opening:slit_scene",
-    "hole": "wavesim.analytic.opening:hole_scene",
+    "slit": "wavesim.analytic.aperture_diffraction:slit_scene",
+    "hole": "wavesim.analytic.aperture_diffraction:hole_scene",
     "plane": "wavesim.analytic.plane_interface:plane_scene",
     "beam": "wavesim.analytic.plane_interface:beam_scene",
 }

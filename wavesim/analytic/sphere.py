@@ -93,8 +93,8 @@ def spherical_waves(wavenumber_per_mm: float, spread: float, waist_z_mm: float, 
     return result
 
 
-def _next_legendre(order: int, cosine: Array, legendre: Array, before: Array) -> Array:
-    return np.asarray(((2 * order + 1) * cosine * legendre - order * before) / (order + 1))
+def _next_legendre(order: int, cosine: Array, legendre: Array, previous: Array) -> Array:
+    return np.asarray(((2 * order + 1) * cosine * legendre - order * previous) / (order + 1))
 
 
 def outgoing_field(

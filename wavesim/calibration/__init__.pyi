@@ -1,4 +1,4 @@
-from .calibrated import Calibrated, read_calibration
+from .calibration_result import Calibrated, read_calibration
 from .frame_calibration import calibrate_empty, calibrate_frames
 from .free_space.field import FreeSpaceField, reconstruct_free_space
 from .known_object import calibrate

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.calibrated import Calibrated, correlated_parameters
+from wavesim.calibration.calibration_result import Calibrated, correlated_parameters
 from wavesim.calibration.joint.pixels import (
     CalibrationPixels,
     DensePixels,
@@ -254,7 +254,7 @@ def search_bench(
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
         covariance=found.covariance,
-        traded=correlated_parameters(run.names, found.covariance),
+        correlated_with=correlated_parameters(run.names, found.covariance),
         nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
         undetermined=problem.undetermined if known is None else (),
         applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),

@@ -13,8 +13,8 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import RIGID, parameter_names, validate_parameters
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
@@ -318,7 +318,8 @@ def _with_light(measured: Calibrated, found: Calibrated) -> Calibrated:
         typical=measured.typical[:count] + found.typical,
         covariance=None,
         trail=tuple((light + values, misfit) for values, misfit in found.trail),
-        traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
+        correlated_with={n: measured.correlated_with[n] for n in names if n in measured.correlated_with}
+        | dict(found.correlated_with),
         nominal=(*(n for n in names if n in measured.nominal), *found.nominal),
         undetermined=(),
         applied={n: (measured.applied or {})[n] for n in names} | dict(found.applied or {}),

@@ -20,7 +20,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.gauss_newton import GaussNewton, Minimum
 from wavesim.calibration.mounting_parameters import (
     DECENTERS,

@@ -30,7 +30,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.metrics.judgement import truth_metrics
+from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction.diagnostics.held_out import hold_out
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.runtime.scratch import Scratch

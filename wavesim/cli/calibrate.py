@@ -18,7 +18,7 @@ from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSettings
 
 if TYPE_CHECKING:
-    from wavesim.calibration.calibrated import Calibrated
+    from wavesim.calibration.calibration_result import Calibrated
     from wavesim.sensor.frames import Frame
 
 FILE = "calibration.json"
@@ -50,7 +50,7 @@ def calibrate(
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
-    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
         pictures = read_frames(frames, of_frames, lens=lens)
@@ -62,7 +62,7 @@ def calibrate(
             empty=read_empty(empty, of_frames, lens),
             priors=read_priors(priors, lens),
             folder=output,
-            progress=tell,
+            progress=on_progress,
         )
     for name in (CHECKPOINT, EMPTY_CHECKPOINT):
         with suppress(OSError):  # A left-over checkpoint does no harm.
@@ -112,7 +112,9 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         notes = ["at the limit of the search range"] * (name in found.at_reach)
         notes += ["undetermined"] * (name in found.poorly_determined)
         notes += ["not needed, kept nominal"] * (name in found.nominal)
-        notes += [f"correlated with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
+        notes += [f"correlated with {', '.join(found.correlated_with.get(name, ()))}"] * (
+            name in found.correlated_with
+        )
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
     heads = "estimate", "standard deviation"
     print_table(("deviation from the design",), heads, rows, notes="")

@@ -99,7 +99,7 @@ def compare(
 def _on_planes(lens: Any, name: str) -> dict[str, Any]:
     from lensdesign.lens.scaling import scaled
     from wavesim.analytic.registry import analytic_case
-    from wavesim.metrics.about_axis import axial_case
+    from wavesim.metrics.axisymmetric_reference import axial_case
 
     sphere_radius_mm = 0.15
     cases = {

@@ -35,7 +35,7 @@ def in_free_space(
     from wavesim.sensor.frames import AssumedWarning
 
     _refuse_of_lenses(settings, of_lenses)
-    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         warnings.simplefilter("ignore", AssumedWarning)
         found = reconstruct_free_space(
@@ -43,7 +43,7 @@ def in_free_space(
             calibrates=free.calibrate,
             iterations=settings.iterations or ITERATIONS,
             aperture=free.numerical_aperture,
-            progress=tell,
+            progress=on_progress,
         )
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)

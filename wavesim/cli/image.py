@@ -80,7 +80,7 @@ def _runs(
 
 
 def _read_state(path: Path, lens: Lens) -> SystemState:
-    from wavesim.calibration.calibrated import read_calibration
+    from wavesim.calibration.calibration_result import read_calibration
 
     return read_calibration(path, lens)
 
@@ -99,10 +99,10 @@ def _recorded(
     from wavesim.sensor.recording import drop_parts
 
     on_estimate = None if as_json else memory_teller(output)
-    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         imaged = record(
-            lens, object_, settings, state=state, folder=output, progress=tell, on_estimate=on_estimate
+            lens, object_, settings, state=state, folder=output, progress=on_progress, on_estimate=on_estimate
         )
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)

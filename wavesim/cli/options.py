@@ -14,8 +14,8 @@ from pydantic import AliasChoices, ValidationError
 from pydantic.fields import FieldInfo
 
 from lensdesign.common.console import message_console
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.outputs import output_folder
-from lensdesign.common.section import Section
 from lensdesign.errors import InputError
 from wavesim.scene.settings import SettingError
 
@@ -51,10 +51,10 @@ def with_settings(command: Command) -> Command:
     by commas. Messages about invalid settings name the options.
     """
     own = inspect.signature(command, eval_str=True).parameters
-    models: dict[str, type[Section]] = {
+    models: dict[str, type[FrozenModel]] = {
         name: one.annotation
         for name, one in own.items()
-        if inspect.isclass(one.annotation) and issubclass(one.annotation, Section)
+        if inspect.isclass(one.annotation) and issubclass(one.annotation, FrozenModel)
     }
 
     def run(**values: Any) -> None:
@@ -76,7 +76,7 @@ def with_settings(command: Command) -> Command:
     return run
 
 
-def _parameters(model: type[Section]) -> list[inspect.Parameter]:
+def _parameters(model: type[FrozenModel]) -> list[inspect.Parameter]:
     """Return one parameter for each field, annotated for Typer."""
     made = []
     for name, field in model.model_fields.items():
@@ -129,7 +129,7 @@ def _text(default: Any) -> Any:
     return ",".join(f"{number:g}" for number in default) or None
 
 
-def _settings(model: type[Section], texts: dict[str, Any]) -> Section:
+def _settings(model: type[FrozenModel], texts: dict[str, Any]) -> FrozenModel:
     """Return the settings model with the values of the command line."""
     values = {}
     for name, text in texts.items():
@@ -158,7 +158,7 @@ def _value(kinds: list[Any], text: Any, option: str) -> Any:
     return text
 
 
-def _fault(model: type[Section], texts: dict[str, Any], fault: Any) -> str:
+def _fault(model: type[FrozenModel], texts: dict[str, Any], fault: Any) -> str:
     """Return the message about one invalid option."""
     refused = fault.get("ctx", {}).get("error")
     if isinstance(refused, SettingError):

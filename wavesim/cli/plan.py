@@ -46,9 +46,9 @@ def plan(
 
     validate_picture_request(output)
     lens = load_design(design)
-    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+    with progress() as on_progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = plan_frames(lens, settings, progress=tell)
+        found = plan_frames(lens, settings, progress=on_progress)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     title = lens.title or design.stem

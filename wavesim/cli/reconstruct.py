@@ -37,7 +37,7 @@ SHOWN_DISPLACEMENT = 0.2
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from wavesim.calibration.calibrated import Calibrated
+    from wavesim.calibration.calibration_result import Calibrated
     from wavesim.fields.field import Field
     from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
@@ -118,7 +118,7 @@ def reconstruct(
             state = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
-        with progress() as tell:
+        with progress() as on_progress:
             found = reconstruct_frames(
                 lens,
                 # Given away: nothing here may hold them to the end.
@@ -127,7 +127,7 @@ def reconstruct(
                 truth=truth,
                 calibration=state,
                 folder=output,
-                progress=tell,
+                progress=on_progress,
                 on_estimate=on_estimate,
             )
         if stop_doubt:
@@ -154,14 +154,14 @@ def reconstruct(
 
 def _calibrated_before(path: Path, lens: Lens) -> SystemState:
     """Return the state of an earlier calibration. Its many modules are imported only if needed."""
-    from wavesim.calibration.calibrated import read_calibration
+    from wavesim.calibration.calibration_result import read_calibration
 
     return read_calibration(path, lens)
 
 
 def _stop_doubt(calibration: Path | None) -> str:
     """Return why the field stop of an earlier calibration is undetermined; empty if it is determined."""
-    from wavesim.calibration.calibrated import stop_warning_of
+    from wavesim.calibration.calibration_result import stop_warning_of
 
     return "" if calibration is None else stop_warning_of(calibration)
 
@@ -172,7 +172,7 @@ def _stop_of(
     """Return the field stop of an earlier calibration, unless the settings state it."""
     if calibration is None or settings.field_stop_from != "patch":
         return None, settings
-    from wavesim.calibration.calibrated import field_stop_of
+    from wavesim.calibration.calibration_result import field_stop_of
 
     stop = field_stop_of(calibration)
     return (None, settings) if stop is None else ("calibration", settings.with_stop(*stop))
@@ -197,7 +197,7 @@ def _calibrated(
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     sought = CalibrationSettings(**given | {"kind": settings.kind})
-    with progress() as tell:
+    with progress() as on_progress:
         if calibrates or empty is None:
             return calibrate_frames(
                 lens,
@@ -206,13 +206,13 @@ def _calibrated(
                 empty=empty,
                 priors=priors,
                 folder=output,
-                progress=tell,
+                progress=on_progress,
                 judges=False,  # the reconstruction that follows is
             )
         validate_same_frames(empty, frames)
         start = state or SystemState(settings.pose)
         return calibrate_empty(
-            lens, empty, sought, start=start, folder=output, progress=tell, parameters="light"
+            lens, empty, sought, start=start, folder=output, progress=on_progress, parameters="light"
         )
 
 

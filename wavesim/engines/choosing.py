@@ -17,7 +17,7 @@ from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError, SamplingError, validate_whole_number
 from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.engine import Engine, upper_bound
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene

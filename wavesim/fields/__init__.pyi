@@ -1,7 +1,12 @@
 from .field import Field, Grid, correlation, relative_error
 from .files import read_field, write_field
-from .guards import SamplingWarning, check_propagation, critical_distance_mm, predicted_relative_error
 from .propagator import FreeSpacePropagator, propagate
+from .sampling_checks import (
+    SamplingWarning,
+    check_propagation,
+    critical_distance_mm,
+    predicted_relative_error,
+)
 from .spectrum import SpectrumSupport, spectrum_support
 
 __all__ = [

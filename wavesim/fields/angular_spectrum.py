@@ -14,7 +14,6 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.guards import Pad, check_propagation, check_sample_count
 from wavesim.fields.plane_waves import (
     BandLimit,
     fast_count,
@@ -23,6 +22,7 @@ from wavesim.fields.plane_waves import (
     transfer,
     windows,
 )
+from wavesim.fields.sampling_checks import Pad, check_propagation, check_sample_count
 from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 

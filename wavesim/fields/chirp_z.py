@@ -16,7 +16,6 @@ import numpy as np
 from lensdesign.errors import InputError
 from wavesim.fields.angular_spectrum import FACTOR_BYTES
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.guards import check_propagation, check_sample_count
 from wavesim.fields.plane_waves import (
     BandLimit,
     Samples,
@@ -28,6 +27,7 @@ from wavesim.fields.plane_waves import (
     transfer,
     windows,
 )
+from wavesim.fields.sampling_checks import check_propagation, check_sample_count
 from wavesim.runtime.arrays import fft, ifft
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 

@@ -110,7 +110,7 @@ class Grid:
         """Return the same samples in the plane at another z (mm)."""
         return replace(self, z_mm=z_mm)
 
-    def towards(self, to: Grid | float) -> Grid:
+    def target_grid(self, to: Grid | float) -> Grid:
         """Return the target grid: the given one, or the same samples at a distance (mm) along the axis."""
         return to if isinstance(to, Grid) else self.at(self.z_mm + to)
 

@@ -121,7 +121,7 @@ class PictureFile:
                 orientation = int(image.getexif().get(ORIENTATION, 1))
                 self._pages = [_Page(n, orientation, False, 8, _UNSIGNED) for n in range(self.count)]
 
-    def only(self) -> Picture:
+    def single_picture(self) -> Picture:
         """Return the picture of a file with a single picture.
 
         Raises

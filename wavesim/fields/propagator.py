@@ -11,7 +11,7 @@ from lensdesign.errors import InputError
 from wavesim.fields.angular_spectrum import AngularSpectrum
 from wavesim.fields.chirp_z import ChirpZ
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.guards import WARNED, Pad, SamplingWarning
+from wavesim.fields.sampling_checks import WARNED, Pad, SamplingWarning
 from wavesim.fields.tilted_samples import TiltedSamples
 
 Tilt = tuple[float, float]
@@ -147,7 +147,7 @@ def propagate(
     source_tilt_deg, target_tilt_deg, pad, band_limit
         As in :class:`FreeSpacePropagator`.
     check
-        Whether to check the sampling first (:func:`wavesim.fields.guards.check_propagation`).
+        Whether to check the sampling first (:func:`wavesim.fields.sampling_checks.check_propagation`).
     coarse_output
         Whether to accept an output pitch that is too coarse to interpolate the field.
 
@@ -184,7 +184,7 @@ def propagate(
     >>> round(behind.energy / beam.energy, 6)
     1.0
     """
-    grid = field.grid.towards(to)
+    grid = field.grid.target_grid(to)
     operator = FreeSpacePropagator(
         field.grid, grid, field.wavelength_um, field.index, source_tilt_deg, target_tilt_deg, pad, band_limit
     )

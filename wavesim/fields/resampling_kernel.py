@@ -354,12 +354,12 @@ def collect(
     carrier: NDArray,
     adjoint_y: tuple[NDArray, NDArray, NDArray],
     adjoint_x: tuple[NDArray, NDArray, NDArray],
-    left: int,
-    right: int,
+    first_column: int,
+    past_column: int,
     begin: int,
     end: int,
 ) -> NDArray:
-    """Transpose of `expand`: the contribution of fine columns to the coarse ones from `left` to `right`.
+    """Transpose of `expand`: the contribution of fine columns to a range of coarse ones.
 
     `adjoint_y` and `adjoint_x` are the transposed weights: for each coarse sample the first fine one that
     contributes, one past the last, and weights. The result is a float view.
@@ -368,11 +368,18 @@ def collect(
     count, most = len(first_y), most_of_four(first_y, last_y)
     width, half = end - begin, whole(end - begin)
     fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
-    buffer, result = empty((FOUR, most), plane.dtype), empty((count, 2 * (right - left)), plane.dtype)
+    buffer, result = (
+        empty((FOUR, most), plane.dtype),
+        empty((count, 2 * (past_column - first_column)), plane.dtype),
+    )
     waves, source, step = lines_for(FOUR, 2 * half, plane), plane.reshape(-1), plane.shape[1]
     lines[:] = 0.0
     fours_x = all_fours(
-        adjoint_x[0][left:right], adjoint_x[1][left:right], adjoint_x[2][left:right], begin, end
+        adjoint_x[0][first_column:past_column],
+        adjoint_x[1][first_column:past_column],
+        adjoint_x[2][first_column:past_column],
+        begin,
+        end,
     )
     top = made = 0
     for four in range(0, count, FOUR):

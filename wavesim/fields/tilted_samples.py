@@ -23,7 +23,6 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.chirp_z import chirp_z_transform
 from wavesim.fields.field import Grid
-from wavesim.fields.guards import EDGE, check_sample_count, report_loss
 from wavesim.fields.plane_waves import (
     FADE_ZONES,
     TURN,
@@ -33,6 +32,7 @@ from wavesim.fields.plane_waves import (
     fft_frequencies,
     phasor_of,
 )
+from wavesim.fields.sampling_checks import EDGE, check_sample_count, report_loss
 from wavesim.runtime.arrays import fftn
 
 WIDEST = 4.0

@@ -532,7 +532,7 @@ def _between(values: Array, row: int, column: int) -> Array:
     return found
 
 
-def _vertex(left: float, middle: float, right: float) -> float:
+def _vertex(previous: float, middle: float, following: float) -> float:
     """Return the vertex of the parabola through three points, in their spacing; at most 1 from the middle."""
-    bend = left - 2.0 * middle + right
-    return float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0)) if bend < 0.0 else 0.0
+    bend = previous - 2.0 * middle + following
+    return float(np.clip(0.5 * (previous - following) / bend, -1.0, 1.0)) if bend < 0.0 else 0.0

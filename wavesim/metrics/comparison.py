@@ -2,7 +2,7 @@
 
 Scenes are exact solutions and patches of the lens itself. The reference solution on a line is the wave
 propagation method with fine steps and a wide window. On a plane it is the sum over all plane waves
-(:mod:`wavesim.metrics.about_axis`). Nothing is fitted.
+(:mod:`wavesim.metrics.axisymmetric_reference`). Nothing is fitted.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from wavesim.analytic.beam import Beam
 from wavesim.analytic.registry import AnalyticCase, analytic_case
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.propagator import propagate
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.comparison import lens_case
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.engine import Engine

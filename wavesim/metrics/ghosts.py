@@ -59,7 +59,7 @@ class FoundGhost:
     over_noise: float
 
     @property
-    def share(self) -> float:
+    def power_fraction(self) -> float:
         """Estimated fraction of the light in the ghost; biased by twice the squared standard deviation."""
         return abs(self.amplitude) ** 2
 
@@ -95,11 +95,11 @@ def ghost_in_residuals(planes: Sequence[GhostPlane]) -> FoundGhost:
     for number, plane in enumerate(planes, start=1):
         if len({part.shape for part in plane}) > 1:
             raise InputError(f"plane {number}: residual, sigma, amplitude and product must have one shape")
-        told = np.isfinite(plane.sigma) & (plane.amplitude > 0.0)
-        weight = 1.0 / plane.sigma[told]
-        factor = weight * plane.product[told] / plane.amplitude[told]
+        is_known = np.isfinite(plane.sigma) & (plane.amplitude > 0.0)
+        weight = 1.0 / plane.sigma[is_known]
+        factor = weight * plane.product[is_known] / plane.amplitude[is_known]
         columns = np.stack([factor.real, -factor.imag])
-        residual = weight * plane.residual[told]
+        residual = weight * plane.residual[is_known]
         normal += columns @ columns.T
         right += columns @ residual
         squares += float(residual @ residual)

@@ -79,7 +79,7 @@ class Trial(NamedTuple):
     """Trial explanation: one change of the model, and the ratio of the misfits with and without it."""
 
     cause: str
-    told: str
+    explanation: str
     misfit_ratio: float
 
     @property
@@ -174,7 +174,7 @@ class GoodnessOfFit:
         Index of the plane with the largest excess.
     planes : tuple of PlaneFit
         Goodness of fit of each plane, in the order of the planes.
-    cause, told, next_step : str
+    cause, evidence, next_step : str
         Most likely cause of the misfit, its evidence, and the next step; empty if the frames are explained.
     trials : tuple of Trial
         Trial explanations.
@@ -196,7 +196,7 @@ class GoodnessOfFit:
     worst_plane: int
     planes: tuple[PlaneFit, ...]
     cause: str
-    told: str
+    evidence: str
     next_step: str
     trials: tuple[Trial, ...]
     agreement: float | None = None
@@ -213,13 +213,13 @@ class GoodnessOfFit:
         if self.explained:
             return f"explained within the noise: {size}{self._contributions}{self._not_excluded}"
         if self.within:
-            return f"not to be trusted: {size}, but {self.told}. Next: {self.next_step}"
+            return f"not to be trusted: {size}, but {self.evidence}. Next: {self.next_step}"
         worst = self.planes[self.worst_plane]
         x, y, width, height = worst.region_px
         return (
             f"not explained: {size}; most on the plane at "
             f"{worst.distance_mm:g} mm, {worst.region_over_noise:.3g} times in the {width} x {height} pixels "
-            f"from {x}, {y} on. Most likely: {self.cause} ({self.told}). Next: {self.next_step}"
+            f"from {x}, {y} on. Most likely: {self.cause} ({self.evidence}). Next: {self.next_step}"
         )
 
     @property
@@ -247,10 +247,14 @@ class GoodnessOfFit:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        told = vars(self) | {
+        """Return plain values for JSON; `told` is the key of evidence and explanations in files."""
+        values = {"told" if name == "evidence" else name: value for name, value in vars(self).items()}
+        return values | {
             "planes": [vars(plane) | {"region_px": list(plane.region_px)} for plane in self.planes],
-            "trials": [trial._asdict() for trial in self.trials],
+            "trials": [
+                {"cause": trial.cause, "told": trial.explanation, "misfit_ratio": trial.misfit_ratio}
+                for trial in self.trials
+            ],
             "findings": [
                 finding._asdict() | {"chi_square": finite_or_none(finding.chi_square)}
                 for finding in self.findings
@@ -259,7 +263,6 @@ class GoodnessOfFit:
             "undetected": [vars(one) for one in self.undetected],
             "words": self.words,
         }
-        return dict(told)
 
 
 def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
@@ -271,7 +274,7 @@ def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
     if not judged.explained:
         return doubted
     return replace(
-        doubted, cause=finding.cause, told=finding.explanation, next_step=ADVICE.get(finding.cause, "")
+        doubted, cause=finding.cause, evidence=finding.explanation, next_step=ADVICE.get(finding.cause, "")
     )
 
 
@@ -396,12 +399,14 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
     # Causes that no trial can show: the model of a reconstruction has one wavelength.
     not_tried = "bandwidth of the light"
     if best is not None and best.gain > LEAST_GAIN:
-        evidence = f"tried: {best.told}, which multiplies the misfit by {best.misfit_ratio:.2g}"
+        evidence = f"tried: {best.explanation}, which multiplies the misfit by {best.misfit_ratio:.2g}"
         # Causes that wash pictures out, as a broad band of wavelengths does.
         blurs = ("source", "vibration")
         if best.cause in blurs:
             others = [
-                t.told for t in trials if t.cause in blurs and t.cause != best.cause and t.gain > LEAST_GAIN
+                t.explanation
+                for t in trials
+                if t.cause in blurs and t.cause != best.cause and t.gain > LEAST_GAIN
             ]
             also = f"also helps: {others[0]}; " if others else ""
             evidence = f"{evidence}; {also}not tried: {not_tried}"

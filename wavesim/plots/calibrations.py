@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibration_result import Calibrated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

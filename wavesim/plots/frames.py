@@ -11,7 +11,7 @@ import numpy as np
 
 from lensdesign.errors import atomic_path
 from lensdesign.plots.saving import save_figure
-from wavesim.metrics.judgement import plane_metrics
+from wavesim.metrics.result_quality import plane_metrics
 from wavesim.plots.panels import AS_SAMPLED, colour_bar, for_screen, panel_row, scale_bar, title_figure
 from wavesim.sensor.exposures import fixed_variance
 from wavesim.sensor.frames import Frame

@@ -56,7 +56,7 @@ def object_figure(
     title
         Title of the figure.
     truth
-        True object on the same samples, which is drawn beside it, with profiles through both.
+        True object on the same samples, which is drawn next to the found one, with profiles through both.
     elements
         Elements of a USAF chart, which are labelled (group-element) if they are large enough.
     profile

@@ -49,7 +49,7 @@ def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil]
     def moved(distance_um: float) -> ReconstructionPupil:
         return replace(pupil, opd_mm=pupil.opd_mm + 1e-3 * distance_um * across) if distance_um else pupil
 
-    distance, _ = sought(lambda distance_um: score(moved(distance_um)), reach_um(pupil.grid))
+    distance, _ = search_maximum(lambda distance_um: score(moved(distance_um)), search_range_um(pupil.grid))
     grid, found = pupil.grid, moved(distance)
     shift = -distance * slopes[1:]
     means = np.append(grid.cosines.mean(axis=0), grid.axial_cosine.mean())
@@ -61,7 +61,7 @@ def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil]
     )
 
 
-def reach_um(grid: PupilGrid) -> float:
+def search_range_um(grid: PupilGrid) -> float:
     """Return the largest distance in um, from the nominal focus, at which the best focus is searched."""
     return FOCUS_RANGE * grid.wavelength_um / grid.half_width**2
 
@@ -83,8 +83,8 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
     return slopes, np.where(valid, basis[3] - slopes @ basis[:3], 0.0)
 
 
-def sought(score: Callable[[float], float], reach: float) -> tuple[float, float]:
-    """Return the position within a reach of 0 at which a score is highest, and the score.
+def search_maximum(score: Callable[[float], float], range_um: float) -> tuple[float, float]:
+    """Return the distance within a range to either side of 0 at which a score is highest, and the score.
 
     `STEPS` points to either side give the approximate position; a parabola through the best point and its
     neighbours refines it.
@@ -98,16 +98,16 @@ def sought(score: Callable[[float], float], reach: float) -> tuple[float, float]
                 raise
             return -np.inf
 
-    distances = reach * np.arange(-STEPS, STEPS + 1) / STEPS
+    distances = range_um * np.arange(-STEPS, STEPS + 1) / STEPS
     scores = np.array([tolerant(float(distance)) for distance in distances])
     best = int(np.argmax(scores))
-    place, highest = float(distances[best]), float(scores[best])
+    position, highest = float(distances[best]), float(scores[best])
     if 0 < best < 2 * STEPS and np.all(np.isfinite(scores[best - 1 : best + 2])):
         before, here, after = scores[best - 1 : best + 2]
         bend = before - 2.0 * here + after
         if bend < 0.0:
-            vertex = place + 0.5 * (before - after) / bend * reach / STEPS
-            there = tolerant(vertex)
-            if there > highest:
-                place, highest = vertex, there
-    return place, highest
+            vertex = position + 0.5 * (before - after) / bend * range_um / STEPS
+            at_vertex = tolerant(vertex)
+            if at_vertex > highest:
+                position, highest = vertex, at_vertex
+    return position, highest

@@ -33,9 +33,9 @@ from lensdesign.lens.poses import Pose
 from lensdesign.raytrace.compiled import compile_system
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.characteristic import point_characteristic
-from wavesim.pupil.focus import reach_um, sought
+from wavesim.pupil.focus import search_maximum, search_range_um
 from wavesim.pupil.patch_rays import NominalRays, nominal_rays
-from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch, ReturnedPatch
+from wavesim.pupil.patch_reconstruction import PatchGrid, PerturbedPatch, ReconstructedPatch
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
 from wavesim.scene.engine import ErrorTerm
 from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
@@ -109,9 +109,9 @@ class PatchChain:
         # Light displaced by half of this period still misses the patch when it re-enters at the other side.
         least_window = 2.0
         needed = max(math.ceil(least_window * each), 8) | 1
-        # Period of the returned field, in widths of the patch, on a line and in the plane. The pupil's phase
-        # is represented up to a displacement of half of it. On a line the stop's rim weighs more, and samples
-        # cost less.
+        # Period of the reconstructed field, in widths of the patch, on a line and in the plane. The pupil's
+        # phase is represented up to a displacement of half of it. On a line the stop's rim weighs more, and
+        # samples cost less.
         window = {True: 6.0, False: 3.0}
         samples = max(math.ceil(window[self.line] * each), 8) if self.samples is None else self.samples
         rays = nominal_rays(*stop, samples | 1 if isinstance(samples, int) else samples, self.line)
@@ -191,7 +191,7 @@ class PatchChain:
         pupil = ReconstructionPupil(base.grid, aimed.path_mm - base.path_mm, aimed.valid)
         return PerturbedPatch(self.patch, self.rays, aimed, pupil, 1e-3 * self.lens.sensor.pixel_pitch_um)
 
-    def carried(self, object_values: ArrayLike, state: SystemState | Pose = AS_DESIGNED) -> ComplexArray:
+    def reconstruct(self, object_values: ArrayLike, state: SystemState | Pose = AS_DESIGNED) -> ComplexArray:
         """Return the field that the nominal lens reconstructs on the patch, without registration.
 
         Parameters
@@ -209,12 +209,12 @@ class PatchChain:
         Raises
         ------
         InputError, SamplingError, RayAimError, FoldError
-            As :meth:`perturbed` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
+            As :meth:`perturbed` and :meth:`wavesim.pupil.patch_reconstruction.PerturbedPatch.reconstruct`.
         """
-        return self.perturbed(state).returned(object_values).values
+        return self.perturbed(state).reconstruct(object_values).values
 
     def error_terms(self, displacement_um: float = 0.0) -> tuple[ErrorTerm, ...]:
-        """Return the neglected effects, with estimates of the relative error of the returned field.
+        """Return the neglected effects, with estimates of the relative error of the reconstructed field.
 
         The neglected terms of both propagations nearly cancel where the object returns without displacement.
         The estimate does not use this.
@@ -222,7 +222,7 @@ class PatchChain:
         Parameters
         ----------
         displacement_um
-            Displacement of the returned object in um.
+            Displacement of the reconstructed object in um.
         """
         axes = len(self.rays.axes)
         bend = self.rays.bend_deviation_per_mm.reshape(-1, axes * axes)
@@ -251,12 +251,12 @@ def chain_contrast(
     electrons: float | None = None,
     rng: np.random.Generator | None = None,
 ) -> float:
-    """Return the contrast of bars in the returned field: (bright - dark) / (bright + dark).
+    """Return the contrast of bars in the reconstructed field: (bright - dark) / (bright + dark).
 
     "bright" is the mean intensity at the centres of the bars, and "dark" that at the centres of the gaps, as
     in :func:`wavesim.line_pair_contrast`. Both are taken at the displaced lines
-    (:meth:`wavesim.pupil.patch_return.ReturnedPatch.displacement_um`). Reversed lines have a negative
-    contrast.
+    (:meth:`wavesim.pupil.patch_reconstruction.ReconstructedPatch.displacement_um`). Reversed lines have a
+    negative contrast.
 
     Parameters
     ----------
@@ -269,29 +269,37 @@ def chain_contrast(
     best
         Whether to search the focus with the highest contrast afterwards, as :func:`wavesim.pupil.best_focus`.
     electrons, rng
-        As in :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
+        As in :meth:`wavesim.pupil.patch_reconstruction.PerturbedPatch.reconstruct`.
 
     Raises
     ------
     InputError, SamplingError
-        As :meth:`PatchChain.bars` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
+        As :meth:`PatchChain.bars` and :meth:`wavesim.pupil.patch_reconstruction.PerturbedPatch.reconstruct`.
     """
     lines = trial.patch.bars(line_width_um, orientation, bars)
-    back = trial.returned(lines, "focus" if refocused else "shift", electrons, rng)
+    reconstructed = trial.reconstruct(lines, "focus" if refocused else "shift", electrons, rng)
 
     def contrast(distance_um: float) -> float:
-        seen = back.moved_along(distance_um) if distance_um else back
-        return _contrast_of(seen, line_width_um, orientation, bars)
+        refocused = reconstructed.refocused_by(distance_um) if distance_um else reconstructed
+        return _contrast_of(refocused, line_width_um, orientation, bars)
 
-    return sought(contrast, reach_um(back.rays.base.grid))[1] if best else contrast(0.0)
+    return (
+        search_maximum(contrast, search_range_um(reconstructed.rays.base.grid))[1] if best else contrast(0.0)
+    )
 
 
-def _contrast_of(returned: ReturnedPatch, line_width_um: float, orientation: Orientation, bars: int) -> float:
-    moved = returned.displacement_um(orientation, 0.75 * returned.patch.wavelength_um / line_width_um)
+def _contrast_of(
+    reconstructed: ReconstructedPatch, line_width_um: float, orientation: Orientation, bars: int
+) -> float:
+    moved = reconstructed.displacement_um(
+        orientation, 0.75 * reconstructed.patch.wavelength_um / line_width_um
+    )
     count = 2 * bars - 1
     across = np.asarray(line_width_um * (np.arange(count) - 0.5 * (count - 1)) + moved, float)
     centre = np.zeros(1)
-    field = returned.at(across, centre) if axis_of(orientation) == 0 else returned.at(centre, across)
+    field = (
+        reconstructed.at(across, centre) if axis_of(orientation) == 0 else reconstructed.at(centre, across)
+    )
     rows = np.abs(field.reshape(count)) ** 2
     bright, dark = rows[0::2].mean(), rows[1::2].mean()
     return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0

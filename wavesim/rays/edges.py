@@ -298,7 +298,7 @@ def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDAr
 
 
 def _fitted(
-    way: Array, detour: Array, many: NDArray[np.intp], good: NDArray[np.bool_]
+    distance: Array, detour: Array, many: NDArray[np.intp], good: NDArray[np.bool_]
 ) -> tuple[Array, tuple[Array, Array]]:
     """Return the coefficients of x over the distance t, and the limits up to which they fit the rays.
 
@@ -306,7 +306,7 @@ def _fitted(
 
     Parameters
     ----------
-    way, detour
+    distance, detour
         Distances and detours of two rays next to the rim, then of those inside and outside, shape (arms,
         nodes).
     many
@@ -315,18 +315,18 @@ def _fitted(
         Whether the first two rays arrive.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = np.sqrt(np.abs(detour)) / np.abs(way)
+        values = np.sqrt(np.abs(detour)) / np.abs(distance)
     # Order of the polynomial for x over the distance t from the rim.
     order = 8
     terms, left, arms = np.zeros((len(good), order + 1)), good.copy(), np.arange(len(good))
-    starts = 2, way.shape[1] - STEPS_BEYOND
+    starts = 2, distance.shape[1] - STEPS_BEYOND
     # Largest difference between the detours of the rays and of the polynomial, in radians.
     largest_difference = 0.1
     while np.any(left):
         for counts in np.unique(many[left], axis=0):
             some = arms[left & np.all(many == counts, axis=1)]
             used = [0, 1, *(s + i for s, c in zip(starts, counts, strict=True) for i in range(c))]
-            t, v = way[some][:, used], values[some][:, used]
+            t, v = distance[some][:, used], values[some][:, used]
             powers = t[:, :, None] ** np.arange(min(order, len(used) // 2) + 1)
             weight = np.abs(t)[:, :, None]
             found = np.linalg.pinv(weight * powers) @ (weight * v[:, :, None])
@@ -337,5 +337,5 @@ def _fitted(
         longer = np.argmax(many, axis=1)
         many[arms[left], longer[left]] -= 1
     last = np.where(many > 0, np.array(starts) + many - 1, [0, 1])
-    inside, outside = np.abs(way[arms[:, None], last]).T
+    inside, outside = np.abs(distance[arms[:, None], last]).T
     return terms, (inside, outside)

@@ -147,20 +147,22 @@ def validate_meridional(scene: Scene, rays: RayTrace) -> None:
         )
 
 
-def _crossing(system: CompiledSystem, surface: int, points: Array, before: Array, after: Array) -> Crossings:
+def _crossing(
+    system: CompiledSystem, surface: int, points: Array, incident: Array, refracted: Array
+) -> Crossings:
     # The normal follows from Snell's law in vector form: n2 q - n1 p is along it.
     n1, n2 = system.index[0, surface], system.index[0, surface + 1]
-    normal = n2 * after - n1 * before
+    normal = n2 * refracted - n1 * incident
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     along_z = np.broadcast_to(np.array([0.0, 0.0, 1.0]), normal.shape)
     normal = np.where(size > 1e-9, normal / np.where(size > 0.0, size, 1.0), along_z)
     return Crossings(
         x_mm=points[:, 0],
         y_mm=points[:, 1],
-        axial_before=before[:, 2],
-        axial_after=after[:, 2],
-        incidence=np.abs(np.sum(normal * before, axis=-1)),
-        refraction=np.abs(np.sum(normal * after, axis=-1)),
+        axial_before=incident[:, 2],
+        axial_after=refracted[:, 2],
+        incidence=np.abs(np.sum(normal * incident, axis=-1)),
+        refraction=np.abs(np.sum(normal * refracted, axis=-1)),
     )
 
 

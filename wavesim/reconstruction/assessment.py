@@ -311,18 +311,18 @@ def engine_figures(case: ReconstructionProblem) -> dict[str, Any]:
     return {"name": case.engine.name, "predicted_error": finite_or_none(case.predicted_error)}
 
 
-def engine_replaced(before: dict[str, Any], case: ReconstructionProblem) -> dict[str, Any]:
+def engine_replaced(first_engine: dict[str, Any], case: ReconstructionProblem) -> dict[str, Any]:
     """Return the report on an engine that the problem's more accurate one has replaced.
 
-    `before` is the result of :func:`engine_figures` for the first engine.
+    `first_engine` is the result of :func:`engine_figures` for the first engine.
     """
-    after = engine_figures(case)
+    last_engine = engine_figures(case)
     words = (
         "the engine was replaced, because the misfit was as small as its own error: predicted error "
-        f"{before['predicted_error']:.2g} ({before['name']}) before, {after['predicted_error']:.2g} "
-        f"({after['name']}) now"
+        f"{first_engine['predicted_error']:.2g} ({first_engine['name']}) before, "
+        f"{last_engine['predicted_error']:.2g} ({last_engine['name']}) now"
     )
-    return {"words": words, "before": before, "after": after}
+    return {"words": words, "before": first_engine, "after": last_engine}
 
 
 def engine_errors(

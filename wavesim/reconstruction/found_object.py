@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.common.notebook import html_picture, html_table
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
-from wavesim.metrics.judgement import chart_metrics, plane_metrics
+from wavesim.metrics.result_quality import chart_metrics, plane_metrics
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings

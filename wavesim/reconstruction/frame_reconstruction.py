@@ -19,7 +19,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
-from wavesim.metrics.judgement import truth_metrics
+from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction.assessment import (
     EngineOn,
     MethodResult,
@@ -37,6 +37,12 @@ from wavesim.reconstruction.assessment import (
     starts_needed,
     stop_search,
 )
+from wavesim.reconstruction.coarse_start import (
+    INNER_ITERATIONS,
+    ITERATIONS,
+    coarse_problem,
+    on_all_samples,
+)
 from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
@@ -51,12 +57,6 @@ from wavesim.reconstruction.problem import (
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
 from wavesim.reconstruction.source_width import find_source_width
-from wavesim.reconstruction.stopped_down import (
-    INNER_ITERATIONS,
-    ITERATIONS,
-    coarse_problem,
-    on_all_samples,
-)
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import SAFETY, Engine, Tiled

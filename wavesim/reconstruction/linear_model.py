@@ -83,31 +83,35 @@ class CachedSamples:
             return
         taps, half = 2 * self._taps, self._taps.dtype.type(0.5)
         spread: Rows = (np.empty_like(total), np.empty_like(total))
-        for between, own, part in zip((False, True), self._samples, spread, strict=True):
+        for between, own, spectrum in zip((False, True), self._samples, spread, strict=True):
 
             def block(
-                start: int, stop: int, own: Rows = own, part: ComplexArray = part, between: bool = between
+                start: int,
+                stop: int,
+                own: Rows = own,
+                spectrum: ComplexArray = spectrum,
+                between: bool = between,
             ) -> None:
                 even, odd = (samples[start:stop].copy() for samples in own)
                 multiply_spread(even, odd, change, start, between, taps)
                 even, odd = (scipy.fft.fft(one, axis=1, overwrite_x=True) for one in (even, odd))
-                add_halves(even, odd, self._column_shift, half, part[start:stop])
+                add_halves(even, odd, self._column_shift, half, spectrum[start:stop])
 
-            for_blocks(block, len(part), rows_in(part[0].nbytes))
+            for_blocks(block, len(spectrum), rows_in(spectrum[0].nbytes))
         add_rows_adjoint(spread, self.propagator, self._row_shift, total)
 
-    def _sampled(self, part: ComplexArray) -> Rows:
+    def _sampled(self, along_rows: ComplexArray) -> Rows:
         """Return samples in the middles of pixels and at their edges, from the spectrum along each row."""
-        even, odd = np.empty_like(part), np.empty_like(part)
+        even, odd = np.empty_like(along_rows), np.empty_like(along_rows)
 
         def block(start: int, stop: int) -> None:
-            own = part[start:stop]
+            own = along_rows[start:stop]
             both = np.empty_like(own), np.empty_like(own)
             halves(own, self._column_shift, *both)
             for spectra, samples in zip(both, (even, odd), strict=True):
                 samples[start:stop] = scipy.fft.ifft(spectra, axis=1, overwrite_x=True)
 
-        for_blocks(block, len(part), rows_in(part[0].nbytes))
+        for_blocks(block, len(along_rows), rows_in(along_rows[0].nbytes))
         return even, odd
 
     def _means(self, others: tuple[Rows, ...], least: float) -> RealArray:

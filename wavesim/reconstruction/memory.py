@@ -22,7 +22,7 @@ from wavesim.runtime import threads
 from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.fourier.panels import bytes_of_panels
 from wavesim.runtime.inventory import ArrayGroup, Inventory, named, need_of, work
-from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, Need
+from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, MemoryNeed
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.targets.patch import LIGHT_BYTES
@@ -306,7 +306,7 @@ def reconstruction_bytes(
     with_sigma: bool = True,
     modes: int = 1,
     tilted: bool = False,
-) -> Need:
+) -> MemoryNeed:
     """Return the memory of :func:`wavesim.reconstruct` in complex64.
 
     Python and libraries take some 0.3 GB more.
@@ -328,7 +328,7 @@ def reconstruction_bytes(
 
     Returns
     -------
-    Need
+    MemoryNeed
         Bytes in memory and in files. Illumination, measured arrays and last steps can be stored in files.
     """
     sizes = Sizes.of(engine, distances_mm)

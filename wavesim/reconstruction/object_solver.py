@@ -224,9 +224,9 @@ def reconstruct(
         Callback `keep(state)`, called after every iteration; `resume` accepts the state.
     scratch
         Storage of arrays that are kept from one iteration to the next; default: memory. Arrays of the caller
-        stay where they are; :meth:`wavesim.Scratch.moved` moves them.
+        stay where they are; :meth:`wavesim.runtime.scratch.Scratch.moved` moves them.
     modes
-        Modes of the light of an extended source (:meth:`wavesim.scene.Source.modes`). Each mode passes
+        Modes of the light of an extended source (:meth:`wavesim.scene.source.Source.modes`). Each mode passes
         through the engine separately.
     rows
         Rows of the engine's exit grid that hold the pixels of each plane, if the engine propagates directly

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Section
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
@@ -41,6 +41,7 @@ from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
 from wavesim.scene.system_state import SystemState, state_of
+from wavesim.sensor.duplicate_frames import validate_distinct_frames
 from wavesim.sensor.exposures import electrons_of, rounding_fraction
 from wavesim.sensor.frame_sets import (
     PlaneFrames,
@@ -51,7 +52,6 @@ from wavesim.sensor.frame_sets import (
 )
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, placed_planes
-from wavesim.sensor.same_pictures import validate_distinct_pictures
 from wavesim.sensor.windows import (
     LEAST_DIVERSITY,
     check_diversity,
@@ -445,13 +445,13 @@ def patch_of_frames(
     sensor = lens.sensor.replaced(pixels=(columns, rows))
     check_footprint(lens, patch, sensor, planes, pose)
     figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
-    validate_distinct_pictures(by_plane, diverse=figure >= LEAST_DIVERSITY)
+    validate_distinct_frames(by_plane, diverse=figure >= LEAST_DIVERSITY)
     return FramePatch(
         tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure
     )
 
 
-def validate_frames(lens: Lens, frames: Sequence[Frame], settings: Section) -> None:
+def validate_frames(lens: Lens, frames: Sequence[Frame], settings: FrozenModel) -> None:
     """Check that lengths of frames and settings are not in another unit.
 
     Raises

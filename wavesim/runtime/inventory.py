@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import DTypeLike
 
-from wavesim.runtime.memory import Need
+from wavesim.runtime.memory import MemoryNeed
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class ArrayGroup:
     count : int
         Number of arrays that exist at a time.
     lies : str
-        Location: "memory"; "scratch" for memory or, where it is short, a file (:class:`wavesim.Scratch`); or
-        "file".
+        Location: "memory"; "scratch" for memory or, where it is short, a file
+        (:class:`wavesim.runtime.scratch.Scratch`); or "file".
     """
 
     name: str
@@ -58,19 +58,19 @@ Inventory = tuple[ArrayGroup, ...]
 """All arrays of a run. Entries of one name, for several phases, have one shape and type."""
 
 
-def need_during(arrays: Inventory, phase: Flag) -> Need:
+def need_during(arrays: Inventory, phase: Flag) -> MemoryNeed:
     """Return the memory that one phase needs."""
     memory, scratch, file = (
         sum(one.bytes_of_all for one in arrays if one.during & phase and one.lies == location)
         for location in ("memory", "scratch", "file")
     )
-    return Need(memory + scratch, memory, file)
+    return MemoryNeed(memory + scratch, memory, file)
 
 
-def need_of(arrays: Inventory) -> Need:
+def need_of(arrays: Inventory) -> MemoryNeed:
     """Return the largest need of all phases."""
     phases = {phase for one in arrays for phase in one.during}
-    return reduce(operator.or_, (need_during(arrays, phase) for phase in phases), Need(0, 0))
+    return reduce(operator.or_, (need_during(arrays, phase) for phase in phases), MemoryNeed(0, 0))
 
 
 def named(arrays: Inventory, name: str) -> ArrayGroup:

@@ -17,7 +17,7 @@ BASE_BYTES = 400_000_000
 
 
 @dataclass(frozen=True)
-class Need:
+class MemoryNeed:
     """Memory that a run, or a part of one, needs.
 
     The sum `a + b` is for arrays that exist at the same time; `a | b` is the larger need of successive steps.
@@ -36,15 +36,15 @@ class Need:
     least_bytes: int
     file_bytes: int = 0
 
-    def __add__(self, other: Need) -> Need:
-        return Need(
+    def __add__(self, other: MemoryNeed) -> MemoryNeed:
+        return MemoryNeed(
             self.most_bytes + other.most_bytes,
             self.least_bytes + other.least_bytes,
             self.file_bytes + other.file_bytes,
         )
 
-    def __or__(self, other: Need) -> Need:
-        return Need(
+    def __or__(self, other: MemoryNeed) -> MemoryNeed:
+        return MemoryNeed(
             max(self.most_bytes, other.most_bytes),
             max(self.least_bytes, other.least_bytes),
             max(self.file_bytes, other.file_bytes),
@@ -69,7 +69,7 @@ def memory_limit(memory_gb: float | None) -> float:
 class Memory:
     """Memory that a run needs, and its limit."""
 
-    need: Need
+    need: MemoryNeed
     limit_bytes: float
 
     def room_for_arrays(self, what: str) -> float:

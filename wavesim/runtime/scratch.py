@@ -119,7 +119,7 @@ class Scratch:
         except OSError as error:
             if error.errno == errno.ENOSPC:
                 raise InputError(
-                    f"the disk that holds {self.folder} is full: {1e-9 * size:.2f} GB are needed for {what}, "
+                    f"the disk of {self.folder} is full: {1e-9 * size:.2f} GB are needed for {what}, "
                     f"{self._free()} are free"
                 ) from error
             raise InputError(

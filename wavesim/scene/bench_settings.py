@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from lensdesign.common.section import Section, tuples
+from lensdesign.common.frozen_model import FrozenModel, as_tuple
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.figure import figure_from_zernike
@@ -21,14 +21,14 @@ from wavesim.scene.light_errors import LightErrors, Orders
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 
-Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
-Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
+Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 
 ZERNIKE = re.compile(r"zernike_(\d+)_um")
 """Name of a Zernike term of a surface's figure: rms sag over the clear semi-diameter, in um."""
 
 
-class BenchSettings(Section):
+class BenchSettings(FrozenModel):
     """Deviations of light, lens and camera from what the frames state."""
 
     light_error_deg: Pair = Field((0.0, 0.0), description="Error x,y of the light's direction.")
@@ -48,7 +48,7 @@ class BenchSettings(Section):
     )
     working_distance_error_mm: float = Field(0.0, description="Shift of the object away from the lens.")
     sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Tilt of the sensor about x,y.")
-    plane_shift_um: Annotated[tuple[Pair, ...], BeforeValidator(tuples)] = Field(
+    plane_shift_um: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = Field(
         (), description="x,y shift of the sensor on the first plane; repeat the option for the next planes."
     )
     plane_background: Numbers = Field(

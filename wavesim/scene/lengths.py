@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.lengths import (
     PIXEL_PITCH_UM,
     UNITS,
@@ -16,7 +17,6 @@ from lensdesign.common.lengths import (
     in_unit,
     numbers_of,
 )
-from lensdesign.common.section import Section
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
 from wavesim.scene.bench_settings import perturbed_surfaces
@@ -27,7 +27,7 @@ ABSOLUTE_UM = {"wavelength_um": WAVELENGTH_UM, "pixel_pitch_um": PIXEL_PITCH_UM}
 
 
 def validate_lengths(
-    lens: Lens, settings: Section | Mapping[str, Any], wavelength_um: float | None = None
+    lens: Lens, settings: FrozenModel | Mapping[str, Any], wavelength_um: float | None = None
 ) -> None:
     """Reject implausible lengths that a change of unit would explain.
 
@@ -70,9 +70,9 @@ def validate_lengths(
     _validate_perturbations(lens, size, given.get("perturb"))
 
 
-def _given(settings: Section | Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _given(settings: FrozenModel | Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield names and values of the settings that are given."""
-    if isinstance(settings, Section):
+    if isinstance(settings, FrozenModel):
         fields = type(settings).model_fields
         settings = {name: getattr(settings, name) for name in fields if name in settings.model_fields_set}
     yield from ((name, value) for name, value in settings.items() if value is not None)

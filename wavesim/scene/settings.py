@@ -23,9 +23,9 @@ from pydantic import (
     field_validator,
 )
 
+from lensdesign.common.frozen_model import FrozenModel, as_tuple
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
-from lensdesign.common.section import Section, tuples
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.scene.bench_settings import BenchSettings
@@ -58,7 +58,7 @@ class SettingError(InputError):
         return re.sub(r"{(\w+)}", lambda found: name(found[1]), self.text)
 
 
-class Settings(Section):
+class Settings(FrozenModel):
     """A section of settings whose numbers have a magnitude that computations can handle.
 
     The docstring of each class lists its settings, with their defaults and descriptions.
@@ -122,11 +122,11 @@ def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
 
 Size = Annotated[float, AfterValidator(_finite_positive)]
 Count = Annotated[int, AfterValidator(_finite_positive)]
-Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
-Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
+Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 Points = Annotated[
     tuple[Pair, ...],
-    BeforeValidator(tuples),
+    BeforeValidator(as_tuple),
     Field(description="usaf: centre x,y of an additional chart with fine groups; may be repeated."),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
@@ -446,7 +446,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         0.0,
         description="object: diameter of the light source (partial coherence), or find.",
     )
-    region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(tuples)] | None = Field(
+    region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(as_tuple)] | None = Field(
         None, description="x,y,width,height: region of the object that is evaluated and written."
     )
 

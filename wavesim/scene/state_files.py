@@ -16,8 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, field_validator
 
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_nested_tuple, as_tuple
 from lensdesign.common.input_files import TABLE_BYTES, read_input
-from lensdesign.common.section import Finite, Positive, Section, rows, tuples
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.figure import SurfaceFigure
@@ -30,13 +30,13 @@ from wavesim.scene.system_state import SystemState
 STATE = "state"
 """Key of the state in files."""
 
-Pair = Annotated[tuple[Finite, Finite], BeforeValidator(tuples)]
-Triple = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(tuples)]
-Numbers = Annotated[tuple[Finite, ...], BeforeValidator(tuples)]
+Pair = Annotated[tuple[Finite, Finite], BeforeValidator(as_tuple)]
+Triple = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(as_tuple)]
+Numbers = Annotated[tuple[Finite, ...], BeforeValidator(as_tuple)]
 Modes = dict[Annotated[str, Field(pattern=r"^\d\d$")], Finite]
 
 
-class _Pose(Section):
+class _Pose(FrozenModel):
     decenter_x_mm: Finite = 0.0
     decenter_y_mm: Finite = 0.0
     despace_mm: Finite = 0.0
@@ -45,10 +45,10 @@ class _Pose(Section):
     pivot_z_mm: Finite = 0.0
 
 
-class _Figure(Section):
+class _Figure(FrozenModel):
     semi_diameter_mm: Positive
     spacing_mm: Positive
-    coefficients_mm: Annotated[tuple[tuple[Finite, ...], ...], BeforeValidator(rows)]
+    coefficients_mm: Annotated[tuple[tuple[Finite, ...], ...], BeforeValidator(as_nested_tuple)]
 
     @field_validator("coefficients_mm")
     @classmethod
@@ -59,7 +59,7 @@ class _Figure(Section):
         return coefficients
 
 
-class _Surface(Section):
+class _Surface(FrozenModel):
     decenter_x_mm: Finite = 0.0
     decenter_y_mm: Finite = 0.0
     despace_mm: Finite = 0.0
@@ -73,18 +73,18 @@ class _Surface(Section):
     figure: _Figure | None = None
 
 
-class _Light(Section):
+class _Light(FrozenModel):
     tilt_deg: Pair = (0.0, 0.0)
     amplitude: Modes = Field(default_factory=dict)
     phase_waves: Modes = Field(default_factory=dict)
 
 
-class _Source(Section):
+class _Source(FrozenModel):
     width_deg: Finite = 0.0
     bandwidth_nm: Finite = 0.0
 
 
-class _State(Section):
+class _State(FrozenModel):
     pose: _Pose = _Pose()
     surfaces: dict[Annotated[str, Field(pattern=r"^[1-9]\d*$")], _Surface] = Field(default_factory=dict)
     object_shift_mm: Triple = (0.0, 0.0, 0.0)
@@ -93,7 +93,7 @@ class _State(Section):
     sensor_tilt_deg: Pair = (0.0, 0.0)
     wavelength_um: Positive | None = None
     light: _Light = _Light()
-    plane_shifts_um: Annotated[tuple[Pair, ...], BeforeValidator(tuples)] = ()
+    plane_shifts_um: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
     plane_backgrounds: Numbers = ()
     source: _Source = _Source()
 

@@ -18,12 +18,12 @@ from pydantic import AliasChoices
 from pydantic import Field as Setting
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive, Section
+from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.errors import InputError, validate_positive
 from wavesim.runtime.threads import row_blocks
 from wavesim.sensor.frames import Bits, Counts, Frame, NotNegative, Offset
 from wavesim.sensor.pixels import kernel
-from wavesim.sensor.pixels.errors import PixelPattern
+from wavesim.sensor.pixels.non_uniformity import PixelPattern
 
 Seed = int | np.random.SeedSequence
 
@@ -32,7 +32,7 @@ class SaturationWarning(UserWarning):
     """Warning that pixels are clipped, so that only a lower bound of their intensity is known."""
 
 
-class Electronics(Section):
+class Electronics(FrozenModel):
     """Conversion of light into counts by a sensor, after the linear camera model of EMVA standard 1288.
 
     Attributes

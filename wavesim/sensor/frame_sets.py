@@ -30,7 +30,7 @@ from wavesim.sensor.exposures import (
 )
 from wavesim.sensor.frames import Frame, read_frame
 from wavesim.sensor.measurement import Measurement, recorded_intensity
-from wavesim.sensor.pixels.bad import find_bad_pixels
+from wavesim.sensor.pixels.bad_pixels import find_bad_pixels
 from wavesim.sensor.pixels.maps import PixelMaps, read_pixel_maps
 
 SATURATED_WARNING, SATURATED_ERROR = 1e-5, 0.02

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from pydantic import model_validator
 
-from lensdesign.common.section import Finite, Positive, Section
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
 from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
@@ -39,7 +39,7 @@ class AssumedWarning(UserWarning):
     """Warning that a frame does not state how it was recorded, so that values of the design are used."""
 
 
-class FrameSettings(Section):
+class FrameSettings(FrozenModel):
     """Recording conditions of a frame.
 
     Attributes
@@ -277,7 +277,7 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
 def _read_picture(path: Path) -> tuple[Counts, str]:
     """Return the counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
     file = PictureFile(path, formats=FRAME_FORMATS)
-    picture = file.only()
+    picture = file.single_picture()
     # Least number of bits of a stored count; readers rescale counts of fewer bits.
     least_bits = 8
     if picture.mode not in COUNT_MODES or picture.bits < least_bits or picture.states_alpha:

@@ -27,7 +27,7 @@ from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.exposures import Electronics
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.memory import imaging_arrays
-from wavesim.sensor.pixels.errors import PixelErrors
+from wavesim.sensor.pixels.non_uniformity import PixelErrors
 from wavesim.sensor.recording import PARTS, Progress, Recording, image_patch, recorded_scene
 from wavesim.sensor.windows import (
     check_footprint,

@@ -35,7 +35,7 @@ from wavesim.sensor.exposures import Electronics, Seed, plane_seeds
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.incoherent import added_modes, of_mode
 from wavesim.sensor.pixel_integration import PixelLight
-from wavesim.sensor.pixels.errors import ALIKE, PixelErrors
+from wavesim.sensor.pixels.non_uniformity import ALIKE, PixelErrors
 from wavesim.sensor.sensor import (
     frames_of_light,
     light_on_pixels,
@@ -50,7 +50,7 @@ BAND_ROWS = 1024
 """Rows of samples of a plane that are computed at a time."""
 
 PARTS = ".parts"
-"""Name of the subfolder that holds the intermediate results of an unfinished run."""
+"""Name of the subfolder for the intermediate results of an unfinished run."""
 
 Progress = Callable[[str, int, int], None]
 """Progress callback `progress(stage, completed, total)`; the total is 0 where it is unknown."""

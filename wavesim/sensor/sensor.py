@@ -30,7 +30,7 @@ from wavesim.sensor.exposures import (
 )
 from wavesim.sensor.frames import Frame, FrameSettings
 from wavesim.sensor.pixel_integration import PixelLight
-from wavesim.sensor.pixels.errors import PixelPattern
+from wavesim.sensor.pixels.non_uniformity import PixelPattern
 
 LOST = 1e-3
 """Fraction of the light outside the sensor above which a warning is issued."""

@@ -26,8 +26,8 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.guards import report_loss
 from wavesim.fields.plane_waves import fft_frequencies
+from wavesim.fields.sampling_checks import report_loss
 from wavesim.runtime.arrays import fftn
 from wavesim.targets.patterns import ComplexArray
 

@@ -77,7 +77,7 @@ class Patch:
 
     @property
     def inside(self) -> Any:
-        """Whether the centre of each sample lies within the stop, shape (ny, nx)."""
+        """True where the centre of a sample lies within the stop, shape (ny, nx)."""
         x, y = self.field_stop_at_mm
         squared = (self.grid.y_mm[:, None] - y) ** 2 + (self.grid.x_mm[None, :] - x) ** 2
         return squared <= (0.5 * self.field_stop_mm) ** 2

@@ -351,7 +351,7 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
         If the file cannot be read, or does not hold a single opaque picture of these kinds.
     """
     file = Path(path)
-    picture = PictureFile(file, "the picture").only()
+    picture = PictureFile(file, "the picture").single_picture()
     # Modes of Pillow for pictures that are converted to luma.
     luma_modes = ("1", "LA", "P", "RGB", "RGBA")
     if picture.mode not in (*COUNT_MODES, *luma_modes) or not picture.is_opaque:

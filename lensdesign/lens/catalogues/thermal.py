@@ -93,7 +93,7 @@ def air_index(wavelength_um: float, temperature_c: float) -> float:
 
 
 @dataclass(frozen=True)
-class Heated:
+class HeatedDispersion:
     """Index of a material at a temperature, relative to air of that temperature, by wavelength in um."""
 
     cold: Callable[[float], float]

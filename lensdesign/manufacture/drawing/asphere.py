@@ -6,7 +6,7 @@ import math
 
 from lensdesign.analysis.sag_tables import SagTable, sag_table
 from lensdesign.lens.lens import Lens
-from lensdesign.manufacture.drawing.strokes import Area, Item, Text, cell, fitted, line, text_width_mm
+from lensdesign.manufacture.drawing.primitives import Area, Item, Text, cell, fitted, line, text_width_mm
 
 LINE_MM, TEXT_MM = 4.1, 2.6
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from lensdesign.common.section import Finite, Positive, Section
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
@@ -28,8 +28,8 @@ Values = dict[str, float]
 """Values of a sheet or of a surface's column by name."""
 
 
-class _Perturbation(Section):
-    """One ``[[perturbation]]`` table; other keys are ignored."""
+class _Perturbation(FrozenModel):
+    """A ``[[perturbation]]`` table; other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 

@@ -11,7 +11,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.edges import Flange
 from lensdesign.lens.solid import Element
-from lensdesign.manufacture.drawing.strokes import (
+from lensdesign.manufacture.drawing.primitives import (
     ASCENT,
     CHAIN,
     THICK_MM,

@@ -8,15 +8,14 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from lensdesign.common.section import Section, tuples
+from lensdesign.common.frozen_model import FrozenModel, as_tuple
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, closed_elements
 from lensdesign.manufacture.drawing.asphere import asphere_panel
 from lensdesign.manufacture.drawing.assumed import AssumedTolerances
 from lensdesign.manufacture.drawing.nominal import Stated, fitting, stated_lens
-from lensdesign.manufacture.drawing.section_view import section_view
-from lensdesign.manufacture.drawing.strokes import (
+from lensdesign.manufacture.drawing.primitives import (
     SHEET_MM,
     THICK_MM,
     Area,
@@ -27,6 +26,7 @@ from lensdesign.manufacture.drawing.strokes import (
     frame,
     line,
 )
+from lensdesign.manufacture.drawing.section_view import section_view
 from lensdesign.manufacture.drawing.table import Material, data_table, material_of
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general_tolerances
 
@@ -36,7 +36,7 @@ TITLE_TOP, TABLE_TOP = 34.0, 84.0
 Label = Annotated[str, Field(max_length=1000)]
 
 
-class DrawingOptions(Section):
+class DrawingOptions(FrozenModel):
     """Title block, tolerances and remark of a drawing.
 
     Attributes
@@ -60,7 +60,7 @@ class DrawingOptions(Section):
     tolerances: tuple[DrawingTolerances | None, ...] = ()
     remark: Label = ""
 
-    _lists = field_validator("tolerances", mode="before")(tuples)
+    _lists = field_validator("tolerances", mode="before")(as_tuple)
 
 
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element
 from lensdesign.lens.surface import Surface
-from lensdesign.manufacture.drawing.strokes import THICK_MM, Area, Item, Text, cell, circle, frame, line
+from lensdesign.manufacture.drawing.primitives import THICK_MM, Area, Item, Text, cell, circle, frame, line
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, SurfaceTolerances
 
 OPEN = "–"

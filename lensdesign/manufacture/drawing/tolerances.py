@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.analysis.outline import GENERAL_EDGES, EdgeAllowance
-from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_tuple
 from lensdesign.errors import InputError
 from lensdesign.lens.surface import Surface
 
@@ -23,7 +23,7 @@ GENERAL_MARK, DERIVED_MARK = "*", "†"
 """Marks of values that are general tolerances, and of values derived from a tolerance study."""
 
 
-class Marked(Section):
+class MarkedTolerances(FrozenModel):
     """Tolerances with marks for values that do not come from the stated source.
 
     Attributes
@@ -37,7 +37,7 @@ class Marked(Section):
     general: tuple[str, ...] = ()
     derived: tuple[str, ...] = ()
 
-    _names = field_validator("general", "derived", mode="before")(tuples)
+    _names = field_validator("general", "derived", mode="before")(as_tuple)
 
     def mark(self, name: str) -> str:
         """Return the mark of a value on the sheet; empty if it has none."""
@@ -50,16 +50,16 @@ class Marked(Section):
 
     def marked_general(self, known: Collection[str]) -> Self:
         """Return the tolerances; values are marked as general unless `known` lists them."""
-        names = (name for name in type(self).model_fields if name not in Marked.model_fields)
+        names = (name for name in type(self).model_fields if name not in MarkedTolerances.model_fields)
         return self.replaced(general=tuple(n for n in names if n not in known and self._states(n)))
 
     def _states(self, name: str) -> bool:
         value = getattr(self, name)
         stated = value != type(self).model_fields[name].default
-        return name != "source" and stated and not isinstance(value, Section)
+        return name != "source" and stated and not isinstance(value, FrozenModel)
 
 
-class SurfaceTolerances(Marked):
+class SurfaceTolerances(MarkedTolerances):
     """Tolerances of one surface on a drawing; None or an empty text omits an indication.
 
     Attributes
@@ -103,7 +103,7 @@ class SurfaceTolerances(Marked):
     chamfer_mm: tuple[NotNegative, NotNegative] | None = None
     coating: ShortText = ""
 
-    _lists = field_validator("chamfer_mm", mode="before")(tuples)
+    _lists = field_validator("chamfer_mm", mode="before")(as_tuple)
 
     def radius_allowed_mm(self, surface: Surface, fringe_um: float) -> float | None:
         """Return the tolerance (±) of a surface's radius in mm; None if it is not specified.
@@ -129,7 +129,7 @@ class SurfaceTolerances(Marked):
         return self
 
 
-class DrawingTolerances(Marked):
+class DrawingTolerances(MarkedTolerances):
     """Tolerances of one glass element on a drawing.
 
     Attributes

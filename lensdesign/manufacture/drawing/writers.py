@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
-from lensdesign.manufacture.drawing.strokes import (
+from lensdesign.manufacture.drawing.primitives import (
     FONT,
     SHEET_MM,
     Drawing,

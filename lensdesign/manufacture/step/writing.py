@@ -281,7 +281,7 @@ def _radial(points: Array) -> Array:
 
 
 def _volume_mm3(solid: Any) -> float:
-    """Return the volume by adaptive Gauss-Kronrod quadrature; OCP's default integrator errs by 1e-7."""
+    """Return the volume by adaptive Gauss-Kronrod quadrature: the error of OCP's default is 1e-7."""
     from OCP.BRepGProp import BRepGProp
     from OCP.GProp import GProp_GProps
 

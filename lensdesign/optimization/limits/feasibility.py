@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.deadlines import OutOfTime
+from lensdesign.common.deadlines import DeadlineExceeded
 from lensdesign.lens.lens import Lens, ObjectSpace
-from lensdesign.optimization.limits.kinds import APERTURE, FIELD
+from lensdesign.optimization.limits.limited_quantities import APERTURE, FIELD
 from lensdesign.optimization.limits.search import Limit, LimitsInterrupted, find_limits
 from lensdesign.optimization.local_search import Budget, search_from
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
@@ -118,7 +118,7 @@ def feasibility_limit(
             found = _best_as_built(specification, base, point)
         except KeyboardInterrupt:
             raise LimitsInterrupted(()) from None
-        except OutOfTime:
+        except DeadlineExceeded:
             return FeasibilityLimit(nominal=True)
         if found is not None:
             return found

@@ -19,12 +19,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.deadlines import OutOfTime, no_deadline
+from lensdesign.common.deadlines import DeadlineExceeded, no_deadline
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.compliance import check_against
-from lensdesign.optimization.limits.kinds import Kind, kinds_of
-from lensdesign.optimization.local_search import Budget, Found, dense_rays, search_from, starts_of
+from lensdesign.optimization.limits.limited_quantities import LimitedQuantity, limited_quantities
+from lensdesign.optimization.local_search import Budget, SearchResult, dense_rays, search_from, starts_of
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
@@ -49,7 +49,7 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest value of one kind for which a lens was found, with everything else as specified.
+    """The largest value of one quantity for which a lens was found, with everything else as specified.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ def find_limits(
     specification: Specification,
     report: Report = lambda _: None,
     seed: int = 0,
-    kinds: Sequence[Kind] | None = None,
+    quantities: Sequence[LimitedQuantity] | None = None,
     near: Mapping[str, Array] | None = None,
     most: float = 4.0,
 ) -> tuple[Limit, ...]:
@@ -136,8 +136,8 @@ def find_limits(
         Progress callback, called with a line of text at each step (default: none).
     seed
         Seed of the random starts.
-    kinds
-        Values whose limits are searched (default: those of :func:`kinds_of`).
+    quantities
+        Values whose limits are searched (default: those of :func:`limited_quantities`).
     near
         Further start points in the unit box, by the name of their choice of glasses (default: none).
     most
@@ -146,7 +146,7 @@ def find_limits(
     Returns
     -------
     tuple of Limit
-        One for each kind.
+        One for each quantity.
 
     Raises
     ------
@@ -156,8 +156,8 @@ def find_limits(
     specification = _without_as_built_goal(specification)
     limits: list[Limit] = []
     known = [*(near or {}).items()]
-    for kind in kinds_of(specification) if kinds is None else kinds:
-        search = _LimitSearch(specification, kind, seed, report, known, most)
+    for quantity in limited_quantities(specification) if quantities is None else quantities:
+        search = _LimitSearch(specification, quantity, seed, report, known, most)
         limits.append(search.run())
         if limits[-1].cut == "interrupt":
             raise LimitsInterrupted(tuple(limits))
@@ -196,7 +196,7 @@ class _LimitSearch:
     """The search for one limit; `best` is the lens with the largest value so far."""
 
     specification: Specification
-    kind: Kind
+    quantity: LimitedQuantity
     seed: int
     report: Report
     near: Sequence[tuple[str, Array]]
@@ -208,7 +208,7 @@ class _LimitSearch:
     starts: int = 0
 
     def __post_init__(self) -> None:
-        self.asked = self.kind.asked(self.specification)
+        self.asked = self.quantity.value_in(self.specification)
         choices = sum(1 for _ in bases_of(self.specification))
         self.names = [glasses for glasses, _ in bases_of(self.specification)]
         # Evaluations of a limit, in multiples of those of the search for one lens.
@@ -227,7 +227,7 @@ class _LimitSearch:
                     break
         except KeyboardInterrupt:
             cut = "interrupt"
-        except OutOfTime:
+        except DeadlineExceeded:
             cut = "max_seconds"
         except _BudgetSpent:
             cut = "max_evaluations"
@@ -235,7 +235,7 @@ class _LimitSearch:
             return self._limit(cut)
 
     def _limit(self, cut: str) -> Limit:
-        kind, found = self.kind, None
+        quantity, found = self.quantity, None
         # Largest number of lenses that are checked, from the largest value down, until one passes.
         most_verified = 12
         for end in sorted(self.ends, key=lambda one: -one.value)[:most_verified]:
@@ -243,10 +243,10 @@ class _LimitSearch:
             if found is not None:
                 break
         if found is None:
-            return Limit(kind.name, kind.unit, self.asked, None, True, self.failed, (), cut)
+            return Limit(quantity.name, quantity.unit, self.asked, None, True, self.failed, (), cut)
         value, lens, binding = found
         ended = value < self.most * self.asked * (1.0 - 1e-12)
-        return Limit(kind.name, kind.unit, self.asked, value, ended, self.starts, binding, cut, lens)
+        return Limit(quantity.name, quantity.unit, self.asked, value, ended, self.starts, binding, cut, lens)
 
     def _first(self) -> None:
         """Find a first lens at the required value or below, from known points and from random starts."""
@@ -307,7 +307,7 @@ class _LimitSearch:
 
     def _reaches(self, value: float, glasses: str, point: Array) -> bool:
         """Return whether a search from a point finds a lens for a value, and record the lens."""
-        self.report(f"{self.kind.name}: {value:.4g} {self.kind.unit}".rstrip() + f", {glasses}")
+        self.report(f"{self.quantity.name}: {value:.4g} {self.quantity.unit}".rstrip() + f", {glasses}")
         found = self._search(value, glasses, point)
         if found is None or found.outcome.violation > ACCEPTED_VIOLATION:
             self.failed += 1
@@ -320,7 +320,7 @@ class _LimitSearch:
         self.ends.append(end)
         return True
 
-    def _search(self, value: float, glasses: str, point: Array) -> Found | None:
+    def _search(self, value: float, glasses: str, point: Array) -> SearchResult | None:
         """Return the result of a search for a feasible lens; None if the value is not valid."""
         problem = self._problem(value, glasses)
         if problem is None:
@@ -346,7 +346,7 @@ class _LimitSearch:
 
     def _problem(self, value: float, glasses: str) -> DesignProblem | None:
         try:
-            asked = self.kind.changed(self.specification, value)
+            asked = self.quantity.changed(self.specification, value)
             validate_possible(asked)
             return DesignProblem(asked, dict(bases_of(asked))[glasses])
         except (DesignError, ValueError):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Positive, Section, tuples
+from lensdesign.common.frozen_model import FrozenModel, Positive, as_tuple
 from lensdesign.lens.catalogues.thermal import COLDEST_C, HOTTEST_C, REFERENCE_C
 from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from lensdesign.optimization.nlopt_driver import ALGORITHMS
@@ -14,7 +14,7 @@ from lensdesign.optimization.nlopt_driver import ALGORITHMS
 Angle = Annotated[float, Field(gt=0.0, lt=90.0)]
 
 
-class FieldSpread(Section):
+class FieldSpread(FrozenModel):
     """A limit of the spread angle for one field height.
 
     Attributes
@@ -29,7 +29,7 @@ class FieldSpread(Section):
     max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
 
 
-class Constraints(Section):
+class Constraints(FrozenModel):
     """Constraints over the whole field, the whole stop and all wavelengths.
 
     Attributes
@@ -88,11 +88,11 @@ class Constraints(Section):
     max_as_built_reconstruction_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
     _lists = field_validator("max_spread_xy_deg", "field_spread", "max_footprint_radius_mm", mode="before")(
-        tuples
+        as_tuple
     )
 
 
-class Tolerances(Section):
+class Tolerances(FrozenModel):
     """Manufacturing tolerances of the lens.
 
     Attributes
@@ -124,7 +124,7 @@ class Tolerances(Section):
         return self
 
 
-class Environment(Section):
+class Environment(FrozenModel):
     """Temperatures, besides that of the design, at which a lens must meet its specification.
 
     Attributes
@@ -142,7 +142,7 @@ class Environment(Section):
     ]
     mount_expansion_per_k: Annotated[float, Field(ge=-1e-3, le=1e-3)] = ALUMINIUM_PER_K
 
-    _lists = field_validator("temperatures_c", mode="before")(tuples)
+    _lists = field_validator("temperatures_c", mode="before")(as_tuple)
 
     @field_validator("temperatures_c")
     @classmethod
@@ -163,7 +163,7 @@ AS_BUILT_GOALS = ("as-built rms", "yield", LOSS_GOAL)
 """Goals that need tolerances."""
 
 
-class Settings(Section):
+class Settings(FrozenModel):
     """Settings of the search.
 
     Attributes

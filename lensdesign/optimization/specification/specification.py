@@ -13,8 +13,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.frozen_model import as_tuple
 from lensdesign.common.input_files import validate_inside
-from lensdesign.common.section import tuples
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
 from lensdesign.files.design import validate_kind, validated_lens
@@ -72,7 +72,7 @@ class Specification(Lens):
     environment: Environment | None = None
     variables: Annotated[tuple[VariableRange, ...], Field(alias="variable", min_length=1)]
 
-    _variable_lists = field_validator("variables", mode="before")(tuples)
+    _variable_lists = field_validator("variables", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _consistent(self) -> Specification:

@@ -6,13 +6,13 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_tuple
 from lensdesign.lens.shapes.base import term_of
 from lensdesign.lens.shapes.registry import parameters
 from lensdesign.raytrace.gradients import Variable
 
 
-class VariableRange(Section):
+class VariableRange(FrozenModel):
     """A variable with its bounds or choices.
 
     Attributes
@@ -37,7 +37,7 @@ class VariableRange(Section):
     smallest_radius_mm: Positive | None = None
     choices: tuple[str | float, ...] = ()
 
-    _lists = field_validator("bounds", "choices", mode="before")(tuples)
+    _lists = field_validator("bounds", "choices", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _complete(self) -> VariableRange:

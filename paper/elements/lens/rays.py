@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign import Lens
 from lensdesign.analysis import rms_spot_diameter, spread_limit_sine
-from lensdesign.analysis.arrival import arrival_angles
+from lensdesign.analysis.arrival_angles import arrival_angles
 from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.plots import spot_figure
 from lensdesign.raytrace import compile_system, trace_compiled

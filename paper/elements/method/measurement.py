@@ -32,14 +32,14 @@ def figure_3(work: Work) -> Made:
     lens = work.lens
     near, far = lens.sensor.plane_distances_mm
     feet = [footprint(lens, plane_distance_mm=plane) for plane in (near, far)]
-    told = diversity(lens, object_patch(lens, lens.object.field_diameter_mm), (near, far))
+    predicted = diversity(lens, object_patch(lens, lens.object.field_diameter_mm), (near, far))
     numbers = (
         Number("distance between the two planes", far - near, "mm", 20.0),
         Number("first plane, behind the exit vertex", near, "mm"),
         Number("radius of the light on it", feet[0].radius_mm, "mm"),
         Number("radius of the light on the second plane", feet[1].radius_mm, "mm"),
         Number("half of the sensor's shorter side", feet[1].sensor_half_side_mm, "mm"),
-        Number("phase diversity of the planes, Δz w² / (λ f²)", told),
+        Number("phase diversity of the planes, Δz w² / (λ f²)", predicted),
         Number("bits of a count", ImageSettings().bits, "", 12),
         Number("iterations", ReconstructionSettings(method="paper").most_iterations, "", PAPER_ITERATIONS),
         Number("step t of A4", TV_STEP, "", PAPER_TV_STEP),
@@ -108,7 +108,11 @@ def _iteration(axes: Axes) -> None:
     box(axes, (4.0, 1.7), (6.2, tall), mean)
     arrow(axes, [(7.1, 1.7), (8.05, 1.7), (8.05, 7.4), (7.1, 7.4)])
     box(
-        axes, (4.0, 0.3), (6.2, tall), f"after {PAPER_ITERATIONS} times: u; A6 at $H_1$ told each time", GREEN
+        axes,
+        (4.0, 0.3),
+        (6.2, tall),
+        f"after {PAPER_ITERATIONS} times: u; A6 at $H_1$ computed each time",
+        GREEN,
     )
     arrow(axes, [(4.0, 1.22), (4.0, 0.78)])
 
@@ -117,7 +121,7 @@ def figure_9(work: Work) -> Made:
     """The field sought and both amplitudes, of a chart in front of a twin."""
     scale, iterations = work.settings["twin"], work.settings["iterations"]
     case = twin(scale)
-    work.tell(f"{iterations} iterations")
+    work.progress(f"{iterations} iterations")
     found = retrieved(scale, "chart", "forward model", iterations)
     near, far = case.lens.sensor.plane_distances_mm
     at_vertex = propagate(found.field, -near, check=False)

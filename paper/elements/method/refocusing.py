@@ -40,14 +40,14 @@ def equation_5(work: Work) -> Made:
     elements = usaf_elements_within(there, stop_mm / math.sqrt(2.0))
     values = field_stop(there, "disc", stop_mm) * usaf_chart(there, elements, "bright")
     behind = exit_grid(lens, wavelength, lens.sensor.plane_distances_mm[0], 2)
-    work.tell("through the lens and back")
+    work.progress("through the lens and back")
     light = engine_for(
         Scene(lens, there, behind, wavelength), "eikonal", error=work.settings["error"]
     ).forward(Field(there, values.astype(np.complex64), wavelength))
     back = engine_for(
         Scene(lens, nominal, behind, wavelength), "eikonal", error=work.settings["error"]
     ).adjoint(light)
-    work.tell("refocusing")
+    work.progress("refocusing")
     found = refocus_field(back, (-REACH_MM, REACH_MM), work.settings["step_mm"])
     distance = lens.object.working_distance_mm - found.distance_mm
     whole = work.settings["lens"] == 1.0

@@ -10,7 +10,7 @@ from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.focus import focused
 from paper.lensless import lensless
-from paper.shots import BRACKET, Shot, finest, retrieved_of, shot, told
+from paper.shots import BRACKET, Shot, element_text, finest, retrieved_of, shot
 from paper.style import BLUE, RED, faint_panel, styled_figure
 from paper.twin import twin
 from wavesim import (
@@ -66,20 +66,20 @@ class _Panels(NamedTuple):
 def figure_5(work: Work) -> Made:
     """Frames, field in the exit vertex plane, refocusing, and the object by three models."""
     scale, iterations = work.settings["twin"], int(work.settings["iterations"])
-    work.tell("frames")
+    work.progress("frames")
     one = shot(scale, "chart", BRACKET, farther_um=FARTHER_UM)
-    work.tell(f"{iterations} iterations")
+    work.progress(f"{iterations} iterations")
     run = retrieved_of(one, iterations)
     vertex = propagate(run.field, -one.lens.sensor.plane_distances_mm[0], check=False)
     back = one.object_of(run.field)
-    work.tell("refocusing")
+    work.progress("refocusing")
     focus, paper = focused(back, one.elements)
-    work.tell("in the object domain")
+    work.progress("in the object domain")
     whole = _by_object(one, focus.distance_mm)
     light = one.light.with_values(one.light.values * whole.values)
     model = engine_for(one.case.engine.scene, "thin-lens", force=True)
     thin = model.adjoint(one.case.engine.forward(light))
-    work.tell("without the lens")
+    work.progress("without the lens")
     without = _without(work.settings["lensless"], iterations)
     panels = _Panels(one, vertex, focus, paper, whole, without, thin)
     pictures = (
@@ -153,7 +153,7 @@ def _numbers(panels: _Panels, apart: float) -> tuple[Number, ...]:
         Number("correlation with the object, in the object domain", _of_transmission(one, panels.whole)),
         _resolves("without the lens", without.found, without.elements, (7, 2)),
         Number("farther plane of the camera without a lens, from the object", without.planes_mm[1], "mm"),
-        Number("with a thin lens: finest element", told(finest(panels.thin, one.elements))),
+        Number("with a thin lens: finest element", element_text(finest(panels.thin, one.elements))),
         Number("correlation with the object, thin lens", one.correlation(panels.thin)),
     )
 
@@ -176,7 +176,10 @@ def _peaks(focus: Refocusing) -> int:
 
 def _resolves(what: str, found: Field, elements: tuple[UsafElement, ...], paper: tuple[int, int]) -> Number:
     """The finest element, beside the paper's."""
-    here, said = told(finest(found, elements)), f"{paper[0]}-{paper[1]}, {usaf_line_width_um(*paper):.3g} µm"
+    here, said = (
+        element_text(finest(found, elements)),
+        f"{paper[0]}-{paper[1]}, {usaf_line_width_um(*paper):.3g} µm",
+    )
     remark = "" if here == said else REMARKS[what]
     return Number(f"{what}: finest element", here, "", said, remark=remark)
 

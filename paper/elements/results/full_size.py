@@ -57,8 +57,8 @@ def full_size(work: Work) -> Made:
         folder = work.folder / f"retrieved_{exposures}_{count}"
         folder.mkdir(exist_ok=True)
 
-        def tell(what: str, done: int, steps: int, said: str = said) -> None:
-            work.tell(f"{said}: {what} ({done} of {steps})")
+        def progress(what: str, done: int, steps: int, said: str = said) -> None:
+            work.progress(f"{said}: {what} ({done} of {steps})")
 
         frames = read_frames(_files(taken, lens, exposures), lens=lens)
         found[said] = reconstruct_frames(
@@ -67,7 +67,7 @@ def full_size(work: Work) -> Made:
             settings,
             truth=taken,
             folder=folder,
-            progress=tell,
+            progress=progress,
             iterations=count,
         )
         numbers += _numbers(said, found[said])
@@ -83,7 +83,7 @@ def _taken(work: Work, lens: Lens, how: dict[str, Any]) -> Path:
     folder.mkdir(exist_ok=True)
     true = folder / "object.npz"
     if not true.is_file():
-        work.tell("frames")
+        work.progress("frames")
         imaged = image(lens, "usaf", exposures=BRACKET, object_pitch_um=OBJECT_PITCH_UM, folder=folder, **how)
         for frame, path in zip(imaged.frames, _files(folder, lens, len(BRACKET)), strict=True):
             write_frame(frame, path)
@@ -101,11 +101,11 @@ def _files(folder: Path, lens: Lens, exposures: int) -> list[Path]:
 
 def _numbers(said: str, found: FoundObject) -> list[Number]:
     """Of one set of frames."""
-    told, paper = found.figures(), usaf_line_width_um(9, 2)
-    finest = told["usaf"]["smallest_resolved"]
+    chart_figures, paper = found.figures(), usaf_line_width_um(9, 2)
+    finest = chart_figures["usaf"]["smallest_resolved"]
     there = finest is not None and finest["line_width_um"] <= paper * (1.0 + 1e-9)
     reached = "nor is any other" if finest is None else f"down to {finest['group']}-{finest['element']}"
-    contrast = {one["line_width_um"]: one for one in told["usaf"]["elements"]}
+    contrast = {one["line_width_um"]: one for one in chart_figures["usaf"]["elements"]}
     fine = contrast[min(contrast, key=lambda width: abs(width - paper))]
     return [
         Number(
@@ -120,9 +120,9 @@ def _numbers(said: str, found: FoundObject) -> list[Number]:
             min(fine["contrast_x"], fine["contrast_y"]),
         ),
         Number(f"correlation with the object: {said}", found.truth["object_correlation"] or 0.0),
-        Number(f"iterations: {said}", told["iterations"]),
-        Number(f"correlation A6: {said}", told["correlation_a6"], digits=6),
-        Number(f"sharpest behind the object's plane: {said}", told["refocus_um"], "µm"),
+        Number(f"iterations: {said}", chart_figures["iterations"]),
+        Number(f"correlation A6: {said}", chart_figures["correlation_a6"], digits=6),
+        Number(f"sharpest behind the object's plane: {said}", chart_figures["refocus_um"], "µm"),
     ]
 
 

@@ -38,11 +38,11 @@ SETTINGS: dict[Budget, dict[str, float]] = {
 def discussion(work: Work) -> Made:
     """A number for each item."""
     scale, iterations = work.settings["twin"], int(work.settings["iterations"])
-    work.tell("compensation")
+    work.progress("compensation")
     numbers = _compensation(work)
-    work.tell("calibration")
+    work.progress("calibration")
     numbers += _calibration(shot(scale, "chart", BRACKET))
-    work.tell("single shot")
+    work.progress("single shot")
     numbers += [
         Number(
             "single shot, amplitude object: correlation from one plane",

@@ -11,7 +11,7 @@ from lensdesign import Pose
 from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.focus import focused
-from paper.shots import finest, told
+from paper.shots import element_text, finest
 from paper.style import BLUE, GREY, ORANGE, styled_figure
 from paper.twin import Twin, twin
 from wavesim import (
@@ -51,7 +51,7 @@ def figure_7a(work: Work) -> Made:
     found: dict[str, dict[int, list[float]]] = {"vertical": {}, "oblique": {}}
     for kind, contrasts in found.items():
         for count in PAPER_SLICES + (more if kind == "vertical" else ()):
-            work.tell(f"{count} slices, {kind}")
+            work.progress(f"{count} slices, {kind}")
             resolved = resolve(work.lens, WIDTHS_UM, slices=count, compensation=kind)
             contrasts[count] = [line.contrast for line in resolved.lines]
     numbers = [
@@ -66,7 +66,7 @@ def figure_7a(work: Work) -> Made:
     case, objects = _on_chart(work)
     for name, one in objects.items():
         element = finest(one, case.elements)
-        numbers.append(Number(f"whole chart, {name}: finest element", told(element)))
+        numbers.append(Number(f"whole chart, {name}: finest element", element_text(element)))
         numbers.append(Number(f"whole chart, {name}: correlation", case.correlation(one)))
     pictures = (
         work.picture(
@@ -122,7 +122,7 @@ def _on_chart(work: Work) -> tuple[Twin, dict[str, Field]]:
     case = twin(scale)
     found = {}
     for kind, count in ON_CHART:
-        work.tell(f"chart through {count} slices, {kind}")
+        work.progress(f"chart through {count} slices, {kind}")
         few = max(1, round(count * (scale if kind == "vertical" else math.sqrt(scale))))
         settings: dict[str, Any] = {"slices": few, "compensation": kind, "precision": "single"}
         back = engine_for(case.engine.scene, "slices", force=True, **settings)

@@ -27,7 +27,7 @@ def figure_1(work: Work) -> Made:
     """The system, and the steps from the recorded amplitudes to the object."""
     lens, scale = work.lens, work.settings["twin"]
     case = twin(scale)
-    work.tell("retrieval")
+    work.progress("retrieval")
     found = retrieved(scale, "chart", "forward model", work.settings["iterations"])
     at_vertex = propagate(found.field, -case.lens.sensor.plane_distances_mm[0], check=False)
     numbers = (

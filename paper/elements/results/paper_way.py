@@ -10,7 +10,7 @@ import numpy as np
 
 from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
-from paper.shots import BRACKET, ONE, Shot, finest, shot, told
+from paper.shots import BRACKET, ONE, Shot, element_text, finest, shot
 from paper.style import styled_figure
 from wavesim import Engine, Field, Measurement, engine_for, propagate
 from wavesim.reconstruction.resumable import retrieve_resumably
@@ -60,7 +60,7 @@ def the_papers_way(work: Work) -> Made:
     numbers, drawn = list[Number](), dict[str, tuple[Shot, Field]]()
     for kind in np.linspace(0, len(TAKEN) - 1, int(work.settings["kinds"])).astype(int):
         taken = TAKEN[kind]
-        work.tell(taken.said)
+        work.progress(taken.said)
         one = shot(scale, "chart", taken.exposures, taken.planes, fill_factor=taken.fill_factor)
         found = one.object_of(_retrieved(one, iterations, taken.rounds))
         numbers += _of(taken.said, one, found)
@@ -68,7 +68,7 @@ def the_papers_way(work: Work) -> Made:
     sliced, field = _best_field(iterations)
     as_thick = max(1, round(PAPER_SLICES * SLICED_TWIN))
     for said, back in _ways_back(sliced, as_thick, int(work.settings["slices"])).items():
-        work.tell(said)
+        work.progress(said)
         found = sliced.object_of(field, back)
         numbers += _of(said, sliced, found)
         drawn[said] = sliced, found
@@ -84,7 +84,7 @@ def _of(said: str, one: Shot, found: Field) -> list[Number]:
     element = finest(found, one.elements)
     there = element is not None and element.line_width_um <= usaf_line_width_um(9, 2) * (1.0 + 1e-9)
     here = "yes" if there else "no"
-    remark = "" if there else f"down to {told(element)}" if element else "nor is any other"
+    remark = "" if there else f"down to {element_text(element)}" if element else "nor is any other"
     return [
         Number(f"9-2 resolved: {said}", here, "", "yes", remark=remark),
         Number(f"correlation with the object: {said}", one.correlation(found)),

@@ -46,7 +46,7 @@ def _runs(work: Work) -> dict[Start, Retrieved]:
     scale, iterations = work.settings["twin"], work.settings["iterations"]
     found = {}
     for start in STARTS:
-        work.tell(f"{iterations} iterations, {start}")
+        work.progress(f"{iterations} iterations, {start}")
         found[start] = retrieved(scale, "chart", start, iterations)
     return found
 
@@ -87,7 +87,7 @@ def _from_frames(work: Work) -> list[Number]:
     one, iterations = shot(work.settings["twin"], "chart", BRACKET), work.settings["on frames"]
     numbers = []
     for start in STARTS:
-        work.tell(f"{iterations} iterations on frames, {start}")
+        work.progress(f"{iterations} iterations on frames, {start}")
         run = retrieved_of(one, iterations, START_OF_FRAMES[start])
         found = one.object_of(run.field)
         numbers += [

@@ -29,7 +29,7 @@ def figure_2e(work: Work) -> Made:
     limit = match(work.lens, work.lens.wavelengths_um[0]).highest_frequency_lp_per_mm
     fields, numbers = {}, []
     for thing, name in THINGS.items():
-        work.tell(f"{iterations} iterations, {name}")
+        work.progress(f"{iterations} iterations, {name}")
         field = retrieved(scale, thing, "forward model", iterations).field
         support = spectrum_support(field.values, field.grid.pitch_mm, limit, fraction=0.999)
         finer = _before_the_pixels(scale, thing, limit)

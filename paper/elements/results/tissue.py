@@ -52,9 +52,9 @@ class _Seen(NamedTuple):
 def figure_6(work: Work) -> Made:
     """The whole field from frames, crops, and the objectives' views."""
     scale, planes = work.settings["twin"], int(work.settings["planes"])
-    work.tell("frames")
+    work.progress("frames")
     one = shot(scale, "tissue", BRACKET, planes)
-    work.tell("in the object domain")
+    work.progress("in the object domain")
     chosen = one.imaged.settings
     settings = ReconstructionSettings(
         kind="complex",
@@ -68,7 +68,7 @@ def figure_6(work: Work) -> Made:
     result = reconstruct_frames(one.lens, one.imaged.frames, settings)
     found = one.light.with_values(one.light.values * result.transmission.values)
     vertex = propagate(one.case.engine.forward(found), -one.lens.sensor.plane_distances_mm[0], check=False)
-    work.tell("objectives")
+    work.progress("objectives")
     true = one.light.with_values(one.light.values * one.imaged.target.transmission.values)
     views = {
         "low": LOW.partially_coherent(true, COHERENCE),

@@ -73,5 +73,5 @@ def test_command() -> None:
     assert "effective and back focal length of the ghost 8.609, -16.52 mm" in shown.stdout
     rows = [line.split() for line in shown.stdout.splitlines()[-4:]]
     assert [row[:2] for row in rows] == [["2", "0"], ["2", "1.5"], ["22", "0"], ["22", "1.5"]]
-    told = CliRunner().invoke(app, ["ghost", "designs/paper_singlet.toml", "--share", "1e-4", "--json"])
-    assert json.loads(told.stdout)["share"] == 1e-4
+    outcome = CliRunner().invoke(app, ["ghost", "designs/paper_singlet.toml", "--share", "1e-4", "--json"])
+    assert json.loads(outcome.stdout)["share"] == 1e-4

@@ -13,7 +13,7 @@ from random_lenses import numbers
 from scipy.optimize import minimize
 
 from lensdesign import DesignError, InputError, Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation
-from lensdesign.analysis.arrival import arrival_angles
+from lensdesign.analysis.arrival_angles import arrival_angles
 from lensdesign.analysis.check import edge_thickness_mm
 from lensdesign.analysis.spread import (
     footprint,

@@ -164,10 +164,10 @@ def test_testplates_writes_a_lens_whose_sphere_has_a_plate(command: Command, tmp
     assert [(one["surface"], one["plate_mm"]) for one in found["fitted"]] == [(1, 37.5)]
     assert load_design(output).surfaces[0].radius_mm == 37.5
     plates.write_text("flat\n")
-    code, out, told = command("testplates", spec, "--plates", plates, "-o", tmp_path / "no.toml")
+    code, out, errors = command("testplates", spec, "--plates", plates, "-o", tmp_path / "no.toml")
     assert (code, out) == (2, "")
-    assert "line 1" in told
-    assert "'flat'" in told
+    assert "line 1" in errors
+    assert "'flat'" in errors
     assert not (tmp_path / "no.toml").exists()
 
 

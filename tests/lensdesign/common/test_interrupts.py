@@ -136,12 +136,12 @@ def test_other_faults_without_a_place_go_to_the_hook_that_was_there(monkeypatch:
         def __del__(self) -> None:
             raise ValueError("at the end")
 
-    told: list[str] = []
-    monkeypatch.setattr(sys, "unraisablehook", lambda fault: told.append(str(fault.exc_value)))
+    calls: list[str] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda fault: calls.append(str(fault.exc_value)))
     before = sys.unraisablehook
     with stoppable():
         Faulty()
-    assert told == ["at the end"]
+    assert calls == ["at the end"]
     assert sys.unraisablehook is before
 
 

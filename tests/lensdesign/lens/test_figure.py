@@ -168,7 +168,7 @@ def test_what_are_no_coefficients_is_refused(coefficients: Any, semi: float, mes
 
 
 def singlet(**front: Any) -> Lens:
-    """A lens of two surfaces, the first as told."""
+    """A lens of two surfaces, the first as given."""
     return Lens(
         wavelengths_um=(0.532,),
         object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),

@@ -63,7 +63,7 @@ def test_kernels_of_rays_are_kept_with_the_formulas_of_all_shapes() -> None:
 
 @pytest.fixture
 def nowhere(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Neither the modules' folders nor a home can be written: Numba has the place that it is told."""
+    """Neither the modules' folders nor a home can be written: Numba uses the folder that it is given."""
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
@@ -78,9 +78,9 @@ def test_without_a_place_kernels_are_kept_in_a_private_temporary_folder(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with pytest.warns(
         KernelCacheWarning, match=r"are cached in .*transferlens-kernels-.*NUMBA_CACHE_DIR"
-    ) as told:
+    ) as caught:
         kernels = [cached_njit(nogil=True)(double) for _ in range(2)]
-    assert len(told) == 1
+    assert len(caught) == 1
     assert kernels[0](3) == 6
     (place,) = tmp_path.iterdir()
     assert place.stat().st_mode & 0o777 == 0o700

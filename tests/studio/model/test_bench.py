@@ -1,4 +1,4 @@
-"""The workbench: what is typed, who is told, and that the newest state wins."""
+"""The workbench: typed values, listeners, and the newest state that wins."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def test_edits_outlive_the_process(bench: Workbench, tmp_path: Path) -> None:
 
 
 def test_who_stopped_listening_is_not_told(bench: Workbench) -> None:
-    told: list[int] = []
-    end = bench.listen(lambda: told.append(1))
+    calls: list[int] = []
+    end = bench.listen(lambda: calls.append(1))
     end()
     end()
     bench.notify()
-    assert told == []
+    assert calls == []
 
 
 def test_what_if_is_of_the_lens(bench: Workbench) -> None:

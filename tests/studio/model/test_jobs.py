@@ -50,11 +50,11 @@ def gone(process: Path) -> bool:
 
 
 def test_lines_come_before_the_result() -> None:
-    told: list[int] = []
-    job = Job(doubled, (21,), lambda: told.append(1))
+    calls: list[int] = []
+    job = Job(doubled, (21,), lambda: calls.append(1))
     wait(lambda: job.state != "running")
     assert (job.state, job.result, job.lines) == ("done", 42, ["one", "two"])
-    assert len(told) == 3
+    assert len(calls) == 3
 
 
 @pytest.mark.parametrize(("work", "said"), [(refused, "not like this"), (lost, "ended before its work")])

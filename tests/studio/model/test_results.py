@@ -12,8 +12,8 @@ from studio.model.results import read_folder
 
 
 def test_a_folder_says_what_it_holds(tmp_path: Path) -> None:
-    told = {"kind": "amplitude", "misfit": 0.123456789, "verdict": {"explained": False, "words": "no <b>"}}
-    (tmp_path / "reconstruction.json").write_text(json.dumps(told | {"bench": {"tilt_x_deg": 0.1}}))
+    summary = {"kind": "amplitude", "misfit": 0.123456789, "verdict": {"explained": False, "words": "no <b>"}}
+    (tmp_path / "reconstruction.json").write_text(json.dumps(summary | {"bench": {"tilt_x_deg": 0.1}}))
     (tmp_path / "residuals.png").write_bytes(b"png")
     seen = read_folder(tmp_path, lambda _: None)
     assert (seen.verdict, seen.explained) == ("no <b>", False)

@@ -48,8 +48,8 @@ class Served:
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=self.environment
         )
         assert self.process.stdout is not None
-        told = iter(self.process.stdout.readline, "")
-        self.address = next(line.split()[-1] for line in told if "http://" in line)
+        lines = iter(self.process.stdout.readline, "")
+        self.address = next(line.split()[-1] for line in lines if "http://" in line)
 
     def kill(self) -> None:
         self.process.send_signal(signal.SIGKILL)

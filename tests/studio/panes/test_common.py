@@ -57,7 +57,7 @@ def served(page: Callable[[], object]) -> Iterator[str]:
 def test_a_page_is_touched_in_its_own_thread_and_sees_the_last_change(
     bench: Workbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, rounds = 0, 0
+    shown, rounds = 0, 0
     caught_up = threading.Event()
     pages: set[int] = set()
     asked: set[int] = set()
@@ -74,8 +74,8 @@ def test_a_page_is_touched_in_its_own_thread_and_sees_the_last_change(
         pane = panel.pane.Markdown("")
 
         def update() -> None:
-            pane.object = str(told)
-            if told == rounds * THREADS:
+            pane.object = str(shown)
+            if shown == rounds * THREADS:
                 caught_up.set()
 
         follow(bench, pane, update)
@@ -88,7 +88,7 @@ def test_a_page_is_touched_in_its_own_thread_and_sees_the_last_change(
             for rounds in range(1, ROUNDS + 1):
                 caught_up.clear()
                 list(threads.map(lambda _: bench.notify(), range(THREADS)))
-                told = rounds * THREADS
+                shown = rounds * THREADS
                 bench.notify()
                 assert caught_up.wait(SECONDS)
     assert asked == pages

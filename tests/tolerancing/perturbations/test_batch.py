@@ -10,8 +10,8 @@ from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.lens.poses import SURFACE_DELTAS
 from lensdesign.lens.surface import Surface
 from lensdesign.raytrace.bundles import pupil_rings
-from tolerancing.merits.arrival import arriving_rays
 from tolerancing.merits.pupil import Strehl
+from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.distributions import Normal, Uniform
 from tolerancing.perturbations.parameters import LENS_PARAMETERS, Perturbation, PerturbedParameter

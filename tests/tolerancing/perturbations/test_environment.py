@@ -5,7 +5,7 @@ import pytest
 
 from lensdesign.errors import DesignError
 from lensdesign.lens.temperature import lens_at_temperature
-from tolerancing.merits.arrival import arriving_rays
+from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.study.evaluate import context_of, score_trials

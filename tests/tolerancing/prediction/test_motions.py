@@ -48,10 +48,10 @@ def test_pairs_are_the_chain_rule(lens: Lens, changes: Changes) -> None:
 
 
 def test_a_figure_acts_as_the_term_whose_sag_it_has(lens: Lens, changes: Changes) -> None:
-    """A change of conic, told as sag and slopes at the rays; the sag's own bend by the conic apart."""
+    """A change of conic, given as sag and slopes at the rays; the sag's own bend by the conic apart."""
     paths = nominal_paths(lens, [(0.3, 1.0)], pupil_rings(2, 5), 0.532, 3.0)
     term = ASKED.index(("surface 2", "conic"))
-    told = second_by_pairs(paths, pair_weights(changes))
+    predicted = second_by_pairs(paths, pair_weights(changes))
     unit = Figures(1, slice(term, term + 1), *(part[:, None] for part in paths.by_term(1, "conic")))
     first = changes.first.copy()
     first[:, term] = 0.0
@@ -60,4 +60,4 @@ def test_a_figure_acts_as_the_term_whose_sag_it_has(lens: Lens, changes: Changes
     found = second_by_pairs(paths, pair_weights(by_figure), [unit])
     i, j = np.triu_indices(changes.count)
     others = (i != term) | (j != term)
-    np.testing.assert_allclose(found[:, others], told[:, others], atol=1e-9)
+    np.testing.assert_allclose(found[:, others], predicted[:, others], atol=1e-9)

@@ -116,8 +116,8 @@ def test_two_orders_leave_the_third(lens: Lens, paths: Paths, shares: list[float
     left = []
     for part in (1.0, 0.5):
         values = part * np.array(shares) * sizes
-        told = first @ values + 0.5 * np.einsum("nij,i,j->n", second, values, values)
-        left.append(np.max(np.abs(shortest(lens, paths, values) - paths.path_mm - told)))
+        predicted = first @ values + 0.5 * np.einsum("nij,i,j->n", second, values, values)
+        left.append(np.max(np.abs(shortest(lens, paths, values) - paths.path_mm - predicted)))
     assert left[0] < 2e-5
     assert left[1] <= left[0] / 6.0 + 1e-9
 

@@ -77,9 +77,9 @@ def test_what_a_perturbation_does_by_itself_is_told(ray_study: Path) -> None:
 
 
 def test_the_command_tells_rays_with_wavefronts_or_without(ray_study: Path) -> None:
-    told = CliRunner().invoke(app, ["predict", str(ray_study), "--json"])
-    assert told.exit_code == 0, told.output
-    found = json.loads(told.output)
+    outcome = CliRunner().invoke(app, ["predict", str(ray_study), "--json"])
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads(outcome.output)
     assert "points" not in found
     assert [r["merit"] for r in found["rays"]] == ["largest_spread_deg", "footprint_radius_mm"]
     shown = CliRunner().invoke(app, ["predict", str(ray_study)])

@@ -15,7 +15,7 @@ from tolerancing.cli.commands import app
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
 from tolerancing.prediction.wavefront_prediction import (
-    Judged,
+    WavefrontLimit,
     judged_points,
     mean_squares,
     predict,
@@ -69,7 +69,7 @@ def test_strehl_ratios_are_judged_by_the_wavefront_they_stand_for(loaded: Loaded
     strehl = Strehl(kind="strehl", field_mm=(0.0, 0.5), at_least=float(np.exp(-((2.0 * np.pi * 0.1) ** 2))))
     study = loaded.study.model_copy(update={"all_merits": (merit, strehl)})
     *_, last = judged_points(study)
-    assert last == Judged((0.0, 0.5), None, pytest.approx(0.1))
+    assert last == WavefrontLimit((0.0, 0.5), None, pytest.approx(0.1))
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.006])
@@ -110,7 +110,7 @@ def test_the_command_prints_a_table_or_json(wavefront_study: Path) -> None:
     assert shown.exit_code == 0, shown.output
     assert "lens_tilt_x_deg" in shown.output
     assert "no trial was traced" in shown.output
-    told = CliRunner().invoke(app, ["predict", str(wavefront_study), "--json"])
-    found = json.loads(told.output)
+    outcome = CliRunner().invoke(app, ["predict", str(wavefront_study), "--json"])
+    found = json.loads(outcome.output)
     assert [p["field_mm"] for p in found["points"]] == [[0.0, 0.0], [0.0, 1.0], [0.0, 1.4]]
     assert 0.4 < found["good"] < 0.6

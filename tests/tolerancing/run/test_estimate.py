@@ -57,5 +57,5 @@ def test_a_step_of_many_slices_takes_longer_than_a_trial(ticking, monkeypatch, w
     counts = [type(part).__name__ for part in loaded.study.series].index("SliceCounts")
     missing = {"trials": 0, "high_fidelity": 0}
     few, many = (estimate_run(loaded, missing, [Task(series=counts, step=k)], 1, 16).seconds for k in (0, 1))
-    # 390 slices more of both surfaces, there and back; both transforms of a slice are told as one.
+    # 390 slices more of both surfaces, there and back; both transforms of a slice count as one.
     assert many - few == pytest.approx(390 * 2 * 2 * 0.1)

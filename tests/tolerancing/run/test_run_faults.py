@@ -52,8 +52,8 @@ def start(study, store, workers=2, trials=TRIALS, **options):
 def kill(run):
     """End a run and its workers as a power cut would; returns the amount that it last reported as stored."""
     os.killpg(run.pid, signal.SIGKILL)
-    told = run.communicate()[0].split()
-    return int(told[-1]) if told else 0
+    printed = run.communicate()[0].split()
+    return int(printed[-1]) if printed else 0
 
 
 def check(path):
@@ -91,8 +91,8 @@ def test_runs_that_are_killed_at_any_moment_go_on_and_make_the_same_rows(study, 
 def test_two_runs_at_once_make_one_store(study, unbroken, tmp_path):
     path = tmp_path / "store"
     runs = [start(study, path, workers=1) for _ in range(2)]
-    told = [run.communicate() for run in runs]
-    assert [run.returncode for run in runs] == [0, 0], told
+    printed = [run.communicate() for run in runs]
+    assert [run.returncode for run in runs] == [0, 0], printed
     assert stored_rows.rows(path) == unbroken
     check(path)
 

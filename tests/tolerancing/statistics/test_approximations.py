@@ -54,8 +54,8 @@ def test_sensitivities_say_what_they_approximate(store_path):
     run = CliRunner().invoke(app, ["sensitivity", str(store_path)])
     assert run.exit_code == 0
     assert "refined is approximated by strehl" in run.output
-    told = json.loads(CliRunner().invoke(app, ["sensitivity", str(store_path), "--json"]).output)
-    assert told["approximated"][0]["dear"] == "refined"
+    result = json.loads(CliRunner().invoke(app, ["sensitivity", str(store_path), "--json"]).output)
+    assert result["approximated"][0]["dear"] == "refined"
 
 
 def test_a_study_without_dear_merits_approximates_nothing(small_store):

@@ -103,11 +103,11 @@ def test_commands_end_with_one_sentence(
     monkeypatch.setattr("sys.argv", ["tolerancing", *COMMANDS[command](str(store))])
     with pytest.raises(SystemExit) as ended:
         main()
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     assert ended.value.code == 2
-    assert told.err.startswith("error: the store ")
-    assert len(told.err.splitlines()) == 1
-    assert told.out == ""
+    assert captured.err.startswith("error: the store ")
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
 
 
 def test_files_larger_than_any_that_is_read_are_refused_unread(

@@ -319,7 +319,7 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELEC
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (f"DROP TABLE study; CREATE VIEW study AS {ENDLESS} x FROM c", "'study' is not a table"),
         (f"DROP TABLE trial; CREATE VIEW trial AS {ENDLESS} x AS trial FROM c", "'trial' is not a table"),
@@ -332,11 +332,11 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELEC
         ("DROP TABLE file", "'file' is missing"),
     ],
 )
-def test_tables_that_no_run_makes_are_refused_unread(path, change, told):
+def test_tables_that_no_run_makes_are_refused_unread(path, change, message):
     connection = sqlite3.connect(path)
     connection.executescript(change)
     connection.close()
-    with pytest.raises(InputError, match=rf"a\.store is damaged: {told}"):
+    with pytest.raises(InputError, match=rf"a\.store is damaged: {message}"):
         open_store(path)
 
 
@@ -351,18 +351,18 @@ def test_views_of_ones_own_do_no_harm(path):
 def test_a_damaged_page_is_told_by_the_store_wherever_it_is(path):
     with open_store(path) as store:
         store.add(some_trials(0, 400))
-    whole, told = path.read_bytes(), []
+    whole, messages = path.read_bytes(), []
     for page in range(len(whole) // 4096):
         for filler in (b"\0", b"\xff"):
             start, end = 4096 * page + (100 if page == 0 else 0), 4096 * (page + 1)
             path.write_bytes(whole[:start] + filler * (end - start) + whole[end:])
-            told.append(fault_of(path))
-    assert all("a.store" in message for message in told if message)
-    assert sum(1 for message in told if message) > 10
+            messages.append(fault_of(path))
+    assert all("a.store" in message for message in messages if message)
+    assert sum(1 for message in messages if message) > 10
 
 
 def fault_of(path):
-    """What is told of a store when all of it is read; nothing if all is well."""
+    """Return the message when all of a store is read, or an empty text."""
     try:
         with open_store(path) as store:
             store.record(), store.merits(), store.trials(), store.steps()

@@ -118,6 +118,6 @@ def test_what_a_merit_prints_is_not_in_the_results(store: Path, capfd: pytest.Ca
     code, out, _ = run_one("show", store, "--trial", "2", "--trust", "--json")
     assert code == 0
     assert json.loads(out)["same_as_stored"] is True
-    printed, told = capfd.readouterr()
+    printed, captured = capfd.readouterr()
     assert "anything" not in printed
-    assert "anything it likes" in told
+    assert "anything it likes" in captured

@@ -15,9 +15,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
-from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
-from wavesim.calibration.pulls import independent_pulls
+from wavesim.calibration.normalized_errors import normalized_errors
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.light_errors import LightErrors
@@ -69,9 +69,9 @@ def test_frames_without_an_object_tell_the_light(measured: Calibrated) -> None:
     assert measured.deviations is not None
     for name, value, deviation in zip(measured.parameters, measured.values, measured.deviations, strict=True):
         assert abs(value - TRUE.get(name, 0.0)) < 4.0 * deviation, (name, value, deviation)
-    told = dict(zip(measured.parameters, measured.values, strict=True))
-    assert told["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
-    assert told["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
+    by_name = dict(zip(measured.parameters, measured.values, strict=True))
+    assert by_name["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
+    assert by_name["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
 
 
 def test_their_light_holds_while_the_rest_is_sought(
@@ -79,9 +79,9 @@ def test_their_light_holds_while_the_rest_is_sought(
 ) -> None:
     quick = {"parameters": "plane_2_background", "iterations": 6, "most_mountings": 12, "kind": "complex"}
     found = calibrate_frames(lens, star, SETTINGS, empty=empty, **quick)
-    told = dict(zip(found.parameters, found.values, strict=True))
+    by_name = dict(zip(found.parameters, found.values, strict=True))
     assert [name for name in found.parameters if name.startswith("light")] == list(measured.parameters)
-    assert told["plane_2_background"] < 5e-3
+    assert by_name["plane_2_background"] < 5e-3
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     light = read_calibration(path, lens).light
@@ -146,8 +146,8 @@ def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruct
     assert found.deviations is not None
     assert found.covariance is not None
     assert found.typical is not None
-    pulls = independent_pulls(np.array(found.values), found.covariance, np.array(found.typical))
-    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6
+    errors = normalized_errors(np.array(found.values), found.covariance, np.array(found.typical))
+    assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.6
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     bench = read_calibration(path, lens)

@@ -11,7 +11,7 @@ from small_twins import bars_under_stop
 
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import values_of
 from wavesim.engines.choosing import engine_for

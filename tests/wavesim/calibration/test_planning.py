@@ -30,20 +30,20 @@ LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
 
 def test_more_planes_tell_more_of_a_complex_object(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ITERATIONS, "object", 15)
-    told: list[tuple[str, int, int]] = []
+    calls: list[tuple[str, int, int]] = []
     found = plan_frames(
         LENS,
         patch_mm=0.02,
         kind="complex",
         most_planes=3,
         exposures=(1.0,),
-        progress=lambda *what: told.append(what),
+        progress=lambda *what: calls.append(what),
     )
     near, far = LENS.sensor.plane_distances_mm
     assert [plan.planes_mm for plan in found.plans] == [(near,), (near, far), (near, (near + far) / 2, far)]
     assert found.plans[1].error < 0.5 < found.plans[0].error
     assert {plan.iterations for plan in found.plans} == {15}
-    assert [done for _, done, _ in told] == [0, 0, 1, 2, 3]
+    assert [done for _, done, _ in calls] == [0, 0, 1, 2, 3]
     assert found.twin.scale == 1.0
     assert repr(found).startswith("Plans(plans 3, for an object of kind complex, planes ")
 

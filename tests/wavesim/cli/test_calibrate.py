@@ -13,7 +13,7 @@ from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration import calibration_problem
-from wavesim.calibration.calibrated import field_stop_of, read_calibration
+from wavesim.calibration.calibration_result import field_stop_of, read_calibration
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import frame_reconstruction

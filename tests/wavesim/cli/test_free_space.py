@@ -27,9 +27,9 @@ def test_planes_are_predicted_and_written(
     code, out, err = run_wavesim(monkeypatch, capsys, "reconstruct", *FRAMES, *LIGHT, *AT, *more)
     assert code == 0, err
     assert "not explained within their noise" in err
-    told = json.loads(out)
+    result = json.loads(out)
     calibration = json.loads((tmp_path / "out" / "calibration.json").read_text())
-    assert calibration["distance_scale"] == told["distance_scale"] == pytest.approx(1.0, abs=0.25)
+    assert calibration["distance_scale"] == result["distance_scale"] == pytest.approx(1.0, abs=0.25)
     assert [plane["plane_distance_mm"] for plane in calibration["planes"]] == [0.01, 0.03, 0.08]
     with np.load(tmp_path / "out" / "predicted.npz") as predicted:
         assert predicted["amplitude"].shape == (2, 210, 288)

@@ -156,11 +156,11 @@ def test_exposures_of_each_plane_stand_side_by_side(
     several = (*QUICK, "--exposures", "1000,1", "--seed", 2, "--pixels", "all")
     code, out, err = run(monkeypatch, capsys, twin, *several, "-o", tmp_path / "a", "--json")
     assert (code, err) == (0, "")
-    told = json.loads(out)["frames"]
+    result = json.loads(out)["frames"]
     names = ["frame_1_1.tif", "frame_1_2.tif", "frame_2_1.tif", "frame_2_2.tif"]
-    assert [frame["file"] for frame in told] == names
-    assert [frame["times"] for frame in told] == [1.0, 1000.0, 1.0, 1000.0]
-    assert told[0]["saturated_pixels"] == 0 < told[1]["saturated_pixels"]
+    assert [frame["file"] for frame in result] == names
+    assert [frame["times"] for frame in result] == [1.0, 1000.0, 1.0, 1000.0]
+    assert result[0]["saturated_pixels"] == 0 < result[1]["saturated_pixels"]
     frames = [read_frame(tmp_path / "a" / name) for name in names]
     # The whole sensor, wider than high.
     assert all(frame.counts.shape == (219, 292) for frame in frames)

@@ -111,8 +111,8 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     monkeypatch.setattr(*step, counted)
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert code in ENDED, err
-    told = json.loads((tmp_path / "whole" / "reconstruction.json").read_text())
-    assert len(taken) == told["iterations"] - 3
+    result = json.loads((tmp_path / "whole" / "reconstruction.json").read_text())
+    assert len(taken) == result["iterations"] - 3
     whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
     np.testing.assert_allclose(cut, whole, atol=1e-5)
     assert not (tmp_path / "cut" / "checkpoint.npz").exists()
@@ -274,10 +274,10 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     assert "chart at 0.036, 0 mm: resolved down to group 9, element 2" in out.replace("\n", " ")
     code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
     assert code in ENDED
-    told = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]
-    assert [len(one["planes"][0]["exposures"]) for one in told] == [2, 1]
-    assert told[0]["planes"][0]["noise"] < 0.7 * told[1]["planes"][0]["noise"]
-    (beside,) = told[0]["usaf"]["beside"]
+    result = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]
+    assert [len(one["planes"][0]["exposures"]) for one in result] == [2, 1]
+    assert result[0]["planes"][0]["noise"] < 0.7 * result[1]["planes"][0]["noise"]
+    (beside,) = result[0]["usaf"]["beside"]
     assert beside["at_mm"] == [0.036, 0.0]
     assert [one["group"] for one in beside["elements"]] == [9, 9]
     code, _, err = run(monkeypatch, capsys, *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
@@ -301,9 +301,9 @@ def test_frames_of_swapped_planes_end_with_status_1_and_say_so(
     said = " ".join(out.split())
     assert "verdict: not explained" in said
     assert "Most likely: planes swapped" in said
-    told = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["verdict"]
-    assert (told["explained"], told["cause"]) == (False, "planes swapped")
-    assert told["over_noise"] > 2.0
+    result = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["verdict"]
+    assert (result["explained"], result["cause"]) == (False, "planes swapped")
+    assert result["over_noise"] > 2.0
 
 
 @pytest.mark.parametrize("option", ["flat", "dark", "bad-pixels"])

@@ -38,12 +38,12 @@ def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path:
     assert run(*usual, "-o", tmp_path / "whole")[0] in ENDED
     code, out, err = run(*usual, "--region-mm", REGION, "-o", tmp_path / "part")
     assert code in ENDED, err
-    (_, whole), (told, part) = written(tmp_path / "whole"), written(tmp_path / "part")
+    (_, whole), (result, part) = written(tmp_path / "whole"), written(tmp_path / "part")
     np.testing.assert_array_equal(part["values"], part_like(whole, part))
     assert min(part["values"].shape) < 45
-    assert told["region_mm"][:2] == pytest.approx([0.0083, 0.0085], abs=4e-4)
-    assert told["truth"]["object_correlation"] > 0.97
-    assert told["usaf"]["smallest_resolved"]["element"] == 2
+    assert result["region_mm"][:2] == pytest.approx([0.0083, 0.0085], abs=4e-4)
+    assert result["truth"]["object_correlation"] > 0.97
+    assert result["usaf"]["smallest_resolved"]["element"] == 2
     assert "region of the object: 0.01" in out
     # A view tells true coordinates, of a part of the region too.
     layer = _field(tmp_path / "part" / "reconstruction.npz", "", None)[0]
@@ -76,10 +76,10 @@ def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path
     assert run(*usual, "-o", tmp_path / "whole")[0] in ENDED
     code, _, err = run(*usual, "--region-mm", REGION, "--truth", data, "-o", tmp_path / "part")
     assert code in ENDED, err
-    (_, whole), (told, part) = written(tmp_path / "whole"), written(tmp_path / "part")
+    (_, whole), (result, part) = written(tmp_path / "whole"), written(tmp_path / "part")
     one, other = part["values"].ravel(), part_like(whole, part).ravel()
     assert abs(np.vdot(one, other)) > 0.97 * np.linalg.norm(one) * np.linalg.norm(other)
-    assert told["truth"]["object_correlation"] > 0.4
+    assert result["truth"]["object_correlation"] > 0.4
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
     files: list[tuple[str, int]] = []
     tell, make = problem.run_arrays, Scratch._mapped
 
-    def told(*arguments: Any, **settings: Any) -> Inventory:
+    def predicted(*arguments: Any, **settings: Any) -> Inventory:
         lists.append(tell(*arguments, **settings))
         return lists[-1]
 
@@ -36,7 +36,7 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
         files.append((what, size))
         return make(self, size, what)
 
-    monkeypatch.setattr(problem, "run_arrays", told)
+    monkeypatch.setattr(problem, "run_arrays", predicted)
     monkeypatch.setattr(Scratch, "_mapped", made)
     options = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 3, "--truth", data)
     code, out, err = run(*options, "--json", "-o", tmp_path / "free")

@@ -70,8 +70,8 @@ def result(tmp_path: Path) -> Path:
 
 
 def layers_of(path: Path) -> list[dict[str, Any]]:
-    (told,) = re.findall(r'id="page">(.*?)</script>', path.read_text(encoding="utf-8"), re.DOTALL)
-    return list(json.loads(told)["layers"])
+    (embedded,) = re.findall(r'id="page">(.*?)</script>', path.read_text(encoding="utf-8"), re.DOTALL)
+    return list(json.loads(embedded)["layers"])
 
 
 def test_a_reconstruction(command: Command, result: Path) -> None:

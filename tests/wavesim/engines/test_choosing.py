@@ -14,7 +14,7 @@ from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import affordable_engines, choose, engine_for, predict, predictions
 from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.comparison import compare, lens_case, reference_for, variants
 from wavesim.plots.comparisons import comparison_figure
 from wavesim.scene.engine import SAFETY, Cost, Engine, ErrorTerm

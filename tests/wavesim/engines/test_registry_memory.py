@@ -7,7 +7,7 @@ import sys
 import pytest
 
 SHARE, BASE_BYTES = 0.2, 10e6
-"""By which told and taken may differ: a share, and what libraries take once."""
+"""By which predicted and used memory may differ: a fraction, and what libraries take once."""
 
 MEASURE = """
 import ctypes, json, sys
@@ -34,8 +34,8 @@ def scene_of(scale, patch_mm, side=None):
 
 
 def status(name):
-    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return 1024 * int(told[name].split()[0])
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return 1024 * int(lines[name].split()[0])
 
 
 def run(scene, way):
@@ -73,5 +73,5 @@ def test_told_is_about_what_a_process_takes(
     command = [sys.executable, "-W", "ignore", "-c", MEASURE, given]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     forward, adjoint = json.loads(done.stdout)
-    told, taken = forward[1], max(forward[0], adjoint[0])
-    assert (1.0 - SHARE) * taken - BASE_BYTES < told < (1.0 + SHARE) * taken + BASE_BYTES
+    predicted, taken = forward[1], max(forward[0], adjoint[0])
+    assert (1.0 - SHARE) * taken - BASE_BYTES < predicted < (1.0 + SHARE) * taken + BASE_BYTES

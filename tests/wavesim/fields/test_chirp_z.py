@@ -11,9 +11,9 @@ from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.angular_spectrum import AngularSpectrum
 from wavesim.fields.chirp_z import ChirpZ, chirp_z_transform
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.plane_waves import Samples
 from wavesim.fields.propagator import FreeSpacePropagator, propagate
+from wavesim.fields.sampling_checks import SamplingWarning
 
 WAVELENGTH_UM = 0.5
 

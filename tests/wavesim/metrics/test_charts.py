@@ -11,7 +11,7 @@ import scipy.fft
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.charts import chart_resolution, register_chart
-from wavesim.metrics.judgement import chart_metrics
+from wavesim.metrics.result_quality import chart_metrics
 from wavesim.targets.patterns import band_limit
 from wavesim.targets.region import cut_field, region_grid
 from wavesim.targets.usaf import UsafElement, usaf_chart, usaf_elements
@@ -45,11 +45,11 @@ def test_a_displaced_result_resolves_as_much_and_its_displacement_is_stated(grou
     )
     assert still["smallest_resolved"]["line_width_um"] < 1.8
     assert moved["smallest_resolved"] == still["smallest_resolved"]
-    told = moved["displacement"]
-    assert (told["x_samples"], told["y_samples"]) == pytest.approx(shift, abs=0.05)
-    assert told["x_um"] == pytest.approx(0.4 * shift[0], abs=0.02)
-    assert told["scale"] == 1.0
-    assert told["rotation_deg"] == 0.0
+    figures = moved["displacement"]
+    assert (figures["x_samples"], figures["y_samples"]) == pytest.approx(shift, abs=0.05)
+    assert figures["x_um"] == pytest.approx(0.4 * shift[0], abs=0.02)
+    assert figures["scale"] == 1.0
+    assert figures["rotation_deg"] == 0.0
 
 
 def test_noise_hardly_moves_the_place() -> None:
@@ -79,56 +79,56 @@ def test_what_is_no_chart_is_not_registered() -> None:
     random = np.random.default_rng(1)
     noise = chart().with_values(random.standard_normal(GRID.shape).astype(np.complex64))
     for field in (noise, chart().with_values(np.ones(GRID.shape, np.complex64))):
-        told = chart_metrics(field, SHOWN, "bright", 0.5)
-        assert told["displacement"] is None
-        assert told["smallest_resolved"] is None
-        assert told["limited_by"] == ["result"]
+        figures = chart_metrics(field, SHOWN, "bright", 0.5)
+        assert figures["displacement"] is None
+        assert figures["smallest_resolved"] is None
+        assert figures["limited_by"] == ["result"]
 
 
 def test_reversed_bars_are_not_registered_into_contrast() -> None:
-    told = chart_metrics(chart("dark"), SHOWN, "bright", 0.5)
-    assert told["smallest_resolved"] is None
-    assert told["displacement"] is None
+    figures = chart_metrics(chart("dark"), SHOWN, "bright", 0.5)
+    assert figures["smallest_resolved"] is None
+    assert figures["displacement"] is None
 
 
 def test_the_result_limits() -> None:
     """Blur that no aperture, sample or end of the chart explains."""
-    told = chart_metrics(blurred(chart(), 0.15), SHOWN, "bright", 0.5)
-    assert told["limited_by"] == ["result"]
-    assert "are not" in told["limit"]
-    assert "the reconstruction is not the limit" not in told["limit"]
+    figures = chart_metrics(blurred(chart(), 0.15), SHOWN, "bright", 0.5)
+    assert figures["limited_by"] == ["result"]
+    assert "are not" in figures["limit"]
+    assert "the reconstruction is not the limit" not in figures["limit"]
 
 
 def test_the_aperture_limits() -> None:
     passed_um = 0.5 * WAVELENGTH / 0.15
-    told = chart_metrics(blurred(chart(), 0.15), SHOWN, "bright", passed_um)
-    assert 0.8 * passed_um < told["smallest_resolved"]["line_width_um"] < 1.2 * passed_um
-    assert told["limited_by"] == ["aperture"]
-    assert f"none finer than {passed_um:.3g} um" in told["limit"]
+    figures = chart_metrics(blurred(chart(), 0.15), SHOWN, "bright", passed_um)
+    assert 0.8 * passed_um < figures["smallest_resolved"]["line_width_um"] < 1.2 * passed_um
+    assert figures["limited_by"] == ["aperture"]
+    assert f"none finer than {passed_um:.3g} um" in figures["limit"]
 
 
 def test_the_chart_limits_where_its_finest_element_is_coarser_than_the_aperture() -> None:
     coarse = [one for one in ELEMENTS if one.line_width_um > 1.6]
-    told = chart_metrics(chart(elements=coarse), coarse, "bright", 0.5)
-    assert told["smallest_resolved"]["line_width_um"] == min(one.line_width_um for one in coarse)
-    assert told["limited_by"] == ["chart"]
-    assert "the chart has no finer lines" in told["limit"]
+    figures = chart_metrics(chart(elements=coarse), coarse, "bright", 0.5)
+    assert figures["smallest_resolved"]["line_width_um"] == min(one.line_width_um for one in coarse)
+    assert figures["limited_by"] == ["chart"]
+    assert "the chart has no finer lines" in figures["limit"]
 
 
 def test_the_last_element_of_all_is_the_charts_limit() -> None:
     grid = Grid((400, 400), 1e-4, -1.0)
     last = [one for one in usaf_elements((10,)) if one.element > 3]
-    told = chart_metrics(chart(grid=grid, elements=last), last, "bright", 0.1)
-    assert told["smallest_resolved"]["element"] == 6
-    assert told["limited_by"] == ["chart"]
+    figures = chart_metrics(chart(grid=grid, elements=last), last, "bright", 0.1)
+    assert figures["smallest_resolved"]["element"] == 6
+    assert figures["limited_by"] == ["chart"]
 
 
 def test_the_samples_limit() -> None:
-    told = chart_metrics(chart(), SHOWN, "bright", 0.5)
-    assert told["smallest_resolved"]["line_width_um"] == min(one.line_width_um for one in SHOWN)
-    assert told["limited_by"] == ["sampling"]
-    assert told["sample_um"] == pytest.approx(0.4)
-    assert "samples of 0.4 um" in told["limit"]
+    figures = chart_metrics(chart(), SHOWN, "bright", 0.5)
+    assert figures["smallest_resolved"]["line_width_um"] == min(one.line_width_um for one in SHOWN)
+    assert figures["limited_by"] == ["sampling"]
+    assert figures["sample_um"] == pytest.approx(0.4)
+    assert "samples of 0.4 um" in figures["limit"]
     # Elements that the samples do not show at all are no error either.
     assert chart_metrics(chart(), ELEMENTS, "bright", 0.5)["limited_by"] == ["sampling"]
 
@@ -139,21 +139,21 @@ def test_the_region_limits_a_chart_that_it_cuts_off(size_mm) -> None:
     x, y = element.centre_mm
     whole = chart(shift=(1.2, 0.4))
     part = cut_field(whole, region_grid(GRID, (x, y, *size_mm)))
-    told = chart_metrics(part, SHOWN, "bright", 0.5)
-    assert told["elements_outside"] > 0
-    assert told["elements_outside"] + len(told["elements"]) == len(SHOWN)
-    assert told["smallest_resolved"]["line_width_um"] == element.line_width_um
-    assert told["limited_by"] == ["region"]
-    assert "outside the displayed part" in told["limit"]
-    assert told["displacement"]["x_samples"] == pytest.approx(1.2, abs=0.1)
+    figures = chart_metrics(part, SHOWN, "bright", 0.5)
+    assert figures["elements_outside"] > 0
+    assert figures["elements_outside"] + len(figures["elements"]) == len(SHOWN)
+    assert figures["smallest_resolved"]["line_width_um"] == element.line_width_um
+    assert figures["limited_by"] == ["region"]
+    assert "outside the displayed part" in figures["limit"]
+    assert figures["displacement"]["x_samples"] == pytest.approx(1.2, abs=0.1)
 
 
 def test_a_region_beside_the_chart_shows_nothing() -> None:
     part = cut_field(chart(), region_grid(GRID, (0.045, 0.045, 0.008, 0.008)))
-    told = chart_metrics(part, SHOWN, "bright", 0.5)
-    assert told["elements"] == []
-    assert told["smallest_resolved"] is None
-    assert told["limited_by"] == ["region"]
+    figures = chart_metrics(part, SHOWN, "bright", 0.5)
+    assert figures["elements"] == []
+    assert figures["smallest_resolved"] is None
+    assert figures["limited_by"] == ["region"]
 
 
 def test_both_orientations_are_stated() -> None:
@@ -161,10 +161,10 @@ def test_both_orientations_are_stated() -> None:
     values = chart().values
     cycles = scipy.fft.fftfreq(GRID.shape[1], GRID.pitch_mm)
     values = scipy.fft.ifft(scipy.fft.fft(values, axis=1) * (abs(cycles) < 300.0), axis=1)
-    told = chart_metrics(chart().with_values(values.astype(np.complex64)), SHOWN, "bright", 0.5)
-    along_x, along_y = (told[f"smallest_resolved_{way}"]["line_width_um"] for way in "xy")
+    figures = chart_metrics(chart().with_values(values.astype(np.complex64)), SHOWN, "bright", 0.5)
+    along_x, along_y = (figures[f"smallest_resolved_{way}"]["line_width_um"] for way in "xy")
     assert along_x > 1.5 > along_y
-    assert told["smallest_resolved"]["line_width_um"] == along_x
+    assert figures["smallest_resolved"]["line_width_um"] == along_x
 
 
 def test_samples_outside_the_field_stop_do_not_matter() -> None:
@@ -186,8 +186,8 @@ def test_refused() -> None:
 def test_one_element_alone() -> None:
     element = UsafElement(8, 2, (0.0, 0.0))
     for shift in ((0.0, 0.0), (2.0, -3.0), (0.0, 4.4)):
-        told = chart_metrics(chart("dark", shift, elements=[element]), [element], "dark", 0.5)
-        assert told["smallest_resolved"]["element"] == 2
-        assert (told["displacement"]["x_samples"], told["displacement"]["y_samples"]) == pytest.approx(
+        figures = chart_metrics(chart("dark", shift, elements=[element]), [element], "dark", 0.5)
+        assert figures["smallest_resolved"]["element"] == 2
+        assert (figures["displacement"]["x_samples"], figures["displacement"]["y_samples"]) == pytest.approx(
             shift, abs=0.05
         )

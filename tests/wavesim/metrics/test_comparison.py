@@ -15,7 +15,7 @@ from wavesim.analytic.registry import analytic_case
 from wavesim.cli.commands import main
 from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import Grid
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics import comparison, failures
 from wavesim.metrics.comparison import (
     Measured,
@@ -75,9 +75,9 @@ def test_measured_beside_predicted(tmp_path: Path) -> None:
         chosen = [v for v in variants(scene) if v[2] in settings and v[1] != "no-lens"]
         return chosen + [v for v in variants(scene) if v[0] == "wpm, substep"][:2]
 
-    told: list[tuple[int, int]] = []
-    rows = compare(cases, tried, lambda done, total, _: told.append((done, total)))
-    assert told == [(i, len(rows)) for i in range(len(rows))]
+    calls: list[tuple[int, int]] = []
+    rows = compare(cases, tried, lambda done, total, _: calls.append((done, total)))
+    assert calls == [(i, len(rows)) for i in range(len(rows))]
     assert {r.scene for r in rows} == set(cases)
     best = min((r for r in rows if r.scene == "cylinder"), key=lambda r: r.relative_error)
     assert best.relative_error < 5e-3
@@ -102,7 +102,7 @@ def test_every_engine_is_compared() -> None:
 
 
 def assert_speaks_first(found: FailureMap, largest_silent: float) -> None:
-    """Where the guard is silent the error is small; it does speak; worse cells are not told less."""
+    """Where the guard is silent the error is small; it does speak; worse cells are not reported as better."""
     assert set(np.unique(found.guard)) <= {SILENT, WARNED, REFUSED}
     silent = found.error[found.guard == SILENT]
     assert len(silent)
@@ -142,7 +142,7 @@ def free_space(few_cells: None) -> list[FailureMap]:
 
 
 @pytest.mark.usefixtures("few_cells")
-@pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+@pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.SamplingWarning")
 def test_slices_warn_before_they_fail() -> None:
     maps = {found.name: found for found in slice_maps(TWIN, 0.01)}
     assert_speaks_first(maps["slices_vertical"], 0.35)

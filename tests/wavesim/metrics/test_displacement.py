@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from lensdesign import load_design, scaled
 from wavesim.fields.field import Field
 from wavesim.metrics.displacement import displaced_back, displacement_samples
-from wavesim.metrics.judgement import truth_metrics
+from wavesim.metrics.result_quality import truth_metrics
 from wavesim.runtime.scratch import Scratch
 from wavesim.sensor.windows import exit_scene
 from wavesim.targets.patch import PatchSettings, lit, object_patch
@@ -45,28 +45,28 @@ def judged(found: np.ndarray, true: np.ndarray) -> dict[str, float | None]:
 @pytest.mark.parametrize("shift", [(0.3, 0.0), (1.0, -1.0), (-2.0, 0.4), (0.0, 5.0)])
 def test_a_displacement_is_stated_and_taken_back(kind, shift) -> None:
     true = an_object(kind)
-    told = judged(displaced(true, shift), true)
+    figures = judged(displaced(true, shift), true)
     pitch_um = 1e3 * PATCH.grid.pitch_mm
-    place = (told["displacement_x_um"], told["displacement_y_um"])
+    place = (figures["displacement_x_um"], figures["displacement_y_um"])
     assert np.divide(place, pitch_um) == pytest.approx(shift, abs=0.06)
-    assert told["correlation_registered"] > 0.99
+    assert figures["correlation_registered"] > 0.99
     if max(map(abs, shift)) >= 2.0:
-        assert told["object_correlation"] < 0.8
+        assert figures["object_correlation"] < 0.8
 
 
 def test_a_result_in_place_is_said_to_be() -> None:
     true = an_object("complex")
     random = np.random.default_rng(5)
-    told = judged(true + 0.2 * random.standard_normal(true.shape), true)
-    assert abs(told["displacement_x_um"]) < 0.03
-    assert told["correlation_registered"] == pytest.approx(told["object_correlation"], abs=1e-3)
+    figures = judged(true + 0.2 * random.standard_normal(true.shape), true)
+    assert abs(figures["displacement_x_um"]) < 0.03
+    assert figures["correlation_registered"] == pytest.approx(figures["object_correlation"], abs=1e-3)
 
 
 def test_what_has_nothing_in_common_has_no_displacement() -> None:
-    told = judged(an_object("complex", 3), an_object("complex"))
-    assert told["displacement_x_um"] is None
-    assert told["displacement_y_um"] is None
-    assert told["correlation_registered"] is None
+    figures = judged(an_object("complex", 3), an_object("complex"))
+    assert figures["displacement_x_um"] is None
+    assert figures["displacement_y_um"] is None
+    assert figures["correlation_registered"] is None
     even = np.ones(PATCH.grid.shape)
     assert judged(even, even)["displacement_x_um"] is None
 
@@ -76,10 +76,10 @@ def test_other_figures_do_not_change() -> None:
     true = an_object("complex")
     found = displaced(true, (1.3, 0.2))
     before = found.copy()
-    told = judged(found, true)
+    figures = judged(found, true)
     assert np.array_equal(found, before)
-    assert told["ssim"] < 0.95
-    assert told["psnr_db"] < 30.0
+    assert figures["ssim"] < 0.95
+    assert figures["psnr_db"] < 30.0
 
 
 def test_the_middle_of_a_large_field_tells() -> None:

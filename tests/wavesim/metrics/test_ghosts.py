@@ -33,7 +33,7 @@ def test_size_phase_and_deviation() -> None:
     scatter = np.sqrt(0.5 * np.mean(np.abs(errors) ** 2))
     assert scatter == pytest.approx(np.mean(deviation), rel=0.15)
     assert min(one.significance for one in found) > 20.0
-    assert found[0].share == pytest.approx(4e-4, rel=0.2)
+    assert found[0].power_fraction == pytest.approx(4e-4, rel=0.2)
     assert found[0].over_noise == pytest.approx(1.0, abs=0.05)
 
 

@@ -70,7 +70,7 @@ def test_the_best_trial_names_the_cause_and_what_to_do() -> None:
     trials = [Trial("light", "light tilted", 0.8), Trial("planes swapped", "planes 1 and 2 exchanged", 0.3)]
     found = verdict([plane(3.0)], trials)
     assert found.cause == "planes swapped"
-    assert "planes 1 and 2 exchanged" in found.told
+    assert "planes 1 and 2 exchanged" in found.evidence
     assert "in the other order" in found.next_step
 
 
@@ -113,9 +113,11 @@ def test_a_plane_that_was_held_out_altogether_is_judged_by_its_pixels() -> None:
 
 
 def test_it_goes_into_json() -> None:
-    told: dict[str, Any] = json.loads(json.dumps(verdict([plane(3.0)], [Trial("light", "x", 0.5)]).as_dict()))
-    assert told["explained"] is False
-    assert told["trials"] == [{"cause": "light", "told": "x", "misfit_ratio": 0.5}]
+    result: dict[str, Any] = json.loads(
+        json.dumps(verdict([plane(3.0)], [Trial("light", "x", 0.5)]).as_dict())
+    )
+    assert result["explained"] is False
+    assert result["trials"] == [{"cause": "light", "told": "x", "misfit_ratio": 0.5}]
 
 
 def test_overfitting_is_not_taken_for_a_wrong_bench() -> None:

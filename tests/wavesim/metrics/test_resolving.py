@@ -19,7 +19,7 @@ from lensdesign.lens.scaling import scaled
 from wavesim.cli.commands import app, main
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Grid, correlation
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics import resolving
 from wavesim.metrics.resolving import (
     LineContrast,
@@ -175,10 +175,10 @@ def test_the_time_told_is_that_of_the_passages_made(monkeypatch: pytest.MonkeyPa
     for name in ("fft_seconds", "pass_seconds", "exponential_seconds"):
         monkeypatch.setattr(resolving, name, lambda *_, **__: 0.0)
     widths = [0.775, 1.0]
-    told = resolving_seconds(TWIN, widths, engine="eikonal", plane_distance_mm=0.25)
+    predicted = resolving_seconds(TWIN, widths, engine="eikonal", plane_distance_mm=0.25)
     assert passages == []
     resolve(TWIN, widths, engine="eikonal", plane_distance_mm=0.25)
-    assert told == 2 * 100.0 + len(passages)
+    assert predicted == 2 * 100.0 + len(passages)
 
 
 def test_picture_shows_every_engine_at_every_field() -> None:

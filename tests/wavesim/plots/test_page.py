@@ -52,9 +52,9 @@ def frame_of(counts: Any) -> Frame:
 def embedded(path: Path) -> list[dict[str, Any]]:
     """Layers of a page, with the pixels of each level by its halvings, the first row on top."""
     page = path.read_text(encoding="utf-8")
-    (told,) = re.findall(r'<script type="application/json" id="page">(.*?)</script>', page, re.DOTALL)
+    (content,) = re.findall(r'<script type="application/json" id="page">(.*?)</script>', page, re.DOTALL)
     (text,) = re.findall(r'<script type="text/plain" id="tiles">(.*?)</script>', page, re.DOTALL)
-    data, tiles = json.loads(told), text.split("\n")
+    data, tiles = json.loads(content), text.split("\n")
     assert (data["tile"], data["steps"]) == (TILE, STEPS)
     for layer in data["layers"]:
         layer["pixels"] = {}

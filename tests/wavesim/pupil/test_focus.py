@@ -9,7 +9,7 @@ from lensdesign.errors import SamplingError
 from lensdesign.lens.poses import Pose
 from wavesim import line_pair_contrast, refocus, strehl
 from wavesim.pupil import PatchChain, PupilSampler, best_focus, chain_contrast, remove_shift
-from wavesim.pupil.focus import reach_um
+from wavesim.pupil.focus import search_range_um
 
 WIDTH_UM = 0.775
 
@@ -42,7 +42,7 @@ def test_contrast_is_best_beside_the_flattest_phase(samplers):
     """On a fine scan nothing within the range is better by more than the parabola's error."""
     pupil = refocus(samplers[0.0].pupil(Pose(tilt_x_deg=0.45))).pupil
     found = best_focus(pupil, contrast)
-    reach = reach_um(pupil.grid)
+    reach = search_range_um(pupil.grid)
     assert reach == pytest.approx(1.5 * 0.532 / 0.25, rel=0.02)
     axial = pupil.grid.axial_cosine - pupil.grid.axial_cosine.mean()
     scan = [

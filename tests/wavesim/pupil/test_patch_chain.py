@@ -18,7 +18,7 @@ from wavesim.fields.field import Field, Grid, Orientation, correlation
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast
 from wavesim.pupil.patch_chain import PatchChain, chain_contrast
-from wavesim.pupil.patch_return import PerturbedPatch, ReturnedPatch
+from wavesim.pupil.patch_reconstruction import PerturbedPatch, ReconstructedPatch
 from wavesim.pupil.pupil import refocus
 from wavesim.pupil.ray_aiming import RayAimError
 from wavesim.rays.ray_bundles import FoldError
@@ -63,7 +63,9 @@ def difference(found: Values, truth: Values) -> float:
     return float(np.linalg.norm(found * overlap / abs(overlap) - truth) / np.linalg.norm(truth))
 
 
-def by_engines(chain: PatchChain, back: ReturnedPatch, values: Values, pose: Pose, **settings: Any) -> Values:
+def by_engines(
+    chain: PatchChain, reconstructed: ReconstructedPatch, values: Values, pose: Pose, **settings: Any
+) -> Values:
     """Eikonal tiles through the whole exit field, and back to where the object shows."""
     lens, grid = chain.lens, chain.rays.base.grid
     distance = chain.plane_distance_mm
@@ -77,7 +79,7 @@ def by_engines(chain: PatchChain, back: ReturnedPatch, values: Values, pose: Pos
 
     forward = EikonalTiles(scene(pose, np.zeros(2)), **settings)
     field = forward.forward(Field(forward.scene.object_grid, values, WAVELENGTH_UM))
-    return np.asarray(EikonalTiles(scene(Pose(), back.shift_um), **settings).adjoint(field).values)
+    return np.asarray(EikonalTiles(scene(Pose(), reconstructed.shift_um), **settings).adjoint(field).values)
 
 
 @pytest.mark.parametrize("name", ["line", "plane"])
@@ -92,9 +94,9 @@ def test_the_nominal_lens_brings_back_what_the_stop_lets_through(
         grid = Grid(wide.shape, 1e-3 * chain.patch.pitch_um, -13.5)
         sine = chain.rays.base.grid.half_width
         passed = band_limit(wide, grid, WAVELENGTH_UM, sine)[(slice(pad, pad + count),) * values.ndim]
-        back = chain.carried(values)
-        assert correlation(back, passed) > least
-        assert np.linalg.norm(back) == pytest.approx(np.linalg.norm(passed), rel=0.1)
+        reconstructed = chain.reconstruct(values)
+        assert correlation(reconstructed, passed) > least
+        assert np.linalg.norm(reconstructed) == pytest.approx(np.linalg.norm(passed), rel=0.1)
 
 
 @pytest.mark.parametrize("height_mm", [0.0, 1.0])
@@ -104,16 +106,16 @@ def test_on_a_line_it_is_what_engines_bring_back_from_the_whole_exit_field(
 ) -> None:
     chain = PatchChain(PAPER, (0.0, height_mm), line=True)
     bars = chain.bars(FINE_UM)
-    back = chain.perturbed(pose).returned(bars, "shift")
-    assert difference(back.values, by_engines(chain, back, bars, pose, error=1e-3)) < 1e-2
+    reconstructed = chain.perturbed(pose).reconstruct(bars, "shift")
+    assert difference(reconstructed.values, by_engines(chain, reconstructed, bars, pose, error=1e-3)) < 1e-2
 
 
 def test_without_registration_phase_and_size_are_those_of_the_engines(line: PatchChain) -> None:
     pose, bars = Pose(tilt_x_deg=0.1, despace_mm=0.005), line.bars(FINE_UM)
-    back = line.perturbed(pose).returned(bars)
-    truth = by_engines(line, back, bars, pose, error=1e-3)
-    assert np.linalg.norm(back.values - truth) < 1e-2 * np.linalg.norm(truth)
-    np.testing.assert_array_equal(line.carried(bars, pose), back.values)
+    reconstructed = line.perturbed(pose).reconstruct(bars)
+    truth = by_engines(line, reconstructed, bars, pose, error=1e-3)
+    assert np.linalg.norm(reconstructed.values - truth) < 1e-2 * np.linalg.norm(truth)
+    np.testing.assert_array_equal(line.reconstruct(bars, pose), reconstructed.values)
 
 
 @pytest.mark.parametrize(
@@ -125,8 +127,8 @@ def test_in_the_plane_it_is_what_engines_bring_back_through_a_small_twin(
     twin = scaled(PAPER, 1.0 / 16.0)
     chain = PatchChain(twin, (0.0, height_mm), plane_distance_mm=3.0 / 16.0, patch_um=12.0, samples=131)
     bars = chain.bars(FINE_UM)
-    back = chain.perturbed(pose).returned(bars, "shift")
-    assert difference(back.values, by_engines(chain, back, bars, pose, error=1e-2)) < 2e-2
+    reconstructed = chain.perturbed(pose).reconstruct(bars, "shift")
+    assert difference(reconstructed.values, by_engines(chain, reconstructed, bars, pose, error=1e-2)) < 2e-2
 
 
 @pytest.mark.parametrize(
@@ -150,19 +152,21 @@ def test_to_shift_the_lens_is_to_shift_object_and_sensor_the_other_way(
     off_axis: PatchChain, x: float, y: float, z: float
 ) -> None:
     bars = off_axis.bars(FINE_UM)
-    lens = off_axis.carried(bars, Pose(decenter_x_mm=x, decenter_y_mm=y, despace_mm=z))
-    ends = off_axis.carried(bars, SystemState(object_shift_mm=(-x, -y, -z), sensor_shift_mm=(-x, -y, -z)))
+    lens = off_axis.reconstruct(bars, Pose(decenter_x_mm=x, decenter_y_mm=y, despace_mm=z))
+    ends = off_axis.reconstruct(bars, SystemState(object_shift_mm=(-x, -y, -z), sensor_shift_mm=(-x, -y, -z)))
     # Rays at the very rim may be let through in one and not in the other.
     assert np.linalg.norm(lens - ends) < 2e-3 * np.linalg.norm(lens)
 
 
 def test_a_shifted_object_shows_where_it_is(off_axis: PatchChain) -> None:
     bars = off_axis.bars(FINE_UM, "x")
-    nominal = off_axis.carried(bars)
-    back = off_axis.perturbed(SystemState(object_shift_mm=(0.004, -0.006, 0.003))).returned(bars, "focus")
-    np.testing.assert_allclose(back.shift_um, [4.0, -6.0], atol=0.05)
-    assert back.refocus_um == pytest.approx(3.0, abs=0.05)
-    assert difference(back.values, nominal) < 0.02
+    nominal = off_axis.reconstruct(bars)
+    reconstructed = off_axis.perturbed(SystemState(object_shift_mm=(0.004, -0.006, 0.003))).reconstruct(
+        bars, "focus"
+    )
+    np.testing.assert_allclose(reconstructed.shift_um, [4.0, -6.0], atol=0.05)
+    assert reconstructed.refocus_um == pytest.approx(3.0, abs=0.05)
+    assert difference(reconstructed.values, nominal) < 0.02
 
 
 def test_line_and_plane_agree_for_bars_much_longer_than_wide() -> None:
@@ -195,8 +199,8 @@ def test_defocus_reverses_lines_and_refocusing_brings_them_back(
     trial = chain.perturbed(SystemState(object_shift_mm=(0.0, 0.0, distance_mm)))
     assert chain_contrast(trial, FINE_UM, refocused=False) < -0.3
     assert chain_contrast(trial, FINE_UM) > 0.97
-    back = trial.returned(chain.bars(FINE_UM), "focus")
-    assert back.refocus_um == pytest.approx(1e3 * distance_mm, rel=0.02)
+    reconstructed = trial.reconstruct(chain.bars(FINE_UM), "focus")
+    assert reconstructed.refocus_um == pytest.approx(1e3 * distance_mm, rel=0.02)
 
 
 def test_surfaces_are_perturbed_too(plane: PatchChain) -> None:
@@ -208,7 +212,7 @@ def test_light_that_the_perturbed_stop_takes_away_is_missing(line: PatchChain) -
     moved = line.perturbed(Pose(decenter_y_mm=-0.05))
     lost = ~moved.aimed.valid
     assert 0 < np.count_nonzero(lost) < 0.02 * len(lost)
-    light = moved.returned(speckle(line), "shift").spectrum[line.rays.base.grid.inside]
+    light = moved.reconstruct(speckle(line), "shift").spectrum[line.rays.base.grid.inside]
     assert np.all(light[lost] == 0.0)
     assert np.all(light[~lost] != 0.0)
 
@@ -217,10 +221,10 @@ def test_noise_is_that_of_the_pixels(line: PatchChain) -> None:
     """White noise on every pixel of the exit plane, brought back by the engine."""
     bars, electrons = line.bars(FINE_UM), 1e4
     trial = line.perturbed()
-    clean = trial.returned(bars).values
+    clean = trial.reconstruct(bars).values
     rng = np.random.default_rng(5)
     power = np.mean(
-        [np.abs(trial.returned(bars, "none", electrons, rng).values - clean) ** 2 for _ in range(400)]
+        [np.abs(trial.reconstruct(bars, "none", electrons, rng).values - clean) ** 2 for _ in range(400)]
     )
     start = Grid(line.patch.shape, 1e-3 * line.patch.pitch_um, PAPER.object_z_mm)
     pitch = 1e-3 * PAPER.sensor.pixel_pitch_um
@@ -228,11 +232,11 @@ def test_noise_is_that_of_the_pixels(line: PatchChain) -> None:
     engine = EikonalTiles(Scene(PAPER, start, ends, WAVELENGTH_UM))
     field = np.asarray(engine.forward(Field(start, bars, WAVELENGTH_UM)).values)
     spread = 0.5 * np.abs(field).max() / np.sqrt(electrons)
-    back = []
+    reconstructed = []
     for _ in range(100):
         noise = spread * (rng.standard_normal(field.shape) + 1j * rng.standard_normal(field.shape))
-        back.append(np.abs(engine.adjoint(Field(ends, noise, WAVELENGTH_UM)).values) ** 2)
-    assert power == pytest.approx(np.mean(back), rel=0.06)
+        reconstructed.append(np.abs(engine.adjoint(Field(ends, noise, WAVELENGTH_UM)).values) ** 2)
+    assert power == pytest.approx(np.mean(reconstructed), rel=0.06)
 
 
 def test_noise_takes_contrast_and_comes_from_its_seed(plane: PatchChain) -> None:
@@ -280,7 +284,7 @@ def test_too_few_samples_are_refused_beforehand() -> None:
 def test_a_displacement_beyond_the_window_is_refused(plane: PatchChain) -> None:
     trial = plane.perturbed(Pose(decenter_y_mm=0.05))
     with pytest.raises(SamplingError, match="between neighbouring samples"):
-        trial.returned(plane.bars(FINE_UM))
+        trial.reconstruct(plane.bars(FINE_UM))
     assert chain_contrast(trial, FINE_UM) > 0.95
 
 
@@ -305,12 +309,12 @@ def test_folds_and_lost_rays_are_refused(line: PatchChain) -> None:
         (lambda c: c.bars(0.775, "z"), "orientation"),
         (lambda c: c.bars(5.0), "fit into the patch"),
         (lambda c: c.bars(0.775, bars=1), "bars = 1"),
-        (lambda c: c.carried(np.ones(3)), "shape"),
-        (lambda c: c.carried(np.full(c.patch.shape, np.nan)), "finite"),
-        (lambda c: c.perturbed().returned(c.bars(1.0), "both"), "registration"),
-        (lambda c: c.perturbed().returned(c.bars(1.0), electrons=1e4), "needs rng"),
+        (lambda c: c.reconstruct(np.ones(3)), "shape"),
+        (lambda c: c.reconstruct(np.full(c.patch.shape, np.nan)), "finite"),
+        (lambda c: c.perturbed().reconstruct(c.bars(1.0), "both"), "registration"),
+        (lambda c: c.perturbed().reconstruct(c.bars(1.0), electrons=1e4), "needs rng"),
         (
-            lambda c: c.perturbed().returned(c.bars(1.0), electrons=0.0, rng=np.random.default_rng(1)),
+            lambda c: c.perturbed().reconstruct(c.bars(1.0), electrons=0.0, rng=np.random.default_rng(1)),
             "electrons",
         ),
     ],

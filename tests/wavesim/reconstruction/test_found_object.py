@@ -34,11 +34,11 @@ def test_a_chart_beside_its_place_is_resolved_as_well(samples) -> None:
         LENS, taken.frames, patch_mm=0.07, kind="amplitude", truth=chart(elements), usaf="bright"
     )
     figures = found.figures()
-    told = figures["usaf"]
-    assert told["smallest_resolved"]["line_width_um"] == pytest.approx(0.87, abs=0.01)
-    assert told["limited_by"] == ["sampling"]
-    assert told["displacement"]["x_samples"] == pytest.approx(samples[0], abs=0.06)
-    assert told["displacement"]["y_samples"] == pytest.approx(samples[1], abs=0.06)
+    chart_figures = figures["usaf"]
+    assert chart_figures["smallest_resolved"]["line_width_um"] == pytest.approx(0.87, abs=0.01)
+    assert chart_figures["limited_by"] == ["sampling"]
+    assert chart_figures["displacement"]["x_samples"] == pytest.approx(samples[0], abs=0.06)
+    assert chart_figures["displacement"]["y_samples"] == pytest.approx(samples[1], abs=0.06)
     pitch_um = 1e3 * patch.grid.pitch_mm
     truth = figures["truth"]
     assert truth["displacement_x_um"] / pitch_um == pytest.approx(samples[0], abs=0.06)

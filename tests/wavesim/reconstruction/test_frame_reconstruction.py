@@ -21,7 +21,7 @@ def imaged() -> Imaged:
 
 
 def test_frames_are_reconstructed_as_they_come(imaged: Imaged) -> None:
-    told: list[tuple[str, int, int]] = []
+    calls: list[tuple[str, int, int]] = []
     found = reconstruct_frames(
         LENS,
         imaged.frames,
@@ -31,14 +31,14 @@ def test_frames_are_reconstructed_as_they_come(imaged: Imaged) -> None:
         error=0.3,
         iterations=8,
         truth=imaged.target.transmission,
-        progress=lambda *what: told.append(what),
+        progress=lambda *what: calls.append(what),
     )
     correlation = found.truth["object_correlation"]
     assert correlation is not None
     assert correlation > 0.85
     assert found.figures()["iterations"] == len(found.curve) == 8
-    assert told[0] == ("object: engine eikonal", 0, 8)
-    assert "comparison with the true object" in [what for what, *_ in told]
+    assert calls[0] == ("object: engine eikonal", 0, 8)
+    assert "comparison with the true object" in [what for what, *_ in calls]
     assert "method object, engine eikonal" in repr(found)
     assert "data:image/png;base64," in found._repr_html_()
     assert "engine eikonal" in repr(imaged)

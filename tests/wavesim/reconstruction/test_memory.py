@@ -1,4 +1,4 @@
-"""Memory of a reconstruction and of what follows it: told beforehand, and kept by files."""
+"""Memory of a reconstruction and of what follows it: predicted, and kept by files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import pytest
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics import transmitted_band
-from wavesim.metrics.judgement import truth_metrics
+from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction import forward_model, object_solver
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.memory import (
@@ -259,10 +259,10 @@ run((64, 64), Scratch())  # compiles and loads all
 status = pathlib.Path("/proc/self/status").read_text()
 used = 1024 * int(status.split("VmData:")[1].split()[0])
 shape = (1100, 1200)
-told = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", fill_factor=1.0)
-limit = (told.least_bytes + told.most_bytes) // 2
+predicted = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", fill_factor=1.0)
+limit = (predicted.least_bytes + predicted.most_bytes) // 2
 resource.setrlimit(resource.RLIMIT_DATA, (used + limit, used + limit))
-room = Scratch() if {in_memory} else Scratch(pathlib.Path({folder!r}), 0.3 * limit - 0.3 * told.least_bytes)
+room = Scratch() if {in_memory} else Scratch(pathlib.Path({folder!r}), 0.3 * (limit - predicted.least_bytes))
 try:
     run(shape, room)
 except MemoryError:

@@ -160,7 +160,7 @@ def test_the_truth_stays(case: Case) -> None:
 
 
 def test_progress_and_early_stop(case: Case) -> None:
-    told: list[int] = []
+    calls: list[int] = []
     start = case.illumination.with_values(case.transmission.astype(np.complex64))
     found = reconstruct(
         case.engine,
@@ -171,9 +171,9 @@ def test_progress_and_early_stop(case: Case) -> None:
         tv_weight=0.02,
         scale=1.0,
         start=start,
-        progress=lambda k, _: told.append(k),
+        progress=lambda k, _: calls.append(k),
     )
-    assert told == list(range(len(found.misfit)))
+    assert calls == list(range(len(found.misfit)))
     assert found.stopped_because == "rest"
     assert len(found.misfit) < 60
 
@@ -375,7 +375,7 @@ def test_rounds_behind_the_lens_spare_ways_through_it(case: Case, monkeypatch: p
 
 
 def test_an_amplitude_start_within_the_iterations(case: Case) -> None:
-    told: list[int] = []
+    calls: list[int] = []
     found = reconstruct(
         case.engine,
         case.illumination,
@@ -384,9 +384,9 @@ def test_an_amplitude_start_within_the_iterations(case: Case) -> None:
         iterations=16,
         scale=1.0,
         start="amplitude",
-        progress=lambda k, _: told.append(k),
+        progress=lambda k, _: calls.append(k),
     )
-    assert told == list(range(16))
+    assert calls == list(range(16))
     assert score(case, found.transmission) > 0.9
     assert np.any(found.transmission.values.imag != 0.0)
 

@@ -149,9 +149,9 @@ def test_stagnation_is_seen() -> None:
 
 
 def test_progress_is_told() -> None:
-    told: list[int] = []
-    retrieve(GRID, WAVELENGTH, recorded(truth()), iterations=4, progress=lambda k, _: told.append(k))
-    assert told == [0, 1, 2, 3]
+    calls: list[int] = []
+    retrieve(GRID, WAVELENGTH, recorded(truth()), iterations=4, progress=lambda k, _: calls.append(k))
+    assert calls == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(
@@ -323,11 +323,11 @@ def test_a_run_that_was_cut_off_ends_as_an_unbroken_one() -> None:
     whole = retrieve(GRID, WAVELENGTH, planes, off(truth()), iterations=6, keep=keep)
     for done, state in enumerate(states, start=1):
         assert len(state.correlation) == done
-        told: list[int] = []
+        calls: list[int] = []
         rest = retrieve(
-            GRID, WAVELENGTH, planes, iterations=6, resume=state, progress=lambda k, _, t=told: t.append(k)
+            GRID, WAVELENGTH, planes, iterations=6, resume=state, progress=lambda k, _, t=calls: t.append(k)
         )
-        assert told == list(range(done, 6))
+        assert calls == list(range(done, 6))
         np.testing.assert_array_equal(rest.field.values, whole.field.values)
         assert (rest.correlation, rest.residual_curve) == (whole.correlation, whole.residual_curve)
         assert rest.residuals == whole.residuals

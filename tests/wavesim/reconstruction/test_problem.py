@@ -94,8 +94,8 @@ def test_frames_of_another_model_are_those_of_the_bench_that_they_state() -> Non
 WIDTH_MM = 0.06
 
 
-def told(lens: Lens, thing: str | Field, **settings: Any) -> tuple[float, float]:
-    """Share of scattered light that frames tell, and what would be as much of it at the rim in truth."""
+def scattered_fractions(lens: Lens, thing: str | Field, **settings: Any) -> tuple[float, float]:
+    """Return the fraction of scattered light from frames, and the true one at the rim."""
     patch, light = lit_patch(lens, PatchSettings(patch_mm=WIDTH_MM))
     of_object: dict[str, Any] = {} if isinstance(thing, Field) else {"patch_mm": WIDTH_MM}
     made = image(lens, thing, engine="eikonal", error=0.2, **of_object, **settings)
@@ -113,7 +113,7 @@ def twin(paper_lens: Lens) -> Lens:
 
 @pytest.mark.parametrize("ground", ["bright", "dark"])
 def test_charts_scatter_little(twin: Lens, ground: str) -> None:
-    even, true = told(twin, "usaf", ground=ground, exposures=(1.0, 30.0, 1000.0))
+    even, true = scattered_fractions(twin, "usaf", ground=ground, exposures=(1.0, 30.0, 1000.0))
     assert 0.3 * true < even < 4.0 * true
     assert even < 0.1
 
@@ -121,7 +121,7 @@ def test_charts_scatter_little(twin: Lens, ground: str) -> None:
 def test_speckle_is_even_light(twin: Lens) -> None:
     patch, _ = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
     speckle = random_field(patch.grid, patch.wavelength_um, twin.object.numerical_aperture)
-    even, true = told(twin, speckle.with_values(speckle.values / np.abs(speckle.values).max()))
+    even, true = scattered_fractions(twin, speckle.with_values(speckle.values / np.abs(speckle.values).max()))
     assert even == pytest.approx(true, rel=0.4)
     assert even > 0.6
 

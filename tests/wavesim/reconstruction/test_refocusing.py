@@ -56,9 +56,9 @@ def test_svfg_is_the_nuclear_norm() -> None:
 
 
 def test_progress_is_told() -> None:
-    told: list[tuple[int, int]] = []
-    refocus_field(bars(), (-0.01, 0.01), 5e-3, lambda done, total: told.append((done, total)))
-    assert told == [(i, 5) for i in range(1, 6)]
+    calls: list[tuple[int, int]] = []
+    refocus_field(bars(), (-0.01, 0.01), 5e-3, lambda done, total: calls.append((done, total)))
+    assert calls == [(i, 5) for i in range(1, 6)]
 
 
 @pytest.mark.parametrize(

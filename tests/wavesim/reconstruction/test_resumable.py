@@ -20,7 +20,7 @@ DESIGN = DESIGNS / "paper_singlet.toml"
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """A clock that a test advances."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -71,11 +71,11 @@ def test_it_goes_on_from_what_was_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
 
     with pytest.raises(KeyboardInterrupt):
         retrieve_resumably(engine, light, planes, checkpoint, iterations=5, progress=stop)
-    told: list[int] = []
+    calls: list[int] = []
     rest, _ = retrieve_resumably(
-        engine, light, planes, checkpoint, iterations=5, progress=lambda k, _: told.append(k)
+        engine, light, planes, checkpoint, iterations=5, progress=lambda k, _: calls.append(k)
     )
-    assert told == [3, 4]
+    assert calls == [3, 4]
     np.testing.assert_array_equal(rest.field.values, whole.field.values)
     assert rest.correlation == whole.correlation
     np.testing.assert_allclose(maps[0], np.abs(whole.field.values) - planes[0].amplitude, atol=1e-6 * 64.0)

@@ -91,7 +91,7 @@ def test_what_was_kept_is_let_go_of_after_an_iteration(
     room = Scratch(tmp_path, 0.0)
     resumed = resumably(taken, checkpoint, count, room)
     assert len(read) == 2
-    # The step before is needed for the first step alone, and is told of before it goes.
+    # The step before is needed for the first step alone, and is reported before it is freed.
     assert len(alive) == 4
     assert alive[1:] == [0, 0, 0]
     whole = reconstruct(*taken, kind="amplitude", iterations=6)

@@ -11,12 +11,12 @@ from lensdesign.errors import InputError
 from wavesim.runtime.memory import (
     Memory,
     MemoryLimitError,
-    Need,
+    MemoryNeed,
     available_bytes,
     memory_limit,
 )
 
-NEED = Need(most_bytes=9_000_000_000, least_bytes=3_000_000_000, file_bytes=1_000_000_000)
+NEED = MemoryNeed(most_bytes=9_000_000_000, least_bytes=3_000_000_000, file_bytes=1_000_000_000)
 
 
 def test_a_limit_is_what_was_given_or_a_share_of_what_is_free() -> None:
@@ -40,4 +40,6 @@ def test_the_estimate_names_memory_and_files() -> None:
         "memory: about 9 GB of 20 GB allowed, 1 GB in files under results"
     )
     assert Memory(NEED, 5e9).line(place) == "memory: about 5 GB of 5 GB allowed, 5 GB in files under results"
-    assert Memory(Need(10_000_000, 10_000_000), 5e9).line(place) == "memory: about 0.01 GB of 5 GB allowed"
+    assert (
+        Memory(MemoryNeed(10_000_000, 10_000_000), 5e9).line(place) == "memory: about 0.01 GB of 5 GB allowed"
+    )

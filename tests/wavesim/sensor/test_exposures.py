@@ -180,12 +180,12 @@ def read(paths: Sequence[Path]) -> tuple[Frame, ...]:
 def test_frames_of_a_plane_are_read_together(tmp_path: Path) -> None:
     planes = [frame_of(LIGHT, time, 3, distance) for distance in (6.0, 2.0) for time in (30.0, 1.0)]
     frames = read(write(tmp_path, planes))
-    told = planes_of_frames(frames)
-    assert [(plane.distance_mm, plane.exposures) for plane in told] == [
+    planes = planes_of_frames(frames)
+    assert [(plane.distance_mm, plane.exposures) for plane in planes] == [
         (2.0, (1.0, 30.0)),
         (6.0, (1.0, 30.0)),
     ]
-    assert all(plane.saturated_share == 0.0 for plane in told)
+    assert all(plane.saturated_share == 0.0 for plane in planes)
     recorded = recorded_planes(frames)
     assert [plane.distance_mm for plane in recorded] == [0.0, 4.0]
     intensity, _ = merged_intensity(frames[:2])
@@ -207,13 +207,13 @@ def test_what_a_lab_s_frames_do_not_say_is_taken_of_the_design_and_told(
     asked = {"bits": 16, "offset_counts": 100.0, "gain_electrons_per_count": 1.0, "exposure": (1.0, 1.0)}
     with pytest.raises(InputError, match=r"near\.tif: .*give exposure, bits,"):
         read_frames(paths, lens=paper_lens)
-    with pytest.warns(AssumedWarning) as told:
+    with pytest.warns(AssumedWarning) as caught:
         frames = read_frames(paths, lens=paper_lens, **asked)
     near, far = paper_lens.sensor.plane_distances_mm
     assert [frame.settings.plane_distance_mm for frame in frames] == [near, far]
     assert {frame.settings.wavelength_um for frame in frames} == {paper_lens.wavelengths_um[0]}
-    assert f"plane_distance_mm = {far:g}" in str(told[1].message)
-    assert "far.tif" in str(told[1].message)
+    assert f"plane_distance_mm = {far:g}" in str(caught[1].message)
+    assert "far.tif" in str(caught[1].message)
     with pytest.raises(InputError, match=r"near\.tif: .* plane_distance_mm$"):
         read_frames(paths[:1], lens=paper_lens, **asked | {"exposure": (1.0,)})
     colours = paper_lens.model_copy(update={"wavelengths_um": (0.5, 0.6)})

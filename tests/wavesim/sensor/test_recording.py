@@ -98,7 +98,7 @@ def test_a_run_that_was_cut_off_goes_on(
 ) -> None:
     recording = Recording(PLANES_MM[:1], CAMERA, 3)
     whole, _ = scenery.imaged("hierarchical", recording)
-    carry, carried = executors.carry_tiles, list[Any]()
+    carry, carried = executors.propagate_tiles, list[Any]()
 
     def counted(way: Any, group: Any, *rest: Any) -> Any:
         if len(carried) == 3:
@@ -106,20 +106,20 @@ def test_a_run_that_was_cut_off_goes_on(
         carried.append(group)
         return carry(way, group, *rest)
 
-    monkeypatch.setattr(executors, "carry_tiles", counted)
+    monkeypatch.setattr(executors, "propagate_tiles", counted)
     with pytest.raises(KeyboardInterrupt):
         scenery.imaged("hierarchical", recording, folder=tmp_path)
     assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
     carried.clear()
-    monkeypatch.setattr(executors, "carry_tiles", carry)
-    told: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(executors, "propagate_tiles", carry)
+    calls: list[tuple[str, int, int]] = []
     again, _ = scenery.imaged(
-        "hierarchical", recording, folder=tmp_path, progress=lambda *what: told.append(what)
+        "hierarchical", recording, folder=tmp_path, progress=lambda *what: calls.append(what)
     )
     for one, other in zip(again, whole, strict=True):
         assert np.array_equal(one.counts, other.counts)
-    assert told[0][:2] == ("plane 1", 4)  # three were there
-    assert told[-1][1] == told[-1][2]
+    assert calls[0][:2] == ("plane 1", 4)  # three were there
+    assert calls[-1][1] == calls[-1][2]
     drop_parts(tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -178,8 +178,8 @@ with tempfile.TemporaryDirectory() as folder:
     make = lambda scene: scenery.engine("hierarchical", scene)
     image_patch(engine, scenery.behind, scenery.sensor, scenery.windows, recording, make, folder=Path(folder))
 # Not ru_maxrss: that counts the process by which this one was started.
-told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-print(need.most_bytes, 1024 * int(told["VmHWM"].split()[0]))
+status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(need.most_bytes, 1024 * int(status["VmHWM"].split()[0]))
 """
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.coverage import Rectangle
 from wavesim.fields.field import Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.propagator import propagate
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.targets.illumination import (
     StopShape,
     field_stop,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.engine import Engine, Grids
 
 

@@ -158,7 +158,7 @@ class LineObject:
         return float(abs(np.vdot(a, b)) / (norms[0] * norms[1])) if norms[1] > least else 0.0
 
     def _contrast(self, power: Array, width_um: float, centre_mm: float, shift_um: float) -> float:
-        """Return (bright - dark) / (bright + dark) of a set of bars, each gap against the bars beside it."""
+        """Return (bright - dark) / (bright + dark) of a set of bars, each gap against its two bars."""
         pitch_um = 1e3 * self.grid.pitch_mm / UPSAMPLING
         cumulative = np.concatenate([[0.0], np.cumsum(power)])
         borders = (np.arange(len(cumulative)) - 0.5 * len(power)) * pitch_um

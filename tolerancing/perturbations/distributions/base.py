@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Bounded, Section
+from lensdesign.common.frozen_model import Bounded, FrozenModel
 from lensdesign.errors import InputError
 
 
-class Distribution(Section):
+class Distribution(FrozenModel):
     """Base class of the distributions of a perturbation's deviations.
 
     All values are in the unit of the perturbed parameter. :data:`tolerancing.perturbations.DISTRIBUTIONS`

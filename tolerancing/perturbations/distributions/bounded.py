@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive
+from lensdesign.common.frozen_model import Positive
 from tolerancing.perturbations.distributions.base import Distribution
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Bounded, tuples
+from lensdesign.common.frozen_model import Bounded, as_tuple
 from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
 
@@ -26,7 +26,7 @@ class Discrete(Distribution):
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=2, max_length=1000)]
 
-    _list = field_validator("values", mode="before")(tuples)
+    _list = field_validator("values", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _increasing(self) -> Discrete:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import PrivateAttr, field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import as_path
+from lensdesign.common.frozen_model import as_path
 from lensdesign.common.tables import read_number, read_table
 from lensdesign.errors import InputError
 from tolerancing.perturbations.distributions.base import Distribution, check_factor

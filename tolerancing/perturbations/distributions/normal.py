@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive
+from lensdesign.common.frozen_model import Positive
 from tolerancing.perturbations.distributions.base import Distribution
 
 NARROWEST_LIMIT, WIDEST_LIMIT = 1e-3, 30.0

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from tolerancing.merits.compensators import regularised
 from tolerancing.prediction.compensation import bounded_least_squares
-from tolerancing.prediction.goals.joint import WAVEFRONT_SOFTNESS
+from tolerancing.prediction.goals.joint_yield import WAVEFRONT_SOFTNESS
 
 
 @dataclass(frozen=True, eq=False)

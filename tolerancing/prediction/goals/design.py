@@ -123,13 +123,13 @@ class DesignPoint:
         """Return the sag errors of irregularities at rays."""
         return figures_on(paths, self.changes)
 
-    def moved_figures(self, paths: Paths, still: Paths, variable: int) -> list[Figures]:
-        """Return the sag errors after a complex step of a variable, for moved rays and the rays `still`."""
+    def moved_figures(self, paths: Paths, nominal_paths: Paths, variable: int) -> list[Figures]:
+        """Return the sag errors after a complex step of a variable, for moved rays and nominal rays."""
         high, low, width, _ = self._moved(variable)
         step = 1j * STEP / width
         found = []
         for own, upper, lower in zip(
-            self.figures(paths), figures_on(still, high), figures_on(still, low), strict=True
+            self.figures(paths), figures_on(nominal_paths, high), figures_on(nominal_paths, low), strict=True
         ):
             found.append(
                 replace(
@@ -241,7 +241,7 @@ class TracedRays:
         self._of_sensor = plane_mm is None
 
     @cached_property
-    def still(self) -> Paths:
+    def nominal_paths(self) -> Paths:
         """Paths through the lens itself."""
         return self._paths(None)
 

@@ -20,9 +20,9 @@ from lensdesign.optimization.problem import Rays
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.merits.context import Sampling
 from tolerancing.merits.rays import FootprintRadius, RayMerit
-from tolerancing.prediction.arrivals import arrivals_by
 from tolerancing.prediction.goals.design import STEP, DesignPoint, TracedRays
 from tolerancing.prediction.motions import Motions, motions_of
+from tolerancing.prediction.sensor_ray_derivatives import arrivals_by
 
 LEADING, BEHIND = 48, 6.0
 """Number of rays with the largest nominal loads, and distance from the largest nominal load within which any
@@ -78,7 +78,7 @@ class FollowedRays:
     @cached_property
     def responses(self) -> Array:
         """Derivatives of positions and direction cosines by the changes, shape (n, 2, 2, d)."""
-        design, paths = self.design, self.traced.still
+        design, paths = self.design, self.traced.nominal_paths
         motions = Motions(paths, design.figures(paths))
         found = np.stack(arrivals_by(motions, design.lens.stop_index), axis=1)
         return self._perturbed(found @ motions_of(design.changes) * design.multiplier)
@@ -87,7 +87,7 @@ class FollowedRays:
         """Return the derivatives of the responses by a variable, of the same shape."""
         design, paths = self.design, self.traced.moved(variable)
         changes, multiplier = design.moved_changes(variable)
-        motions = Motions(paths, design.moved_figures(paths, self.traced.still, variable))
+        motions = Motions(paths, design.moved_figures(paths, self.traced.nominal_paths, variable))
         found = np.stack(arrivals_by(motions, design.lens.stop_index), axis=1)
         return self._perturbed((found @ motions_of(changes) * multiplier).imag / STEP)
 
@@ -198,7 +198,10 @@ class RayLoads:
 
     @property
     def _follows_the_sensor(self) -> bool:
-        return isinstance(self.merit, FootprintRadius) and self.followed.design.problem.heat is not None
+        return (
+            isinstance(self.merit, FootprintRadius)
+            and self.followed.design.problem.temperature_change is not None
+        )
 
     def _by_planes(self, weights: Array) -> Array:
         """Return the derivatives by the distance between the planes, which changes with temperature."""

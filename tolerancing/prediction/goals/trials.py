@@ -15,12 +15,12 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import AsBuiltPrediction, MeritLoss, MeritYield, TrialsOf
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
-from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.draws import replicates
-from tolerancing.prediction.losses import mean_loss
+from tolerancing.prediction.reconstruction_loss import mean_loss
 from tolerancing.prediction.study_prediction import predict_study
-from tolerancing.prediction.wavefront_prediction import Judged
+from tolerancing.prediction.wavefront_prediction import WavefrontLimit
 from tolerancing.statistics.yields import yield_of
 from tolerancing.study.evaluate import context_of, decide_levels, sample_perturbations
 from tolerancing.study.scoring import score_batch
@@ -45,7 +45,7 @@ def predicted_of(lens: Lens, study: Study) -> AsBuiltPrediction:
 
 
 def trials_of(
-    name: str, lens: Lens, study: Study, judged: Sequence[Judged], predicted: AsBuiltPrediction
+    name: str, lens: Lens, study: Study, judged: Sequence[WavefrontLimit], predicted: AsBuiltPrediction
 ) -> TrialsOf:
     """Score all trials of a study for a lens, as a run of the study does.
 
@@ -139,7 +139,7 @@ def _merit_yield(
     )
 
 
-def _mean_squares(context: Context, batch: PerturbationBatch, judged: Sequence[Judged]) -> Array:
+def _mean_squares(context: Context, batch: PerturbationBatch, judged: Sequence[WavefrontLimit]) -> Array:
     """Return mean squares of the refocused path difference, (trials, points); NaN for a missing pupil."""
     found = np.full((len(batch), len(judged)), np.nan)
     for k, point in enumerate(judged):

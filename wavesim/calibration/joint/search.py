@@ -6,8 +6,9 @@ object, and its length from such reconstructions along it. Tiles are computed at
 perturbed from there. The derivatives of their rays hardly change during the search and are computed once.
 
 At the end, the object is reconstructed until its misfit reaches that of the noise. The normal equations
-about it, with the variance of the noise, give the estimates and their covariance. Parameters that the frames
-do not need (:mod:`wavesim.calibration.joint.selection`) return to their nominal values.
+about it, with the variance of the noise, give the estimates and their covariance
+(:mod:`wavesim.calibration.joint.covariance`). Parameters that the frames do not need
+(:mod:`wavesim.calibration.joint.selection`) return to their nominal values.
 
 The unevenness of the light is sought last, because it can imitate any other error. The tilt of the sensor is
 sought last, too: the frames determine it least, and it makes every reconstruction half as long again.
@@ -25,17 +26,16 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
+from wavesim.calibration.joint.covariance import covariance_of_estimates, residual_variance
 from wavesim.calibration.joint.line_search import LineSearch
-from wavesim.calibration.joint.pixels import CalibrationPixels, RaySlopes, plane_index_of
+from wavesim.calibration.joint.pixels import CalibrationPixels, RaySlopes
 from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
-from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.reconstruction.linear_model import LinearModel, RealArray
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
-from wavesim.sensor.measurement import DARK
 
 FIRST_STRETCH, MOST_STRETCH = (1.5, 1.75), 2.0
 """Multiples of a step that are tried first: for the first step of each stage, and the limit for other
@@ -48,10 +48,8 @@ MODEL_FRACTION = 0.02
 It is the cost of a parameter that deviates by its expected standard deviation.
 """
 
-CONVERGED_ITERATIONS, ESTIMATE_ITERATIONS, ELIMINATED = 80, 30, 20
-"""Iterations of the object at the end, iterations of conjugate gradients for the estimates, and iterations
-that eliminate the object from their covariance.
-"""
+CONVERGED_ITERATIONS, ESTIMATE_ITERATIONS = 80, 30
+"""Iterations of the object at the end, and iterations of conjugate gradients for the estimates."""
 
 Progress = Callable[[int, Unknowns, float], None]
 
@@ -242,7 +240,9 @@ class JointSearch:
             if refined is None or refined.misfit > tolerated_ratio * best.misfit:
                 break
             best = refined
-        covariance = self._covariance(equations)
+        covariance = covariance_of_estimates(
+            equations, self.parameters, self.pixels.recorded, object_is_free=self.known is None
+        )
         # The nominal bench comes first: small errors in stiff directions make a linear model ask for more.
         selected = select_parameters(estimates, covariance, self._pixel_count)
         nominal = Selection(np.zeros(len(names), bool), np.zeros(len(names)))
@@ -280,11 +280,7 @@ class JointSearch:
         columns = self.pixels.columns(fit.unknowns, linear, self.parameters, slopes)
         # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
-        # Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike
-        # noise, they are equal in many pixels and average out less. The number was fitted to the pulls of six
-        # nominal benches (`benchmarks/calibration_pulls.py`).
-        independent_errors = 60
-        variance = misfit**2 / self._pixel_count + MODEL_ERROR**2 / independent_errors
+        variance = residual_variance(misfit, self._pixel_count)
         typical, values = np.array([p.typical for p in self.parameters]), fit.unknowns.of(names)
         object_is_free = self.known is None
         equations = GaussNewtonStep(
@@ -299,30 +295,6 @@ class JointSearch:
         )
         equations.damping = np.zeros_like(equations.damping)
         return equations, values + equations.solve(ESTIMATE_ITERATIONS)
-
-    def _covariance(self, equations: GaussNewtonStep) -> Array:
-        """Return the covariance of the estimates, with the prior included."""
-        curvature = equations.reduced_curvature(ELIMINATED if self.known is None else 0)
-        covariance = np.linalg.inv(curvature) * equations.variance
-        return np.asarray(covariance + np.diag(self._background_of_clipping() ** 2), float)
-
-    def _background_of_clipping(self) -> Array:
-        """Return, by index of the parameter, the background that clipped noise of dark pixels may
-        imitate.
-        """
-        planes, found = self.pixels.recorded, np.zeros(len(self.parameters))
-        # Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard
-        # deviation. Clipped noise looks like a background of this size.
-        clipped_noise = 0.17
-        for index, parameter in enumerate(self.parameters):
-            if not parameter.name.endswith("_background"):
-                continue
-            plane = planes[plane_index_of(parameter)]
-            if plane.sigma is not None:
-                dark = np.min(plane.sigma[plane.amplitude == plane.amplitude.min()])
-                mean = float(np.mean(plane.amplitude.astype(float) ** 2))
-                found[index] = clipped_noise * 4.0 * DARK * float(dark) ** 2 / mean
-        return found
 
     def _verified(self, current: _BenchFit) -> _BenchFit:
         """Return the bench with tiles of its own, after as many iterations again."""
@@ -394,7 +366,7 @@ class JointSearch:
         equations: GaussNewtonStep,
         parameters_sought: Sequence[Parameter],
     ) -> tuple[SearchState, _BenchFit]:
-        """Return the best bench along a step, or the current one if none is better."""
+        """Return the best bench along a step, or the current one."""
         # Iterations of conjugate gradients for the direction of a step.
         step_iterations = 3
         names, step, best = [p.name for p in parameters_sought], equations.solve(step_iterations), current

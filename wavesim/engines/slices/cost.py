@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from wavesim.engines.slices.samples import BLOCK, index_type
 from wavesim.engines.slices.windows import BLOCK_BYTES, TRANSFER_FINENESS, Waves
-from wavesim.engines.surfaces.grids import LightWithin
+from wavesim.engines.surfaces.grids import LightExtent
 from wavesim.fields.plane_waves import fast_count
 from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
@@ -18,7 +18,7 @@ from wavesim.scene.scene import Scene
 
 
 def slices_cost(
-    scene: Scene, sides: Sequence[tuple[Waves, Waves]], light: LightWithin, slices: int, unit: int, even: bool
+    scene: Scene, sides: Sequence[tuple[Waves, Waves]], light: LightExtent, slices: int, unit: int, even: bool
 ) -> Cost:
     """Return time and memory of one propagation through all surfaces, and of the set-up.
 

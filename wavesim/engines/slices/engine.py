@@ -42,10 +42,10 @@ from wavesim.engines.slices.planes import Spacing, cutting_planes
 from wavesim.engines.slices.samples import IlluminatedArea, sliced
 from wavesim.engines.slices.steps import SurfaceTransfer
 from wavesim.engines.slices.windows import Waves, arriving, surface_grids
-from wavesim.engines.surfaces.grids import LightWithin, check_grid_size, light_within
+from wavesim.engines.surfaces.grids import LightExtent, check_grid_size, light_extent
 from wavesim.engines.surfaces.samples import other_transmission
 from wavesim.engines.surfaces.waves import Medium
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
 
@@ -121,9 +121,9 @@ class AnnularSlices(Engine):
         self._grid_settings = (pitch_mm, half_width_mm)
 
     @cached_property
-    def light(self) -> LightWithin:
+    def light(self) -> LightExtent:
         """Extent of the light and of the surfaces."""
-        return light_within(self.scene)
+        return light_extent(self.scene)
 
     @cached_property
     def sides(self) -> tuple[tuple[Waves, Waves], ...]:

@@ -113,7 +113,7 @@ class IlluminatedArea:
         return slice(int(near[0]), int(near[-1]) + 1) if len(near) else slice(0, 0)
 
 
-class Box(NamedTuple):
+class ImageRegion(NamedTuple):
     """Rows and columns of an image."""
 
     rows: slice
@@ -134,7 +134,7 @@ class SlicedSurface:
         Phase compensation and transmission.
     labels : list of int
         Index in the image of each slice that has samples.
-    boxes : list of Box
+    boxes : list of ImageRegion
         Position of each slice in the images.
     before_mm, behind_mm : ndarray
         z at which each slice receives light from the medium in front, and emits it into the one behind.
@@ -144,7 +144,7 @@ class SlicedSurface:
     indices: NDArray[np.unsignedinteger[Any]]
     factors: NDArray[np.complexfloating[Any, Any]]
     labels: list[int]
-    boxes: list[Box]
+    boxes: list[ImageRegion]
     before_mm: Array
     behind_mm: Array
 
@@ -200,7 +200,9 @@ def sliced(
     least = np.min([p[0] for p in parts], axis=0)
     most = np.max([p[1] for p in parts], axis=0)
     full = np.flatnonzero(most[0] >= 0)
-    boxes = [Box(*(slice(int(least[axis, q]), int(most[axis, q]) + 1) for axis in (0, 1))) for q in full]
+    boxes = [
+        ImageRegion(*(slice(int(least[axis, q]), int(most[axis, q]) + 1) for axis in (0, 1))) for q in full
+    ]
     return SlicedSurface(area.corner, indices, factors, full.tolist(), boxes, low[full], high[full])
 
 

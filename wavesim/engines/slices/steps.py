@@ -301,8 +301,8 @@ def _plane(shape: tuple[int, ...]) -> tuple[int, int]:
     return shape[0], (*shape, 1)[1]
 
 
-def _moved(part: slice, by: int) -> slice:
-    return slice(part.start + by, part.stop + by)
+def _moved(interval: slice, by: int) -> slice:
+    return slice(interval.start + by, interval.stop + by)
 
 
 def _in_blocks(work: Callable[[int, int], None], count: int, samples: int) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from wavesim.engines.surfaces.grids import LightWithin, sampled
+from wavesim.engines.surfaces.grids import LightExtent, sampled
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.chirp_z import chirp_z_transform
 from wavesim.fields.field import Grid
@@ -103,7 +103,7 @@ class Waves:
 
 
 def surface_grids(
-    scene: Scene, light: LightWithin, pitch_mm: float | None = None, half_width_mm: float | None = None
+    scene: Scene, light: LightExtent, pitch_mm: float | None = None, half_width_mm: float | None = None
 ) -> tuple[Grid, ...]:
     """Return window and pitch of every surface; the outer ones also fit the object and the exit grid.
 
@@ -132,7 +132,7 @@ def surface_grids(
     )
 
 
-def arriving(scene: Scene, light: LightWithin) -> BandLimit:
+def arriving(scene: Scene, light: LightExtent) -> BandLimit:
     """Return the lateral shifts from the object to the first surface that are transmitted.
 
     Light that meets the surface is transmitted, and steeper light is attenuated smoothly, since a sharp end

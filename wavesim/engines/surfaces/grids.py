@@ -86,7 +86,7 @@ class WorkingGrid:
 
 
 @dataclass(frozen=True)
-class LightWithin:
+class LightExtent:
     """Extent of an object's light within a lens, from rays.
 
     Attributes
@@ -192,7 +192,7 @@ def working_grid(
     TotalReflectionWarning
         If some of the rays never leave the lens.
     """
-    light = light_within(scene, zones)
+    light = light_extent(scene, zones)
     grid = sampled(scene, light, min(light.coarsest_mm), _narrowest_mm(light), pitch_mm, half_width_mm)
     media = tuple(
         Medium(grid, scene.wavelength_um, float(n), band)
@@ -201,7 +201,7 @@ def working_grid(
     return WorkingGrid(grid, media, light.reach_mm, light.heights_mm, light.reflected, light.diffracted)
 
 
-def light_within(scene: Scene, zones: float = FRESNEL_ZONES) -> LightWithin:
+def light_extent(scene: Scene, zones: float = FRESNEL_ZONES) -> LightExtent:
     """Measure extent and steepness of an object's light within a lens by tracing rays.
 
     Parameters
@@ -232,7 +232,7 @@ def light_within(scene: Scene, zones: float = FRESNEL_ZONES) -> LightWithin:
     profiles = [_profile(scene, i, middle, r) for i, r in enumerate(reach)]
     if bundle.reflected > 0.0:
         warnings.warn(_reflection_message(bundle.reflected), TotalReflectionWarning, stacklevel=5)
-    return LightWithin(
+    return LightExtent(
         (float(middle[0]), float(middle[1])),
         tuple(bands),
         tuple(tangents),
@@ -246,7 +246,7 @@ def light_within(scene: Scene, zones: float = FRESNEL_ZONES) -> LightWithin:
 
 def sampled(
     scene: Scene,
-    light: LightWithin,
+    light: LightExtent,
     coarsest_mm: float,
     narrowest_mm: float,
     pitch_mm: float | None,
@@ -388,7 +388,7 @@ def _coarsest_mm(scene: Scene, bands: list[float], slopes: list[float]) -> list[
     return result
 
 
-def _narrowest_mm(light: LightWithin) -> float:
+def _narrowest_mm(light: LightExtent) -> float:
     """Return the half-width of the window in which no light of the band wraps around."""
     surfaces = range(len(light.reach_mm))
     return max([light.own_half_mm(i) for i in surfaces] + [light.leg_half_mm(i) for i in surfaces[:-1]])

@@ -15,7 +15,7 @@ from lensdesign.errors import SamplingError
 from wavesim.engines.tiles.operator import Tile, at_once
 from wavesim.engines.tiles.residual import MAX_RANK, Quadratic, Residual, Separable, tile_residual
 from wavesim.fields.field import Grid
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 

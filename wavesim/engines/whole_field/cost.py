@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wavesim.engines.whole_field.carried import CarriedStep
+from wavesim.engines.whole_field.carrier_interpolation import CarrierInterpolation
 from wavesim.engines.whole_field.tiles import SuperTile, WholeFieldSettings
 from wavesim.runtime.memory import COMPLEX64, FLOAT64
 from wavesim.runtime.speed import pass_seconds
@@ -46,15 +46,15 @@ def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequenc
             MAP_PASSES * own + TRANSFORM_PASSES * filled * rank * own + CARRY_PASSES * lit
         )
         seconds += pass_seconds(round(passes + CARRY_PASSES * filled * fine)) / THREADS
-        kept += carried_bytes(group.carried)
+        kept += interpolation_bytes(group.interpolation)
         tile = THREADS * own * (9 * FLOAT64 + 2 * rank * COMPLEX64)
         largest = max(largest, (THREADS + 1) * coarse * COMPLEX64 + tile)
     return Cost(seconds, SETUP_SECONDS, max(FITTING_BYTES, FITTED_BYTES + kept + largest))
 
 
-def carried_bytes(carried: CarriedStep) -> int:
+def interpolation_bytes(interpolation: CarrierInterpolation) -> int:
     """Return the memory that a super-tile keeps for its propagation to the plane."""
-    ways = carried.ways
-    arrays = [*ways.first, *ways.share, carried.turns, carried.edge]
-    arrays += [a for weights in ways.field for a in (weights.first, weights.weight, *weights.adjoint)]
+    weights = interpolation.weights
+    arrays = [*weights.first, *weights.smooth_weights, interpolation.phase_waves, interpolation.edge]
+    arrays += [a for axis in weights.field for a in (axis.first, axis.weight, *axis.adjoint)]
     return sum(int(array.nbytes) for array in arrays)

@@ -304,7 +304,7 @@ class WholeFieldEngine(Tiled):
         _, tiles, settings = self._prepared
         path, amplitude, direction = settings.maps.errors
         maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
-        parts = (
+        terms = (
             ErrorTerm(
                 "path of second and higher order in a tile's offset, beyond "
                 f"{len(settings.factors.tile_nodes)} terms in each of {len(tiles)} tiles",
@@ -314,7 +314,7 @@ class WholeFieldEngine(Tiled):
             ErrorTerm("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_FRACTION * self._error),
             *self._neglected_at_rim(),
         )
-        return tuple(sorted(parts, key=lambda part: -part.relative_error))
+        return tuple(sorted(terms, key=lambda term: -term.relative_error))
 
     def _neglected_at_rim(self) -> Iterator[ErrorTerm]:
         _, tiles, settings = self._prepared

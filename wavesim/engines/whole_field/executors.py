@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.tiles import SuperTile, carry_tiles
+from wavesim.engines.whole_field.tiles import SuperTile, propagate_tiles
 from wavesim.runtime.threads import THREADS
 
 Part = tuple[int, NDArray[np.complex64]]
@@ -58,7 +58,7 @@ class ThisComputer:
     def plane(self, parts: Iterable[Part], progress: Progress) -> NDArray[np.complex64]:
         result = np.zeros(self.shape, np.complex64)
         for number, total in self._carried(parts, progress):
-            self.groups[number].carried.add(total, result, threads=THREADS)
+            self.groups[number].interpolation.add(total, result, threads=THREADS)
         return result
 
     def bands(self, parts: Iterable[Part], sums: Sums, rows: int, progress: Progress) -> Iterator[Band]:
@@ -67,7 +67,7 @@ class ThisComputer:
         for start in range(0, height, rows):
             band = np.zeros((min(rows, height - start), width), np.complex64)
             for number, group in enumerate(self.groups):
-                group.carried.add(sums[number], band, start, THREADS)
+                group.interpolation.add(sums[number], band, start, THREADS)
             yield slice(start, start + len(band)), band
 
     def parts(
@@ -80,10 +80,10 @@ class ThisComputer:
     def _carried(self, parts: Iterable[Part], progress: Progress) -> Iterator[Part]:
         """Yield the super-tiles' fields on their own grids."""
         for number, values in parts:
-            yield number, carry_tiles("forward", self.groups[number], values, THREADS)
+            yield number, propagate_tiles("forward", self.groups[number], values, THREADS)
             progress()
 
 
 def part_of(group: SuperTile, plane: NDArray, threads: int) -> NDArray[np.complex64]:
     """Apply the conjugate transpose of a super-tile to the plane; return its part of the object."""
-    return carry_tiles("adjoint", group, group.carried.collect(plane, threads), threads)
+    return propagate_tiles("adjoint", group, group.interpolation.collect(plane, threads), threads)

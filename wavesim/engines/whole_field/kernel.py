@@ -81,13 +81,13 @@ def _smooth_rows(
 ) -> None:
     """Interpolate rows of phase, or of the edge, from `low` to `high` along x, to lines from `at` on."""
     first, weights = along_x
-    left, right, count = first[begin], first[end - 1] + _SMOOTH, high - low
-    columns, column = empty((right - left, count), rows.dtype), empty(count, rows.dtype)
+    first_column, past_column, count = first[begin], first[end - 1] + _SMOOTH, high - low
+    columns, column = empty((past_column - first_column, count), rows.dtype), empty(count, rows.dtype)
     for k in range(count):
-        for c in range(right - left):
-            columns[c, k] = smooth[low + k, left + c]
+        for c in range(past_column - first_column):
+            columns[c, k] = smooth[low + k, first_column + c]
     for j in range(end - begin):
-        c, weight = first[begin + j] - left, weights[begin + j]
+        c, weight = first[begin + j] - first_column, weights[begin + j]
         p, q, r, s = weight[0], weight[1], weight[2], weight[3]
         for k in range(count):
             column[k] = (
@@ -98,9 +98,9 @@ def _smooth_rows(
 
 
 @_jit
-def _differences(turns: NDArray, at: int, width: int, parts: NDArray) -> None:
+def _differences(phase_waves: NDArray, at: int, width: int, parts: NDArray) -> None:
     """Split four rows of phase into the second one, within half a turn, and the differences to it."""
-    one, two, three, four = turns[at], turns[at + 1], turns[at + 2], turns[at + 3]
+    one, two, three, four = phase_waves[at], phase_waves[at + 1], phase_waves[at + 2], phase_waves[at + 3]
     for j in range(width):
         middle = two[j]
         parts[0, j] = float32(middle - floor(middle + 0.5))
@@ -196,10 +196,10 @@ def _make_waves(
 
 
 @_inlined
-def _wave(part: NDArray, step: int, j: int, a: Any, c: Any, d: Any) -> tuple[Any, Any]:
+def _wave(split_phases: NDArray, step: int, j: int, a: Any, c: Any, d: Any) -> tuple[Any, Any]:
     """Return exp(2 pi i turns) for a vector of a fine row from sample j on, from weighted split phases."""
-    turn = load(part, j) + a * load(part, step + j)
-    turn = turn + c * load(part, 2 * step + j) + d * load(part, 3 * step + j)
+    turn = load(split_phases, j) + a * load(split_phases, step + j)
+    turn = turn + c * load(split_phases, 2 * step + j) + d * load(split_phases, 3 * step + j)
     rounder = alike(_ROUNDER)
     turn = turn - ((turn + rounder) - rounder)
     x = turn * turn
@@ -308,13 +308,12 @@ def collect(
     adjoint_y: tuple[NDArray, NDArray, NDArray],
     adjoint_x: tuple[NDArray, NDArray, NDArray],
     carrier: tuple[NDArray, ...],
-    left: int,
-    right: int,
+    first_column: int,
+    past_column: int,
     begin: int,
     end: int,
 ) -> NDArray:
-    """Apply the transpose of `expand`: return the contribution of columns to the coarse ones from `left` to
-    `right`.
+    """Apply the transpose of `expand`: return the contribution of columns to a range of coarse ones.
 
     `adjoint_y` and `adjoint_x` are the transposed weights: for each coarse sample the first fine one that
     contributes, one past the last, and weights. The result is a float view.
@@ -323,12 +322,16 @@ def collect(
     count, most = len(first_y), most_of_four(first_y, last_y)
     width, half = end - begin, whole(end - begin)
     fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
-    buffers, result = empty((FOUR, most), float32), empty((count, 2 * (right - left)), float32)
+    buffers, result = empty((FOUR, most), float32), empty((count, 2 * (past_column - first_column)), float32)
     waves, light, kept = lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64), _carrier_buffers(width)
     source, step = plane.reshape(-1), plane.shape[1]
     lines[:] = 0.0
     fours_x = all_fours(
-        adjoint_x[0][left:right], adjoint_x[1][left:right], adjoint_x[2][left:right], begin, end
+        adjoint_x[0][first_column:past_column],
+        adjoint_x[1][first_column:past_column],
+        adjoint_x[2][first_column:past_column],
+        begin,
+        end,
     )
     top = made = bright = dark = 0  # range of rows with light
     for four in range(0, count, FOUR):

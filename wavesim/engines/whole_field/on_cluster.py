@@ -31,7 +31,7 @@ from lensdesign.common.clusters import (
 from lensdesign.errors import InputError
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.executors import Band, Part, Progress, Sums, part_of
-from wavesim.engines.whole_field.tiles import carry_tiles
+from wavesim.engines.whole_field.tiles import propagate_tiles
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -97,14 +97,14 @@ class ClusterExecutor:
 
     def plane(self, parts: Iterable[Part], progress: Progress) -> Values:
         plane = np.empty(self.shape, np.complex64)
-        for place, total in self._totals(map(self._carried, parts), 1, lambda number, field: progress()):
+        for place, total in self._totals(map(self._propagated, parts), 1, lambda number, field: progress()):
             plane[place] = self.cluster.result(total)
         return plane
 
     def bands(self, parts: Iterable[Part], sums: Sums, rows: int, progress: Progress) -> Iterator[Band]:
         kept = sorted(sums)
         stored = ((number, self.cluster.send(np.asarray(sums[number]))) for number in kept)
-        fields = merge(stored, map(self._carried, parts), key=lambda field: field[0])
+        fields = merge(stored, map(self._propagated, parts), key=lambda field: field[0])
 
         def keep(number: int, field: ClusterResult[Values]) -> None:
             if number not in kept:
@@ -138,8 +138,8 @@ class ClusterExecutor:
     def _threads(self) -> int:
         return max(self.cluster.threads(), 1)
 
-    def _carried(self, part: Part) -> tuple[int, ClusterResult[Values]]:
-        return part[0], self.cluster.hold(carry, self.sent, *part)
+    def _propagated(self, work: Part) -> tuple[int, ClusterResult[Values]]:
+        return work[0], self.cluster.hold(propagate_tile, self.sent, *work)
 
     def _totals(
         self,
@@ -270,15 +270,15 @@ def engine_of(packet: ScenePacket) -> WholeFieldEngine:
         return _engines[packet.key]
 
 
-def carry(packet: ScenePacket, number: int, values: Values) -> Values:
+def propagate_tile(packet: ScenePacket, number: int, values: Values) -> Values:
     """Return a super-tile's field on its own grid; runs in a worker."""
     engine = engine_of(packet)
-    return carry_tiles("forward", engine.groups[number], values, THREADS_OF_TASK)
+    return propagate_tiles("forward", engine.groups[number], values, THREADS_OF_TASK)
 
 
 def rows_for(packet: ScenePacket, number: int, band: tuple[int, int], field: Values) -> Values:
     """Return the rows of a super-tile's field that a band of the plane uses; runs in a worker."""
-    _, needed = engine_of(packet).groups[number].carried.onto_rows(*band)
+    _, needed = engine_of(packet).groups[number].interpolation.onto_rows(*band)
     return field[needed].copy()
 
 
@@ -294,7 +294,7 @@ def add(
     shape = band[1] - band[0], engine.scene.exit_grid.shape[1]
     total = np.zeros(shape, np.complex64) if total_before is None else total_before.copy()
     for number, field in zip(numbers, fields, strict=True):
-        part, _ = engine.groups[number].carried.onto_rows(*band)
+        part, _ = engine.groups[number].interpolation.onto_rows(*band)
         part.add(field, total, band[0], THREADS_OF_TASK)
     return total
 

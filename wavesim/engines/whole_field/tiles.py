@@ -18,7 +18,11 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import BAND_MARGIN, Tile
-from wavesim.engines.whole_field.carried import CarriedStep, InterpolationWeights, interpolation_weights
+from wavesim.engines.whole_field.carrier_interpolation import (
+    CarrierInterpolation,
+    InterpolationWeights,
+    interpolation_weights,
+)
 from wavesim.engines.whole_field.factors import FactorsOverObject
 from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.plane_waves import phasor_of
@@ -117,14 +121,16 @@ class SuperTile:
         )
         smooth = tuple(_smooth_axis(f, settings) for f in fine)
         values = self.carrier.on_axes(smooth)
-        turns = values[0] / (1e-3 * settings.scene.wavelength_um)
+        phase_waves = values[0] / (1e-3 * settings.scene.wavelength_um)
         shift = float(np.max(np.abs(others - self.carrier.middle) / settings.half_width_mm))
         opening = ((1.0 + shift) * REACH) ** 2 + 0.1 - values[4]
-        ways = interpolation_weights(
+        weights = interpolation_weights(
             (self.axes[0], self.axes[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), settings.kernel
         )
         # The edge is open wherever a tile has light; rows end outside.
-        self.carried = CarriedStep(ways, turns, (1e3 * opening).astype(np.float32), self.window)
+        self.interpolation = CarrierInterpolation(
+            weights, phase_waves, (1e3 * opening).astype(np.float32), self.window
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -187,7 +193,7 @@ class TileFrame:
     tile : Tile
     window : (slice, slice)
         Window of the super-tile's grid.
-    ways : InterpolationWeights
+    weights : InterpolationWeights
         Interpolation from the tile's own grid.
     rays, shared : MapOnAxes
         Maps on its own grid: path and cosines p along y and x; the path of the super-tile's carrier.
@@ -203,7 +209,7 @@ class TileFrame:
     group: SuperTile
     tile: Tile
     window: tuple[slice, slice]
-    ways: InterpolationWeights
+    weights: InterpolationWeights
     rays: MapOnAxes
     shared: MapOnAxes
     light: MapOnAxes
@@ -213,7 +219,7 @@ class TileFrame:
     reach: float
 
 
-def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame:
+def tile_frame(group: SuperTile, tile: Tile, cache: dict[Any, Any]) -> TileFrame:
     """Prepare a tile.
 
     Parameters
@@ -222,7 +228,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
         The super-tile.
     tile
         One of its tiles.
-    alike
+    cache
         Cache of data that tiles of the same size share; extended by this function.
     """
     settings = group.settings
@@ -235,12 +241,12 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     # Coarse axes are centred on fine ones, so that their relative position follows from the numbers of
     # samples. The number of coarse samples can differ by one for equal numbers of fine ones, by rounding.
     lengths = len(fine[0]), len(fine[1]), len(y), len(x)
-    if lengths not in alike:
-        alike[lengths] = interpolation_weights((y, x), (y, x), fine, settings.kernel)
+    if lengths not in cache:
+        cache[lengths] = interpolation_weights((y, x), (y, x), fine, settings.kernel)
     expansion, offsets = settings.factors.at(centre), list(tile.offsets_mm)
     size = tuple((len(o), round(1e9 * float(o[0]))) for o in offsets)
-    if size not in alike:
-        alike[size] = expansion.own_tile_factors(offsets).astype(np.complex64)
+    if size not in cache:
+        cache[size] = expansion.own_tile_factors(offsets).astype(np.complex64)
     assert expansion.sensor_factors is not None
     path, amplitude, *cosines, edge = carrier.coefficients
     factors = expansion.sensor_factors.coefficients
@@ -252,12 +258,12 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
         group,
         tile,
         window,
-        alike[lengths],
+        cache[lengths],
         MapOnAxes(np.stack([path, *cosines]), own),
         MapOnAxes(group.carrier.coefficients[:1], _terms(group.carrier, (y, x))),
         MapOnAxes(np.stack([amplitude, edge]), own).single(),
         MapOnAxes(parts, _terms(expansion.sensor_factors, (y, x))).single(),
-        _exponential(expansion.shared_logarithm(offsets)) * alike[size],
+        _exponential(expansion.shared_logarithm(offsets)) * cache[size],
         settings.rise_over(group.steps_mm),
         per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
     )
@@ -290,10 +296,12 @@ class ObjectTile:
         settings, scene = frame.group.settings, frame.group.settings.scene
         wavelength_mm = 1e-3 * scene.wavelength_um
         path, py, px = frame.rays.each()
-        turns = (path - next(frame.shared.each())) / wavelength_mm
-        turns += -0.25 - 0.25 * settings.maps.caustics
+        phase_waves = (path - next(frame.shared.each())) / wavelength_mm
+        phase_waves += -0.25 - 0.25 * settings.maps.caustics
         amplitude, edge = frame.light.each()
-        self._step = CarriedStep(frame.ways, turns, 0.5 + (1.0 - edge) / frame.rise, frame.window)
+        self._interpolation = CarrierInterpolation(
+            frame.weights, phase_waves, 0.5 + (1.0 - edge) / frame.rise, frame.window
+        )
         most = 0.5 * wavelength_mm / frame.tile.pitch_mm
         needed = edge < 1.0 + 0.5 * frame.rise + frame.reach
         needed &= (abs(py) <= most) & (abs(px) <= most)
@@ -327,17 +335,17 @@ class ObjectTile:
         field = np.zeros(self._shape, dtype=np.complex64)
         spectrum = sum_of_terms(self._plan(2), values, self._tile_factors, self._weights)
         field.ravel()[self._places] = spectrum
-        self._step.add(field, result)
+        self._interpolation.add(field, result)
 
     def collect(self, values: Any) -> Any:
         """Apply the conjugate transpose: from the super-tile's grid to the tile's part of the object."""
         if not len(self._places):
             return np.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
-        strength = self._needed(self._step.collect(values))
+        strength = self._needed(self._interpolation.collect(values))
         return adjoint_of_terms(self._plan(1), strength, self._tile_factors, self._weights)
 
 
-def carry_tiles(
+def propagate_tiles(
     direction: Direction, group: SuperTile, values: NDArray, threads: int
 ) -> NDArray[np.complex64]:
     """Propagate one super-tile.
@@ -364,14 +372,14 @@ def carry_tiles(
     def one_thread(thread: int) -> NDArray[np.complex64]:
         # The fields of tiles overlap in the forward direction; their parts of the object do not.
         result = np.zeros(shape, np.complex64) if direction == "forward" else parts
-        alike: dict[Any, Any] = {}
+        cache: dict[Any, Any] = {}
         plans: dict[tuple[int, ...], Any] = {}
         for one in group.tiles[thread::threads]:
-            tile, place = ObjectTile(tile_frame(group, one, alike), plans), group.within(one)
+            tile, position = ObjectTile(tile_frame(group, one, cache), plans), group.within(one)
             if direction == "forward":
-                tile.add(values[place], result)
+                tile.add(values[position], result)
             else:
-                result[place] = tile.collect(values)
+                result[position] = tile.collect(values)
         return result
 
     with one_blas_thread(), ThreadPoolExecutor(threads) as pool:

@@ -39,8 +39,8 @@ from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission,
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
 from wavesim.engines.wpm.cost import kept_bytes, passage_cost, setup_cost
 from wavesim.engines.wpm.staircase import Staircase
-from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.propagator import FreeSpacePropagator
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.runtime.memory import COMPLEX128
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene

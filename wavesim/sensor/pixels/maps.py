@@ -76,7 +76,7 @@ def _mean_picture(path: Path, several: bool) -> Array:
     """Return the mean of the pictures of a file."""
     file = PictureFile(path, "the map", FRAME_FORMATS)
     if not several:
-        return _numbers(file.only())
+        return _numbers(file.single_picture())
     total = _numbers(file.picture(0))
     for index in range(1, file.count):
         values = _numbers(file.picture(index))

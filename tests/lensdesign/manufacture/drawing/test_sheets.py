@@ -20,9 +20,7 @@ from random_lenses import lenses, numbers, signed
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import closed_elements
-from lensdesign.manufacture.drawing.section_view import SCALES, section_view
-from lensdesign.manufacture.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
-from lensdesign.manufacture.drawing.strokes import (
+from lensdesign.manufacture.drawing.primitives import (
     THICK_MM,
     Area,
     Drawing,
@@ -33,6 +31,8 @@ from lensdesign.manufacture.drawing.strokes import (
     fitted,
     text_width_mm,
 )
+from lensdesign.manufacture.drawing.section_view import SCALES, section_view
+from lensdesign.manufacture.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
 from lensdesign.manufacture.drawing.tolerances import SurfaceTolerances, general_tolerances
 
 SVG = "{http://www.w3.org/2000/svg}"

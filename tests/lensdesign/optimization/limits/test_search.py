@@ -9,7 +9,7 @@ import pytest
 from lensdesign.common import deadlines
 from lensdesign.common.deadlines import deadline
 from lensdesign.optimization.compliance import check_against
-from lensdesign.optimization.limits.kinds import FIELD
+from lensdesign.optimization.limits.limited_quantities import FIELD
 from lensdesign.optimization.limits.search import LimitsInterrupted, find_limits
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.specification import Specification
@@ -44,7 +44,7 @@ def singlet(field_mm: float, aperture: float, **sensor: Any) -> Specification:
 def test_a_limit_far_below_what_is_asked_is_found() -> None:
     """A search from the nearest lens alone finds none here; the limit is two thirds of what is asked."""
     asked = singlet(4.0, 0.3)
-    (one,) = find_limits(asked, seed=1, kinds=(FIELD,), most=1.0)
+    (one,) = find_limits(asked, seed=1, quantities=(FIELD,), most=1.0)
     assert one.reached == pytest.approx(2.718, rel=3e-3)
     assert one.ended
     assert one.starts >= 12
@@ -58,7 +58,7 @@ def test_a_deadline_leaves_a_limit_that_is_not_confirmed(monkeypatch: pytest.Mon
     """Time is counted in traces, so that the search ends at the same place on every machine."""
     time = counted(monkeypatch)
     with deadline(2000.0):
-        (found,) = find_limits(singlet(4.0, 0.3), kinds=(FIELD,), most=1.0)
+        (found,) = find_limits(singlet(4.0, 0.3), quantities=(FIELD,), most=1.0)
     assert found.cut == "max_seconds"
     assert found.confidence.startswith("not confirmed")
     assert time[0] < 1.1 * 2000.0
@@ -67,7 +67,7 @@ def test_a_deadline_leaves_a_limit_that_is_not_confirmed(monkeypatch: pytest.Mon
 def test_an_interrupt_leaves_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     counted(monkeypatch, stop_at=1000)
     with pytest.raises(LimitsInterrupted) as stop:
-        find_limits(singlet(4.0, 0.3), kinds=(FIELD,), most=1.0)
+        find_limits(singlet(4.0, 0.3), quantities=(FIELD,), most=1.0)
     (found,) = stop.value.limits
     assert found.cut == "interrupt"
     assert found.reached is not None

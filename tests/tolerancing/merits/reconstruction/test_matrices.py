@@ -26,7 +26,7 @@ def test_a_matrix_is_its_engine(engine):
 def test_a_matrix_is_made_once_and_tells_what_another_takes(engine):
     matrices = Matrices()
     assert engine.key() not in matrices
-    told = matrices.seconds(engine)
+    predicted = matrices.seconds(engine)
     assert matrices.matrix(engine) is matrices.matrix(engine)
     assert engine.key() in matrices
-    assert told > 0.0 < matrices.seconds(engine)
+    assert predicted > 0.0 < matrices.seconds(engine)

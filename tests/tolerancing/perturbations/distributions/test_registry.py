@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from scipy import stats
 
 from lensdesign import InputError
-from lensdesign.common.section import Positive
+from lensdesign.common.frozen_model import Positive
 from tolerancing.perturbations.distributions import (
     DISTRIBUTIONS,
     Discrete,

@@ -89,8 +89,8 @@ def test_a_real_series_predicts_a_plane_that_it_was_not_given(monkeypatch: pytes
     assert found.distance_scale == pytest.approx(1.0, abs=0.03)
     assert found.drift == pytest.approx((0.003, -0.006), abs=0.002)
     predicted = found.amplitude(0.05)[32:-32, 32:-32]
-    told = np.sqrt(real_frames(50)[0].counts.astype(float))[32:-32, 32:-32]
-    assert np.corrcoef(predicted.flat, told.flat)[0, 1] > 0.84
+    stated = np.sqrt(real_frames(50)[0].counts.astype(float))[32:-32, 32:-32]
+    assert np.corrcoef(predicted.flat, stated.flat)[0, 1] > 0.84
 
 
 def test_frames_of_one_plane_are_refused() -> None:

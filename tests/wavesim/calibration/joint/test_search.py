@@ -14,7 +14,7 @@ from small_twins import bars_under_stop
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import correlated_parameters, read_calibration
+from wavesim.calibration.calibration_result import correlated_parameters, read_calibration
 from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
@@ -90,7 +90,7 @@ def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, result:
 def fit_and_count_rays(
     search: JointSearch, start: Unknowns, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[int, FitResult]:
-    """How often it is told what parameters do to the rays of tiles, and what a search finds."""
+    """Count the derivatives of the rays of tiles, and return the result of a search."""
     asked: list[str] = []
     told_of = DensePixels.ray_slopes
 

@@ -24,7 +24,7 @@ from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.slices.samples import IlluminatedArea
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, correlation, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ PAPER = load_design(DESIGNS / "paper_singlet.toml")
 WAVELENGTH_UM = 0.532
 K_PER_MM = 2e3 * math.pi / WAVELENGTH_UM
 
-pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.SamplingWarning")
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
 
-pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.SamplingWarning")
 
 
 @pytest.fixture(scope="module", params=["line", "plane"])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lensdesign import Lens, scaled
 from lensdesign.errors import SamplingError
 from wavesim.engines.slices.windows import Waves, arriving, surface_grids, transferred
-from wavesim.engines.surfaces.grids import light_within
+from wavesim.engines.surfaces.grids import light_extent
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid, relative_error
 from wavesim.scene.patches import patch_scene
@@ -91,7 +91,7 @@ def scene(paper_lens: Lens) -> Scene:
 
 
 def test_every_surface_has_a_window_of_its_own(scene: Scene) -> None:
-    light = light_within(scene)
+    light = light_extent(scene)
     grids = surface_grids(scene, light)
     assert grids[0].half_widths_mm[0] < grids[1].half_widths_mm[0]
     assert grids[0].pitch_mm < 0.9 * grids[1].pitch_mm
@@ -105,7 +105,7 @@ def test_every_surface_has_a_window_of_its_own(scene: Scene) -> None:
 
 def test_windows_keep_copies_from_both_ends(scene: Scene) -> None:
     """A far exit plane asks for a wider window of the last surface, a wide object for one of the first."""
-    light = light_within(scene)
+    light = light_extent(scene)
     near = surface_grids(scene, light)
     far = Scene(scene.lens, scene.object_grid, scene.exit_grid.at(3.0), scene.wavelength_um)
     grids = surface_grids(far, light)
@@ -116,7 +116,7 @@ def test_windows_keep_copies_from_both_ends(scene: Scene) -> None:
 
 
 def test_light_that_meets_the_lens_arrives_whole(scene: Scene) -> None:
-    light = light_within(scene)
+    light = light_extent(scene)
     let = arriving(scene, light)
     leg = light.heights_mm[0][0] - scene.object_grid.z_mm
     assert let.passed_mm > light.reach_mm[0]

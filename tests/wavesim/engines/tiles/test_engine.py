@@ -22,7 +22,7 @@ from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.plan import chosen_probe
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.accuracy import peak_bytes
 from wavesim.metrics.comparison import lens_case
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
@@ -290,12 +290,12 @@ def test_peak_bytes(paper_lens: Lens, kind: str, single: bool) -> None:
             scene = replace(scene, exit_grid=Grid((20000,), 1e-3, 12.7))
         case = replace(case, scene=scene, object_field=noise(scene.object_grid))
     cost = EikonalTiles(case.scene).cost()
-    told = cost.peak_bytes_in_single if single else cost.peak_bytes
+    predicted = cost.peak_bytes_in_single if single else cost.peak_bytes
     if single:
         values = case.object_field.values.astype(np.complex64)
         case = replace(case, object_field=case.object_field.with_values(values))
     result = EikonalTiles(case.scene).forward(case.object_field)
-    assert told + result.values.nbytes == pytest.approx(peak_bytes("eikonal", case, {}), rel=0.3)
+    assert predicted + result.values.nbytes == pytest.approx(peak_bytes("eikonal", case, {}), rel=0.3)
 
 
 @pytest.mark.parametrize(

@@ -129,12 +129,12 @@ def test_a_field_in_focus_comes_back(small_field: WholeFieldEngine) -> None:
 
 
 def test_progress_is_told(small_field: WholeFieldEngine) -> None:
-    told: list[tuple[int, int]] = []
-    small_field.progress = lambda done, count: told.append((done, count))
+    calls: list[tuple[int, int]] = []
+    small_field.progress = lambda done, count: calls.append((done, count))
     small_field.forward(noise(small_field.scene.object_grid))
     small_field.progress = None
-    assert told == [(i + 1, len(small_field.groups)) for i in range(len(small_field.groups))]
-    assert len(told) > 1
+    assert calls == [(i + 1, len(small_field.groups)) for i in range(len(small_field.groups))]
+    assert len(calls) > 1
 
 
 @pytest.mark.parametrize("rows", [1, 77, 10_000])
@@ -153,13 +153,13 @@ def test_sums_that_are_there_are_not_made_again(small_field: WholeFieldEngine) -
     sums: dict[int, NDArray[Any]] = {}
     whole = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
     del sums[1], sums[3]
-    told: list[tuple[int, int]] = []
-    small_field.progress = lambda done, count: told.append((done, count))
+    calls: list[tuple[int, int]] = []
+    small_field.progress = lambda done, count: calls.append((done, count))
     again = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
     small_field.progress = None
     assert np.array_equal(whole, again)
     count = len(small_field.groups)
-    assert told == [(count - 1, count), (count, count)]
+    assert calls == [(count - 1, count), (count, count)]
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -216,9 +216,9 @@ def test_maps_follow_rays_that_they_have_not_seen(paper_lens: Lens) -> None:
             / (2.0 * step)
             for move in (np.array([step, 0.0]), np.array([0.0, step]))
         ]
-        told = maps.slopes_per_mm(point[None])
-        assert np.all(np.transpose(found) < 1.01 * told)
-        assert np.all(told.diagonal() < 1.05 * np.diagonal(found))
+        predicted = maps.slopes_per_mm(point[None])
+        assert np.all(np.transpose(found) < 1.01 * predicted)
+        assert np.all(predicted.diagonal() < 1.05 * np.diagonal(found))
 
 
 def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) -> None:
@@ -227,12 +227,14 @@ def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) ->
     before, behind = Grid((120, 120), 0.4256e-3, twin.object_z_mm), Grid((432, 432), 1.6e-3, 0.994625)
     engine = WholeFieldEngine(Scene(twin, before, behind, WAVELENGTH_UM), error=0.03, tile_width_mm=0.006)
     for group in engine.groups:
-        alike: dict[Any, Any] = {}
+        cache: dict[Any, Any] = {}
         for tile in group.tiles:
-            shared, own = tile_frame(group, tile, alike), tile_frame(group, tile, {})
-            for one, other in zip(shared.ways.field, own.ways.field, strict=True):
+            shared, own = tile_frame(group, tile, cache), tile_frame(group, tile, {})
+            for one, other in zip(shared.weights.field, own.weights.field, strict=True):
                 # Where a fine sample lies on a coarse one, rounding says which of them is its first.
-                np.testing.assert_allclose(*(ways.matrix().toarray() for ways in (one, other)), atol=1e-5)
+                np.testing.assert_allclose(
+                    *(weights.matrix().toarray() for weights in (one, other)), atol=1e-5
+                )
 
 
 def test_maps_that_cannot_be_so_accurate_are_refused(

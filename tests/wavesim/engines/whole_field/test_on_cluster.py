@@ -16,14 +16,14 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
-from wavesim.engines.whole_field.carried import CarriedStep
+from wavesim.engines.whole_field.carrier_interpolation import CarrierInterpolation
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_cluster import (
     ClusterExecutor,
     ScenePacket,
     add,
-    carry,
     engine_of,
+    propagate_tile,
     rows_for,
     tiles_in,
     validate_tiled,
@@ -69,11 +69,11 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
     """Bands of the first round are there already."""
     first, _ = cluster.worker(), cluster.worker()
     here, away = engine_on(scene), engine_on(scene)
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
 
     def report(done: int, count: int) -> None:
-        told.append((done, count))
-        if len(told) == 7:
+        calls.append((done, count))
+        if len(calls) == 7:
             first.kill()
 
     away.progress = report
@@ -85,7 +85,7 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
     assert away.elsewhere is None
     count = len(here.groups)
     assert count > 7
-    assert told == 2 * [(done, count) for done in range(1, count + 1)]
+    assert calls == 2 * [(done, count) for done in range(1, count + 1)]
     assert first.wait(timeout=600) != 0
     assert relative_error(there, here.forward(field).values) < 1e-6
     assert relative_error(returned, here.adjoint(back).values) < 1e-6
@@ -104,22 +104,22 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
     def refuse(*_: Any) -> None:
         raise AssertionError("done here")
 
-    monkeypatch.setattr("wavesim.engines.whole_field.executors.carry_tiles", refuse)
+    monkeypatch.setattr("wavesim.engines.whole_field.executors.propagate_tiles", refuse)
     for name in ("add", "collect"):
-        monkeypatch.setattr(CarriedStep, name, refuse)
+        monkeypatch.setattr(CarrierInterpolation, name, refuse)
     away = engine_on(scene)
     with tiles_in(cluster.address) as take:
         take(away)
         assert relative_error(away.forward(field).values, there) < 1e-6
         assert relative_error(away.adjoint(back).values, returned) < 1e-6
-        told: list[int] = []
-        away.progress = lambda done, _: told.append(done)
+        calls: list[int] = []
+        away.progress = lambda done, _: calls.append(done)
         bands = list(away.forward_in_bands(field, 100, sums))
         assert isinstance(away.elsewhere, ClusterExecutor)
         with pytest.raises(ValueError, match="no number"):
             away.elsewhere.cluster.finish([away.elsewhere.cluster.hold(float, "no number")])
     count = len(away.groups)
-    assert told == [count - 1, count]
+    assert calls == [count - 1, count]
     assert sorted(sums) == list(range(count))
     assert [rows.start for rows, _ in bands] == [0, 100, 200]
     assert relative_error(np.concatenate([values for _, values in bands]), there) < 1e-6
@@ -177,7 +177,7 @@ def test_what_a_worker_adds_to_stays_as_it_is(scene: Scene, monkeypatch: pytest.
     monkeypatch.setattr(cluster_tiles, "engine_of", lambda _: engine)
     packet: Any = None
     part = np.ones([p.stop - p.start for p in engine.groups[0].part], np.complex64)
-    field, band = carry(packet, 0, part), (40, 90)
+    field, band = propagate_tile(packet, 0, part), (40, 90)
     needed = rows_for(packet, 0, band, field)
     assert 0 < len(needed) < len(field)
     before = np.ones((50, scene.exit_grid.shape[1]), np.complex64)

@@ -41,6 +41,6 @@ def test_points_of_a_tile_err_by_what_is_told(paper_lens: Lens) -> None:
         middle[1, 1] = 1.0
         expected = alone.forward(Field(own, middle, 0.532)).values
         errors.append(relative_error(engine.forward(Field(start, values, 0.532)).values, expected))
-    told = max(part.relative_error for part in engine.error_terms())
-    assert 0.7 * told < math.sqrt(np.mean(np.square(errors))) < 1.1 * told
+    predicted = max(part.relative_error for part in engine.error_terms())
+    assert 0.7 * predicted < math.sqrt(np.mean(np.square(errors))) < 1.1 * predicted
     assert max(errors) < engine.predicted_error() < 3.0 * max(errors)

@@ -21,7 +21,7 @@ from wavesim.engines.surfaces import grids as working_grid
 from wavesim.engines.surfaces.grids import TotalReflectionWarning
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Array, Field, Grid, relative_error
-from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Coating, Scene
 
@@ -359,9 +359,9 @@ def test_light_that_the_rim_turns_is_told_by_the_band() -> None:
     for zones in (2.0, 4.0, 8.0):
         engine = WavePropagation(scene, zones=zones)
         errors.append(relative_error(engine.forward(point).values, truth))
-        (told,) = [n for n in engine.error_terms() if "rim" in n.description]
-        assert told.at_rim
-        assert 0.3 * told.relative_error < errors[-1] < 1.5 * told.relative_error
+        (predicted,) = [n for n in engine.error_terms() if "rim" in n.description]
+        assert predicted.at_rim
+        assert 0.3 * predicted.relative_error < errors[-1] < 1.5 * predicted.relative_error
     assert errors[2] < 0.7 * errors[0]
 
 

@@ -119,9 +119,9 @@ def test_objects_that_fit_as_well_and_differ_have_none(lit: tuple[Engine, Field]
 def test_a_plane_that_was_held_out_has_its_say(lit: tuple[Engine, Field]) -> None:
     *planes, right = record(lit, 3, distances_mm=(0.0, 0.6, 0.9))
     result = found(lit, planes)
-    told = uncertainty(*lit, planes, result, held_out=right, repeats=2, iterations=2, **SETTINGS)
-    assert 0.6 < told.held_out_over_noise < 1.1
-    assert "held out" not in told.leaves_out
+    predicted = uncertainty(*lit, planes, result, held_out=right, repeats=2, iterations=2, **SETTINGS)
+    assert 0.6 < predicted.held_out_over_noise < 1.1
+    assert "held out" not in predicted.leaves_out
     (wrong,) = record(lit, 3, transmission=np.ones((64, 64)), distances_mm=(0.9,))
     with pytest.raises(UndeterminedError, match="plane held out"):
         uncertainty(*lit, planes, result, held_out=wrong, repeats=2, **SETTINGS)

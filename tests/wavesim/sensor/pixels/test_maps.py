@@ -13,8 +13,8 @@ from lensdesign.lens.lens import Sensor
 from wavesim.sensor.exposures import Electronics, estimate_intensity
 from wavesim.sensor.frame_sets import BadPixelWarning, ExposureWarning, read_frames
 from wavesim.sensor.frames import write_frame
-from wavesim.sensor.pixels.errors import PixelErrors
 from wavesim.sensor.pixels.maps import read_map
+from wavesim.sensor.pixels.non_uniformity import PixelErrors
 from wavesim.sensor.sensor import frames_of_light
 
 SHAPE = (60, 80)

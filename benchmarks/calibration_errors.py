@@ -1,0 +1,109 @@
+"""Stated standard deviations of calibrations against true errors, on benches as designed.
+
+A normalized error is an error over its stated standard deviation. Errors of single parameters are strongly
+correlated, and the prior draws them to the true values of a bench as designed, which are 0. Therefore they
+are counted along the independent directions that the frames determine
+(:mod:`wavesim.calibration.normalized_errors`). Those of single parameters are printed for comparison. The
+object before and after shows what calibrating costs where nothing is wrong.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.timing import DESIGNS
+from lensdesign import load_design, scaled
+from wavesim import calibrate_frames, image, reconstruct_frames
+from wavesim.calibration.normalized_errors import normalized_errors
+from wavesim.scene.settings import Kind
+
+TILES: dict[str, Any] = {"engine": "eikonal", "error": 0.3}
+
+
+class Case(NamedTuple):
+    """A bench as designed: the twin's scale, the object, the planes and the exposures."""
+
+    scale: int
+    thing: str
+    kind: Kind
+    planes: int
+    exposures: tuple[float, ...]
+    patch_mm: float = 0.03
+    pixels: int = 140
+    seed: int = 0
+
+
+CASES = (
+    Case(48, "star", "amplitude", 2, (1.0,)),
+    Case(48, "star", "amplitude", 2, (1.0, 30.0)),
+    Case(48, "star", "amplitude", 3, (1.0, 30.0, 1000.0)),
+    Case(48, "tissue", "complex", 2, (1.0, 30.0)),
+    Case(48, "tissue", "complex", 4, (1.0, 30.0, 1000.0)),
+    Case(48, "phase", "complex", 2, (1.0, 30.0)),
+    Case(48, "phase", "complex", 4, (1.0,)),
+    Case(32, "star", "amplitude", 2, (1.0, 30.0), 0.04, 200),
+    Case(32, "tissue", "complex", 3, (1.0, 30.0), 0.04, 200),
+    Case(24, "star", "amplitude", 2, (1.0, 30.0, 1000.0), 0.04, 240),
+    Case(24, "phase", "complex", 2, (1.0, 30.0, 1000.0), 0.04, 240),
+    Case(16, "star", "amplitude", 2, (1.0, 30.0), 0.04, 300),
+)
+
+
+def errors_of(case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Normalized errors of single parameters and along independent directions, and figures of the object."""
+    lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), 1 / case.scale)
+    first, last = lens.sensor.plane_distances_mm[0], lens.sensor.plane_distances_mm[-1]
+    distances_mm = tuple(np.linspace(first, last, case.planes).tolist())
+    lens = lens.replaced(sensor=lens.sensor.replaced(plane_distances_mm=distances_mm))
+    taken: dict[str, Any] = {"exposures": case.exposures, "pixels": case.pixels, "seed": case.seed}
+    seen = image(lens, case.thing, patch_mm=case.patch_mm, **taken, **TILES)
+    given: dict[str, Any] = {"kind": case.kind, "patch_mm": case.patch_mm}
+    found = calibrate_frames(lens, seen.frames, judges=False, error=0.3, **given)
+    assert found.deviations is not None
+    assert found.covariance is not None
+    assert found.typical is not None
+    objects = [
+        reconstruct_frames(
+            lens, seen.frames, truth=seen.target.transmission, calibration=bench, **given, **TILES
+        )
+        for bench in (None, found.state)
+    ]
+    figures_of_object = [f"{one.truth['object_correlation'] or 0.0:.4f}" for one in objects]
+    figures_of_object.append(str(len(found.parameters) - len(found.nominal)))
+    estimates, deviations = np.array(found.values), np.array(found.deviations)
+    normalized = normalized_errors(estimates, found.covariance, np.array(found.typical))
+    return estimates / deviations, normalized, figures_of_object
+
+
+def main() -> None:
+    """Print a line for each bench, or for those whose numbers are given."""
+    print(
+        "| bench | directions | rms normalized error | largest | single parameters | object | calibrated "
+        "| needed |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for number in [int(word) for word in sys.argv[1:]] or range(len(CASES)):
+        case = CASES[number]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            of_parameters, normalized, figures_of_object = errors_of(case)
+        exposures = ",".join(f"{one:g}" for one in case.exposures)
+        what = f"1/{case.scale}, {case.thing}, {case.kind}, {case.planes} planes, exposures {exposures}"
+        figures = [
+            np.sqrt(np.mean(normalized**2)),
+            np.abs(normalized).max(),
+            np.sqrt(np.mean(of_parameters**2)),
+        ]
+        print(
+            f"| {what} | {len(normalized)} | {' | '.join(f'{one:.2f}' for one in figures)} "
+            f"| {' | '.join(figures_of_object)} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Base class and number types of the tables of design and study files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from lensdesign.common.number_limits import LARGEST_IN_FILES, SMALLEST_IN_FILES
+from lensdesign.errors import DesignError, InputError
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _not_tiny(value: float) -> float:
+    if value < SMALLEST_IN_FILES:
+        raise ValueError(f"must be at least {SMALLEST_IN_FILES:g}")
+    return value
+
+
+Positive = Annotated[
+    float, Field(gt=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False), AfterValidator(_not_tiny)
+]
+"""Positive size in any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
+
+Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allow_inf_nan=False)]
+"""Number of either sign in any unit; computations with both ends stay finite."""
+
+
+class FrozenModel(BaseModel):
+    """A table of a file: immutable and without unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with some values replaced, without validation or cached properties."""
+        copied = super().model_copy(update=update, deep=deep)
+        if update:
+            for own in type(self).__mro__:
+                for name, value in vars(own).items():
+                    if isinstance(value, cached_property):
+                        copied.__dict__.pop(name, None)
+        return copied
+
+    def replaced(self, **changes: Any) -> Self:
+        """Return a validated copy with some values replaced.
+
+        Raises
+        ------
+        DesignError
+            If a value is not allowed, or the values contradict each other.
+        """
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        try:
+            return type(self)(**(values | changes))
+        except ValidationError as error:
+            text = "; ".join(_message(fault) for fault in error.errors())
+            raise DesignError(text.replace("Value error, ", "").replace("Input should", "must")) from None
+
+
+def _message(fault: Any) -> str:
+    """Return the message of a fault with its location, unless the message states the location itself."""
+    refused = fault.get("ctx", {}).get("error")
+    if isinstance(refused, InputError):
+        return str(refused)
+    return ": ".join([*map(str, fault["loc"]), fault["msg"]])
+
+
+def as_tuple(value: Any) -> Any:
+    """Return a list as a tuple; TOML arrays are lists, and immutable models have tuples."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def as_nested_tuple(value: Any) -> Any:
+    """Return a list of lists as a tuple of tuples."""
+    return tuple(as_tuple(row) for row in value) if isinstance(value, list | tuple) else value
+
+
+def as_path(value: Any) -> Any:
+    """Return the path that a string in a file gives."""
+    if "\0" in str(value):
+        raise ValueError("a path must not contain a NUL character")
+    return Path(value) if isinstance(value, str) else value

@@ -1,0 +1,196 @@
+"""Drawings with a predicted yield: the yield of lenses that use the full tolerances of their drawing.
+
+The package that reads tolerance studies is above this one and is found through
+:mod:`lensdesign.optimization.as_built`. It also derives tolerances that a study does not specify, and
+predicts yields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.manufacture.drawing.assumed import AssumedTolerances
+from lensdesign.manufacture.drawing.nominal import Stated
+from lensdesign.manufacture.drawing.primitives import Drawing
+from lensdesign.manufacture.drawing.sheets import DrawingOptions, drawing_as_stated, lens_drawing
+from lensdesign.manufacture.drawing.tolerances import DERIVED_MARK, DrawingTolerances
+
+MAX_YIELD_LOSS = 0.02
+"""Largest allowed difference between the yields of the study and of the drawing."""
+
+
+@dataclass(frozen=True)
+class DerivedTolerances:
+    """Tolerances of a drawing, completed with values derived from a study.
+
+    Attributes
+    ----------
+    tolerances
+        Tolerances of the sheet of each element.
+    notes
+        Sentences on the derived values.
+    """
+
+    tolerances: tuple[DrawingTolerances, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DrawingYield:
+    """Predicted yield of a lens that uses the full tolerances of its drawing.
+
+    Attributes
+    ----------
+    study_yield, as_drawn_yield
+        Yield (0 to 1) of the designed lens with the tolerances of the study, and of the drawn lens with
+        those of the drawing.
+    losses
+        Indications that the study does not have, each with the yield that it alone costs, largest first.
+        Computed only if the total loss exceeds :data:`MAX_YIELD_LOSS`.
+    is_trustworthy
+        Whether the estimated higher-order terms of the prediction are small.
+    not_predicted
+        Merits of the study that only Monte Carlo trials can evaluate.
+    save
+        Function that writes the study with the drawing's tolerances: ``save(path, design)``.
+    """
+
+    study_yield: float
+    as_drawn_yield: float
+    losses: tuple[tuple[str, float], ...]
+    is_trustworthy: bool
+    not_predicted: tuple[str, ...]
+    save: Callable[[Path, str], None]
+
+    @property
+    def loss(self) -> float:
+        """Difference of the yields of study and drawing."""
+        return self.study_yield - self.as_drawn_yield
+
+    @property
+    def worst(self) -> str:
+        """The four indications that cost most yield, in words."""
+        return ", ".join(f"{text}: {100.0 * loss:.1f} percentage points" for text, loss in self.losses[:4])
+
+
+class YieldPredictor(Protocol):
+    """A tolerance study that completes the tolerances of a drawing and predicts its yield."""
+
+    def derive(self, lens: Lens, sheets: Sequence[DrawingTolerances]) -> DerivedTolerances:
+        """Derive the tolerances that the study does not specify, for the lens as drawn."""
+
+    def predict(
+        self, designed: Lens, drawn: Lens, sheets: Sequence[DrawingTolerances]
+    ) -> DrawingYield | None:
+        """Predict the yield; None if none of the study's merits can be predicted without trials."""
+
+
+class _StudyForDrawings(Protocol):
+    """A tolerance study as its entry point returns it."""
+
+    def yield_predictor(self) -> YieldPredictor:
+        """Return the object that predicts the yields of drawings."""
+
+
+def read_yield_predictor(study: Path) -> YieldPredictor:
+    """Read a tolerance study that predicts the yields of drawings.
+
+    Raises
+    ------
+    DesignError
+        If the file is not a study, or no installed package can read it.
+    """
+    from lensdesign.optimization.as_built import read_as_built
+    from lensdesign.optimization.specification.sections import Tolerances
+
+    built: Any = read_as_built(Tolerances(study=str(study)))
+    return cast(_StudyForDrawings, built).yield_predictor()
+
+
+@dataclass(frozen=True)
+class DrawingWithYield:
+    """A drawing with its predicted yield.
+
+    Attributes
+    ----------
+    drawing, stated
+        The drawing and its lens; see :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated`.
+    predicted_yield
+        Predicted yield; None if none of the study's merits can be predicted.
+    """
+
+    drawing: Drawing
+    stated: Stated
+    predicted_yield: DrawingYield | None
+
+
+def drawing_with_yield(
+    lens: Lens,
+    options: DrawingOptions,
+    assumed: AssumedTolerances,
+    predictor: YieldPredictor,
+    accept_yield_loss: bool = False,
+) -> DrawingWithYield:
+    """Draw a lens with the tolerances of a study, and predict the yield of the drawing.
+
+    Parameters
+    ----------
+    lens
+        The lens as designed.
+    options
+        Title block and tolerances.
+    assumed
+        Values that the study specifies.
+    predictor
+        The study.
+    accept_yield_loss
+        Whether the drawing may lose more than two percentage points of yield against the study (default:
+        False).
+
+    Returns
+    -------
+    DrawingWithYield
+        The drawing, its lens and its predicted yield.
+
+    Raises
+    ------
+    InputError
+        If the drawing loses more yield and this is not accepted, or if
+        :func:`lensdesign.manufacture.drawing.sheets.drawing_as_stated` rejects the lens.
+    """
+    _, first = drawing_as_stated(lens, options, assumed)
+    derived = predictor.derive(first.lens, first.tolerances)
+    completed = options.replaced(tolerances=derived.tolerances)
+    # Derived tolerances may be tighter, which requires finer rounding.
+    _, second = drawing_as_stated(lens, completed)
+    stated = Stated(second.lens, (*second.notes, *derived.notes), second.tolerances)
+    predicted_yield = predictor.predict(lens, stated.lens, stated.tolerances)
+    if predicted_yield is not None:
+        drawn, own = (
+            f"{100.0 * found:.1f} %"
+            for found in (predicted_yield.as_drawn_yield, predicted_yield.study_yield)
+        )
+        if predicted_yield.loss > MAX_YIELD_LOSS and not accept_yield_loss:
+            raise InputError(
+                f"the sheet allows more than {assumed.source}: predicted yield as drawn {drawn}, by the "
+                f"study {own}; the largest losses are {predicted_yield.worst}; add these perturbations to "
+                "the study, state closer values for them (--sheet), or accept the loss with "
+                "--accept-yield-loss"
+            )
+        completed = completed.replaced(remark=_remark(predicted_yield, assumed, options))
+    drawing = lens_drawing(stated.lens, completed.replaced(tolerances=stated.tolerances))
+    return DrawingWithYield(drawing, stated, predicted_yield)
+
+
+def _remark(predicted_yield: DrawingYield, assumed: AssumedTolerances, options: DrawingOptions) -> str:
+    own = (
+        f"{DERIVED_MARK} derived from {assumed.source}; predicted yield with all tolerances of this drawing "
+        f"{100.0 * predicted_yield.as_drawn_yield:.1f} %, "
+        f"by the study {100.0 * predicted_yield.study_yield:.1f} %"
+    )
+    return f"{own}; {options.remark}" if options.remark else own

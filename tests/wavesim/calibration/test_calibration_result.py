@@ -1,0 +1,45 @@
+"""A calibration whose field stop was found on another bench than the calibrated one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from wavesim.calibration.calibration_result import Calibrated, stop_warning_of
+from wavesim.scene.settings import StopOrigin
+from wavesim.scene.system_state import SystemState
+
+
+def calibrated(applied: dict[str, float], origin: StopOrigin = "frames") -> Calibrated:
+    names, values = tuple(applied), tuple(applied.values())
+    found = Calibrated(SystemState(), names, values, None, None, 0.1, 0.1, (), (), "converged", None)
+    return replace(found, applied=applied, field_stop_mm=0.02, field_stop_from=origin)
+
+
+@pytest.mark.parametrize("name", ["light_amplitude_10", "lens_decenter_x_mm", "plane_2_shift_x_um"])
+def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_another(
+    name: str, tmp_path: Path
+) -> None:
+    found = calibrated({"light_tilt_x_deg": 0.0, name: 0.1})
+    assert name in found.stop_warning
+    assert "light_tilt_x_deg" not in found.stop_warning
+    assert "field_stop_x_mm" in found.table()["undetermined"]
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(found.table()))
+    assert stop_warning_of(path) == found.stop_warning
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        calibrated({"light_amplitude_10": 0.0, "plane_1_background": 0.01}),
+        calibrated({"light_amplitude_10": 0.1}, "stated"),
+        calibrated({"light_amplitude_10": 0.1}, "patch"),
+    ],
+)
+def test_a_stated_stop_and_a_nominal_bench_leave_no_doubt(found: Calibrated) -> None:
+    assert not found.stop_warning
+    assert not found.table()["undetermined"]

@@ -1,0 +1,314 @@
+"""Result of a calibration: a bench that explains the frames, and its file."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from lensdesign.common.arrays import Array
+from lensdesign.common.frozen_model import Finite, FrozenModel, as_tuple
+from lensdesign.common.notebook import html_table
+from lensdesign.common.toml_files import did_you_mean, validate
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose
+from wavesim.calibration.parameters import Unknowns, all_names
+from wavesim.metrics.goodness_of_fit import GoodnessOfFit
+from wavesim.scene.settings import StopOrigin
+from wavesim.scene.state_files import STATE, read_json, state_of_file, state_table
+from wavesim.scene.system_state import SystemState
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A calibrated bench, and the quality of the calibration.
+
+    :func:`wavesim.calibrate_frames` returns it. The n parameters are numbers in the unit that their names
+    state.
+
+    Attributes
+    ----------
+    state : SystemState
+        The calibrated state of lens, light and camera.
+    parameters : tuple of str
+        Names of the n parameters that were sought.
+    values : tuple of float
+        Estimate of each parameter.
+    deviations : tuple of float or None
+        Standard deviation of each estimate, with the prior included; None for a known object.
+    covariance : ndarray of shape (n, n), or None
+        Covariance of the estimates, with the prior included. It is None for a known object, and where frames
+        without an object determined the light.
+    typical : tuple of float or None
+        Expected standard deviation of each parameter (prior).
+    misfit_before, misfit : float
+        Relative L2 difference between modelled and recorded amplitudes at the start, and with the calibrated
+        bench. Each is computed with the object that fits best.
+    trail : tuple of (tuple of float, float)
+        Values that were tried, and their misfits.
+    at_reach : tuple of str
+        Parameters that ended at the bounds of the search.
+    stopped_because : str
+        Reason for the end of the search.
+    misfit_of_noise : float or None
+        Misfit that the stated noise alone would leave (:func:`wavesim.sensor.measurement.noise_misfit`).
+    correlated_with : mapping
+        Parameters that the frames do not distinguish from others, each with the names of the others.
+    nominal : tuple of str
+        Parameters that the frames do not need. The bench has their nominal values instead of the estimates.
+    undetermined : tuple of str
+        Parameters that were not sought, because a complex object can imitate them.
+    applied : mapping or None
+        Values that the bench has, by name; None where they are the estimates.
+    verdict : GoodnessOfFit or None
+        Assessment of the object on this bench by :func:`wavesim.reconstruct_frames`; None if it was not
+        requested.
+    field_stop_mm : float or None
+        Diameter of the field stop of the light in mm.
+    field_stop_at_mm : (x, y)
+        Center of the field stop in mm.
+    field_stop_from : str
+        Origin of the field stop: "patch" if nothing was stated, "stated", or "frames" if it was found.
+
+    Examples
+    --------
+    A lens that is decentered by 5 um, calibrated with frames of a known object:
+
+    >>> from lensdesign import load_design, scaled
+    >>> from wavesim import calibrate_frames, image
+    >>> lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+    >>> patch = {"patch_mm": 0.02, "engine": "eikonal", "error": 0.1}
+    >>> taken = image(lens, "tissue", planes_mm=(0.03,), decenter_x_mm=0.005, **patch)
+    >>> known = taken.target.transmission
+    >>> found = calibrate_frames(lens, taken.frames, known=known, parameters="decenter_x_mm", **patch)
+    >>> round(found.state.pose.decenter_x_mm, 3), found.misfit < found.misfit_before
+    (0.005, True)
+    """
+
+    state: SystemState
+    parameters: tuple[str, ...]
+    values: tuple[float, ...]
+    deviations: tuple[float, ...] | None
+    typical: tuple[float, ...] | None
+    misfit_before: float
+    misfit: float
+    trail: tuple[tuple[tuple[float, ...], float], ...]
+    at_reach: tuple[str, ...]
+    stopped_because: str
+    misfit_of_noise: float | None
+    correlated_with: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    nominal: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    applied: Mapping[str, float] | None = None
+    verdict: GoodnessOfFit | None = None
+    covariance: Array | None = None
+    field_stop_mm: float | None = None
+    field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
+    field_stop_from: StopOrigin = "patch"
+
+    @property
+    def poorly_determined(self) -> tuple[str, ...]:
+        """Parameters that the frames hardly determine."""
+        if self.deviations is None or self.typical is None:
+            return ()
+        rows = zip(self.parameters, self.deviations, self.typical, strict=True)
+        # Standard deviation over the expected one above which the frames hardly determine a parameter.
+        largest_ratio = 0.5
+        return tuple(name for name, deviation, typical in rows if deviation > largest_ratio * typical)
+
+    @property
+    def changed_parameters(self) -> tuple[str, ...]:
+        """Parameters, except backgrounds, in which the bench differs from the design."""
+        applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
+        return tuple(name for name, value in applied.items() if value and not name.endswith("_background"))
+
+    @property
+    def stop_warning(self) -> str:
+        """Warning that position and diameter of the field stop are not determined; empty where they are.
+
+        A field stop is found on the nominal bench. An error of the light displaces it together with the
+        object, in a way that frames hardly distinguish from other light. Residuals do not show this.
+        """
+        if self.field_stop_from != "frames" or not self.changed_parameters:
+            return ""
+        most_named = 4
+        names = ", ".join(self.changed_parameters[:most_named]) + ", ..." * (
+            len(self.changed_parameters) > most_named
+        )
+        return (
+            "position and diameter of the field stop were found on the nominal bench, from which the "
+            f"calibrated one differs ({names}): stop and object may be displaced together, and residuals do "
+            "not show it"
+        )
+
+    @property
+    def over_noise(self) -> float | None:
+        """Residuals over the expected ones, from the verdict; None without a verdict."""
+        return None if self.verdict is None else self.verdict.over_noise
+
+    @property
+    def explained(self) -> bool | None:
+        """True if the frames are explained, from the verdict; None without a verdict."""
+        return None if self.verdict is None else self.verdict.explained
+
+    def table(self) -> dict[str, Any]:
+        """Return all results as plain values for JSON; :func:`read_calibration` reads them."""
+        deviations = self.deviations or (None,) * len(self.parameters)
+        stop_parameters = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
+        return {
+            STATE: state_table(self.state),
+            "values": dict(zip(self.parameters, self.values, strict=True)),
+            "applied": dict(self.applied or zip(self.parameters, self.values, strict=True)),
+            "deviations": dict(zip(self.parameters, deviations, strict=True)),
+            "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
+            "kept_at_nominal": list(self.nominal),
+            "undetermined": [*self.undetermined, *stop_parameters * bool(self.stop_warning)],
+            "not_told": list(self.poorly_determined),
+            "not_told_from": {name: list(others) for name, others in self.correlated_with.items()},
+            "parameters": list(self.parameters),
+            "misfit_before": self.misfit_before,
+            "misfit": self.misfit,
+            "misfit_of_noise": self.misfit_of_noise,
+            "mountings_tried": len(self.trail),
+            "at_reach": list(self.at_reach),
+            "stopped_because": self.stopped_because,
+            "over_noise": self.over_noise,
+            "explained": self.explained,
+            "verdict": None if self.verdict is None else self.verdict.as_dict(),
+            "field_stop_mm": self.field_stop_mm,
+            "field_stop_at_mm": list(self.field_stop_at_mm),
+            "field_stop_from": self.field_stop_from,
+            "field_stop_doubt": self.stop_warning,
+        }
+
+    def __repr__(self) -> str:
+        return f"Calibrated({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("SystemState as it is", self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
+        rows = [(name, f"{value:.5g}") for name, value in zip(self.parameters, self.values, strict=True)]
+        rows.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
+        rows.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
+        return rows + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
+
+
+def correlated_parameters(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]]:
+    """Return, for each parameter that has such, the others with strongly correlated errors."""
+    deviations = np.sqrt(np.diag(covariance))
+    # Correlation of the errors of two parameters above which the frames do not distinguish them.
+    threshold = 0.5
+    is_correlated = np.abs(covariance / np.outer(deviations, deviations)) >= threshold
+    found = {
+        name: tuple(o for o, is_so in zip(names, row, strict=True) if is_so and o != name)
+        for name, row in zip(names, is_correlated, strict=True)
+    }
+    return {name: others for name, others in found.items() if others}
+
+
+def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float]] | None:
+    """Return diameter and center in mm of a calibration's field stop, or None if it is the patch itself.
+
+    Parameters
+    ----------
+    path
+        File calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or its field stop is invalid.
+    """
+    table = read_json(path)
+    if table.get("field_stop_from", "patch") == "patch":
+        return None
+    values = [table.get("field_stop_mm"), *(table.get("field_stop_at_mm") or [])]
+    numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(values) != 3 or len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[0] <= 0.0:
+        raise InputError(
+            f"{path}: field_stop_mm, field_stop_at_mm = {values!r}: must be a diameter above 0 and a pair of "
+            "finite numbers"
+        )
+    return float(numbers[0]), (float(numbers[1]), float(numbers[2]))
+
+
+def stop_warning_of(path: str | os.PathLike[str]) -> str:
+    """Return the warning that a calibration's field stop is not determined; empty where it is.
+
+    Parameters
+    ----------
+    path
+        File calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return str(read_json(path).get("field_stop_doubt") or "")
+
+
+class _Mounting(FrozenModel):
+    """Mounting of the lens in files of earlier versions, which have no state."""
+
+    decenter_x_mm: Finite = 0.0
+    decenter_y_mm: Finite = 0.0
+    tilt_x_deg: Finite = 0.0
+    tilt_y_deg: Finite = 0.0
+    pivot_z_mm: Finite = 0.0
+    working_distance_mm: Finite = 0.0
+    plane_distances_mm: Annotated[tuple[Finite, ...], BeforeValidator(as_tuple)] = ()
+
+
+def read_calibration(path: str | os.PathLike[str], lens: Lens) -> SystemState:
+    """Return the state of the system that `wavesim calibrate` has found.
+
+    Parameters
+    ----------
+    path
+        File calibration.json of this version or an earlier one, or any file with a state
+        (:func:`wavesim.write_state`).
+    lens
+        The design that was calibrated.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, contains no state, or belongs to another lens.
+    """
+    table = read_json(path)
+    if STATE in table or not isinstance(table.get("mounting"), dict):
+        return state_of_file(table, path, lens)
+    mounting = validate(_Mounting, table["mounting"], Path(path)).model_dump()
+    planes, farther = mounting.pop("plane_distances_mm"), mounting.pop("working_distance_mm")
+    state = SystemState(
+        Pose(**mounting), object_shift_mm=(0.0, 0.0, 0.0 - farther), plane_distance_errors_mm=planes
+    )
+    values = table.get("applied", table.get("values"))
+    return state if values is None else Unknowns(lens, state, _numbers(values, path, lens)).state
+
+
+def _numbers(values: Any, path: str | os.PathLike[str], lens: Lens) -> dict[str, float]:
+    """Return the values of parameters that a lens can have; distances of planes are in the mounting."""
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: values: must be a table of numbers")
+    allowed = all_names(lens)
+    ignored = [name for name in values if name not in allowed and name.startswith("plane_distance_")]
+    for name, value in values.items():
+        if name not in allowed and name not in ignored:
+            raise InputError(
+                f"{path}: values: {name!r}: this lens has no such parameter{did_you_mean(name, allowed)}; "
+                "give the design that was calibrated"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{path}: values: {name} = {value!r}: must be a finite number")
+    return {name: float(value) for name, value in values.items() if name not in ignored}

@@ -1,0 +1,90 @@
+"""Covariance of the estimates of a joint calibration; its diagonal holds the squared standard deviations.
+
+The object is unknown, too, and is eliminated from the normal equations by block conjugate gradients. The
+prior of the parameters is included. Clipped noise of dark pixels can imitate a background, which adds to the
+variance of backgrounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from wavesim.calibration.joint.pixels import plane_index_of
+from wavesim.calibration.joint.step import GaussNewtonStep
+from wavesim.calibration.parameters import Parameter
+from wavesim.metrics.goodness_of_fit import MODEL_ERROR
+from wavesim.sensor.measurement import DARK, Measurement
+
+ELIMINATION_ITERATIONS = 20
+"""Largest number of iterations that eliminate the object from the covariance."""
+
+
+def residual_variance(misfit: float, pixels: int) -> float:
+    """Return the variance of the residuals on which the estimates and their covariance are based.
+
+    Parameters
+    ----------
+    misfit
+        Relative root mean square residual of the amplitudes.
+    pixels
+        Number of valid pixels.
+    """
+    # Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise,
+    # they are equal in many pixels and average out less. The number was fitted to the normalized errors of
+    # six nominal benches (`benchmarks/calibration_errors.py`).
+    independent_errors = 60
+    return misfit**2 / pixels + MODEL_ERROR**2 / independent_errors
+
+
+def covariance_of_estimates(
+    equations: GaussNewtonStep,
+    parameters: Sequence[Parameter],
+    recorded: Sequence[Measurement],
+    *,
+    object_is_free: bool,
+) -> Array:
+    """Return the covariance of the estimates, with the prior included.
+
+    Parameters
+    ----------
+    equations
+        Undamped normal equations at the estimates.
+    parameters
+        Parameters of the equations.
+    recorded
+        Measured amplitudes of each plane.
+    object_is_free
+        Whether the object is estimated together with the parameters.
+
+    Returns
+    -------
+    ndarray, shape (parameters, parameters)
+        Covariance in the units of the parameters.
+    """
+    curvature = equations.reduced_curvature(ELIMINATION_ITERATIONS if object_is_free else 0)
+    covariance = np.linalg.inv(curvature) * equations.variance
+    background = background_of_clipping(parameters, recorded)
+    return np.asarray(covariance + np.diag(background**2), float)
+
+
+def background_of_clipping(parameters: Sequence[Parameter], recorded: Sequence[Measurement]) -> Array:
+    """Return, for each parameter, the background that clipped noise of dark pixels may imitate.
+
+    It is 0 for parameters that are not backgrounds.
+    """
+    found = np.zeros(len(parameters))
+    # Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard deviation.
+    # Clipped noise looks like a background of this size.
+    clipped_noise = 0.17
+    for index, parameter in enumerate(parameters):
+        if not parameter.name.endswith("_background"):
+            continue
+        plane = recorded[plane_index_of(parameter)]
+        if plane.sigma is not None:
+            dark = np.min(plane.sigma[plane.amplitude == plane.amplitude.min()])
+            mean = float(np.mean(plane.amplitude.astype(float) ** 2))
+            found[index] = clipped_noise * 4.0 * DARK * float(dark) ** 2 / mean
+    return found
