@@ -24,8 +24,7 @@ def sum_of_strehls(trial):
 
 
 def tilt(trial):
-    assert trial.lens.half_field_mm == 1.5
-    assert trial.placement is trial.state  # the former name
+    assert trial.lens.half_field_mm == 1.5 and trial.placement is trial.state
     assert trial.rays((0.0, 0.0)).ok.shape[0] == 1
     return trial.state.pose.tilt_x_deg + trial.deltas["lens_tilt_x_deg"]
 
