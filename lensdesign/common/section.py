@@ -31,7 +31,11 @@ Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allo
 
 
 class Section(BaseModel):
-    """A table of a file: immutable and without unknown keys."""
+    """A table of a file: immutable and without unknown keys.
+
+    A missing, unknown or forbidden value raises pydantic.ValidationError when an object is made. Methods that
+    change an existing object raise DesignError instead.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
 

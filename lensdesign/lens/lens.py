@@ -39,12 +39,6 @@ class ObjectSpace(Section):
     working_distance_mm
         Distance from the object plane to the front vertex.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import ObjectSpace
@@ -68,12 +62,6 @@ class Sensor(Section):
         Number of pixels along x and y.
     plane_distances_mm
         Distances of the recording planes H1, H2, ... from the exit vertex, increasing.
-
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
 
     Examples
     --------
@@ -125,12 +113,6 @@ class Lens(Section):
         Refracting surfaces, front to back.
     edges
         One edge for each glass element, front to back, or none at all.
-
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
 
     Examples
     --------

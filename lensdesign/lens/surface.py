@@ -43,12 +43,6 @@ class Surface(Section):
     figure
         Measured sag error of the made surface; None means no error.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import Surface

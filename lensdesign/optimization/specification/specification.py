@@ -50,12 +50,6 @@ class Specification(Lens):
     variables
         Variables with their bounds or choices.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import load_specification
