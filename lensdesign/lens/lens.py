@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.notebook import html_table
-from lensdesign.common.section import Positive, Section, as_path, tuples
+from lensdesign.common.section import Positive, Section, as_path
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import refractive_index
@@ -76,8 +76,6 @@ class Sensor(Section):
     pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
     plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
 
-    _lists = field_validator("pixels", "plane_distances_mm", mode="before")(tuples)
-
     @field_validator("plane_distances_mm")
     @classmethod
     def _increasing(cls, value: tuple[float, ...]) -> tuple[float, ...]:
@@ -139,8 +137,6 @@ class Lens(Section):
     sensor: Sensor
     surfaces: Annotated[tuple[Surface, ...], Field(alias="surface", min_length=1)]
     edges: Annotated[tuple[Edge, ...], Field(alias="edge")] = ()
-
-    _lists = field_validator("wavelengths_um", "surfaces", "edges", mode="before")(tuples)
 
     @field_validator("glass_catalogs", mode="before")
     @classmethod

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.lens.figure_source import FigureSource
 from lensdesign.lens.shapes.base import Shape, curvature_of, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
@@ -62,8 +62,6 @@ class Surface(Section):
     semi_diameter_mm: Positive | None = None
     stop: bool = False
     figure: FigureSource | None = None
-
-    _lists = field_validator("asphere", mode="before")(tuples)
 
     @field_validator("shape_type")
     @classmethod

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Positive, tuples
+from lensdesign.common.section import Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import check_field_point, points_text
 from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, STEP_FRACTION, Compensator, bounded_step
@@ -50,8 +50,6 @@ class ReconstructionLoss(PupilMerit):
 
     trials_per_chunk: ClassVar[int] = 4
     engine: ClassVar[str] = "linearised chain on meridians"
-
-    _planes = field_validator("planes_mm", mode="before")(tuples)
 
     @property
     def details(self) -> tuple[str, ...]:

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Bounded, Positive, rows
+from lensdesign.common.section import Bounded, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit, check_field_point, points_text
@@ -34,8 +33,6 @@ class RayMerit(Merit):
 
     levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256
-
-    _lists = field_validator("field_points_mm", mode="before")(rows)
 
     def check(self, lens: Lens) -> None:
         for point in self.field_points_mm:

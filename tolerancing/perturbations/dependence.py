@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Section, rows, tuples
+from lensdesign.common.section import Section
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
@@ -50,10 +50,6 @@ class Correlation(Section):
     names: Annotated[tuple[str, ...], Field(min_length=2)]
     coefficient: Coefficient | None = None
     matrix: tuple[tuple[Coefficient, ...], ...] | None = None
-
-    _lists = field_validator("names", mode="before")(tuples)
-
-    _rows = field_validator("matrix", mode="before")(rows)
 
     @field_validator("names")
     @classmethod

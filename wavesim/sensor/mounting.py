@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator
 
 from lensdesign.common.input_files import TABLE_BYTES, read_input
-from lensdesign.common.section import Finite, Section, tuples
+from lensdesign.common.section import Finite, Section
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
@@ -41,8 +40,6 @@ class _Table(Section):
     pivot_z_mm: Finite = 0.0
     working_distance_mm: Finite = 0.0
     plane_distances_mm: tuple[Finite, ...] = ()
-
-    _lists = field_validator("plane_distances_mm", mode="before")(tuples)
 
 
 def mounting_table(mounting: Placement) -> dict[str, Any]:

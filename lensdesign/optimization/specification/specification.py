@@ -11,10 +11,9 @@ import os
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lensdesign.common.input_files import validate_inside
-from lensdesign.common.section import tuples
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
 from lensdesign.files.design import validate_kind, validated_lens
@@ -65,8 +64,6 @@ class Specification(Lens):
     tolerances: Tolerances | None = None
     environment: Environment | None = None
     variables: Annotated[tuple[VariableRange, ...], Field(alias="variable", min_length=1)]
-
-    _variable_lists = field_validator("variables", mode="before")(tuples)
 
     @model_validator(mode="after")
     def _consistent(self) -> Specification:
