@@ -16,10 +16,9 @@ from lensdesign.cli import searching as cli_searching
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
 from lensdesign.cli import workbench as cli_workbench
-from lensdesign.cli.making import Design, Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
-from lensdesign.common.outputs import output_file, output_folder
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 
@@ -80,12 +79,7 @@ def check(
 @app.command()
 def draw(
     design: Design,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", callback=output_folder, metavar="DIR", help="Folder for the pictures."
-        ),
-    ],
+    output: Annotated[Path, output_option("Folder for the pictures.", "DIR", is_folder=True)],
     formats: Annotated[
         list[PictureFormat], typer.Option("--format", help="Picture format; may be given twice.")
     ] = [PictureFormat.PNG],  # noqa: B006
@@ -123,10 +117,7 @@ def scale(
     factor: Annotated[
         float, typer.Argument(metavar="FACTOR", help="Factor by which all lengths are multiplied.")
     ],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="TWIN", help="Design file to write."),
-    ],
+    output: Annotated[Path, output_option("Design file to write.", "TWIN")],
     as_json: Json = False,
 ) -> None:
     """Write the same lens at another size.

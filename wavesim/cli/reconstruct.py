@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
 from wavesim.cli.free_space import in_free_space
-from wavesim.cli.options import AsJson, Empty, Frames, Output, Priors, print_warnings
+from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import (
@@ -61,7 +62,7 @@ def reconstruct(
     truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
     empty: Empty = None,
     priors: Priors = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Reconstruct the object from frames: amplitude, phase, residuals, focus, and goodness of fit.
 
