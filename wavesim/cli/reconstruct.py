@@ -103,8 +103,7 @@ def reconstruct(
         warnings.simplefilter("always")
         lens = load_design(design)
         bench = None if calibration is None else _calibrated_before(calibration, lens)
-        stop_from, settings = _stop_of(calibration, settings)
-        stop_doubt = _stop_doubt(calibration) if stop_from == "calibration" else ""
+        stop_from, stop_doubt, settings = _stop_of(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / subfolder
@@ -160,23 +159,19 @@ def _calibrated_before(path: Path, lens: Lens) -> Bench:
     return read_calibration(path, lens)
 
 
-def _stop_doubt(calibration: Path | None) -> str:
-    """Return why the field stop of an earlier calibration is undetermined; empty if it is determined."""
-    from wavesim.calibration.calibrated import stop_warning_of
-
-    return "" if calibration is None else stop_warning_of(calibration)
-
-
 def _stop_of(
     calibration: Path | None, settings: ReconstructionSettings
-) -> tuple[StopOrigin | None, ReconstructionSettings]:
-    """Return the field stop of an earlier calibration, unless the settings state it."""
+) -> tuple[StopOrigin | None, str, ReconstructionSettings]:
+    """Return origin, warning and settings of a calibration's field stop, unless the settings state one."""
     if calibration is None or settings.field_stop_from != "patch":
-        return None, settings
+        return None, "", settings
     from wavesim.calibration.calibrated import field_stop_of
 
     stop = field_stop_of(calibration)
-    return (None, settings) if stop is None else ("calibration", settings.with_stop(*stop))
+    if stop is None:
+        return None, "", settings
+    diameter_mm, centre_mm, warning = stop
+    return "calibration", warning, settings.with_stop(diameter_mm, centre_mm)
 
 
 def _calibrated(
