@@ -18,7 +18,6 @@ from lensdesign.common.array_files import array_names, read_arrays
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError, validate_choice, validate_positive
 from wavesim.fields.coverage import (
-    Rectangle,
     disc_coverage,
     rectangle,
     rectangle_coverage,
@@ -264,20 +263,6 @@ def field_stop(
     if shape == "disc":
         return _soft(np.hypot(x, y), half, edge_mm)
     return _soft(abs(y), half, edge_mm) * _soft(abs(x), half, edge_mm)
-
-
-def validate_within_stop(
-    outline: Rectangle, shape: StopShape, width_mm: float, centre_mm: tuple[float, float] = (0.0, 0.0)
-) -> None:
-    """Raise InputError if an object's outline reaches beyond a field stop."""
-    x = max(abs(outline.left_mm - centre_mm[0]), abs(outline.right_mm - centre_mm[0]))
-    y = max(abs(outline.low_mm - centre_mm[1]), abs(outline.high_mm - centre_mm[1]))
-    needed = 2.0 * (math.hypot(x, y) if shape == "disc" else max(x, y))
-    if needed > width_mm * (1.0 + 1e-9):
-        raise InputError(
-            f"field stop ({shape}) of width_mm = {width_mm:g}: smaller than the object; must be "
-            f"{needed:.4g} or more"
-        )
 
 
 def _soft(distance: Array, half: float, edge: float) -> Array:
