@@ -433,10 +433,7 @@ def _angle(_position: Array, direction: Array) -> Array:
 
 
 def _reaches(lens: Lens, plane_distance_mm: float) -> list[Metric]:
-    """Return metrics of the distance from the axis on a plane.
-
-    If the lens is not rotationally symmetric, the distances along x and along y follow.
-    """
+    """Return metrics of the distance from the axis; without rotational symmetry, also along x and y."""
     plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
     rotational = all(surface.shape.ROTATIONAL for surface in lens.surfaces)
     weights = [(1.0, 1.0)] if rotational else [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]

@@ -109,17 +109,7 @@ class ReconstructionLoss(PupilMerit):
 
 
 class _AdaptedModel:
-    """The reconstruction's model, with compensators fitted to the visible path error of a perturbed lens.
-
-    Parameters
-    ----------
-    context
-        Context with the compensators.
-    chains
-        Linearised chains on the meridians of one field point.
-    wavelength_um
-        Vacuum wavelength; None: the first of the design.
-    """
+    """The reconstruction's model, with compensators fitted to the visible path error of a perturbed lens."""
 
     def __init__(
         self, context: Context, chains: Sequence[LinearisedChain], wavelength_um: float | None

@@ -330,11 +330,7 @@ def _by_counts(worst: NDArray[np.bool_], random: NDArray[np.bool_], total: int) 
 def _arrays(
     low: NDArray, chosen: TrialChoice, high: NDArray
 ) -> tuple[NDArray, NDArray, NDArray, NDArray[np.bool_]]:
-    """Check the arrays and split the high-fidelity values.
-
-    Returns the low-fidelity values, the high-fidelity values of the worst and of the random trials, and a
-    mask of all trials that are not among the worst.
-    """
+    """Return low-fidelity values, high-fidelity ones of worst and random trials, and a mask of the others."""
     every = chosen.all
     if low.ndim != 1 or high.shape != every.shape:
         raise InputError(

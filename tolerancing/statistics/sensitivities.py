@@ -443,12 +443,7 @@ def _comparison(
 
 
 def _fit_parabolas(change: Array) -> tuple[Array, Array]:
-    """Fit a parabola to each change, with the deviation in fractions of the tolerance.
-
-    Returns
-    -------
-    coefficients, residuals : ndarray, shape (d, 3, m) and (d, m)
-    """
+    """Fit parabolas over fractions of the tolerance; return coefficients (d, 3, m) and residuals (d, m)."""
     d, steps, m = change.shape
     u = np.array([*STEPS, 0.0])
     terms = np.stack([np.ones_like(u), u, u**2], axis=1)

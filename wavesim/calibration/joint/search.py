@@ -223,9 +223,7 @@ class JointSearch:
         slopes: RaySlopes | None,
         reason: str,
     ) -> FitResult:
-        """Return the result: estimates about the final object, and the bench with the parameters that are
-        needed.
-        """
+        """Return the estimates about the final object, and the bench with the parameters that are needed."""
         names = [p.name for p in self.parameters]
         best = self._converged_fit(current.unknowns, verified.transmission)
         # Number of times that estimates are made, each about the object on the bench of the one before.
@@ -307,9 +305,7 @@ class JointSearch:
         return np.asarray(covariance + np.diag(self._background_of_clipping() ** 2), float)
 
     def _background_of_clipping(self) -> Array:
-        """Return, by index of the parameter, the background that clipped noise of dark pixels may
-        imitate.
-        """
+        """Return, by parameter index, the background that clipped noise of dark pixels may imitate."""
         planes, found = self.pixels.recorded, np.zeros(len(self.parameters))
         # Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard
         # deviation. Clipped noise looks like a background of this size.
@@ -329,9 +325,7 @@ class JointSearch:
         return self._fit_bench(current.unknowns, start=current.transmission)
 
     def _is_misled(self, current: _BenchFit, verified: _BenchFit) -> bool:
-        """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the
-        search.
-        """
+        """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the search."""
         # Iterations after which an object found with other tiles has adapted to a bench's own tiles.
         adapted_after = 1
         own_misfit = verified.curve[min(adapted_after, len(verified.curve) - 1)]
@@ -415,9 +409,7 @@ class JointSearch:
         return replace(state, stretch=min(max(line_search.best, 1.0), MOST_STRETCH)), best
 
     def _determined_parameters(self, current: _BenchFit, columns: RealArray) -> tuple[Parameter, ...]:
-        """Return all parameters except sensor tilts that the frames would not determine with a known
-        object.
-        """
+        """Return all parameters except sensor tilts that frames of a known object would not determine."""
         flat = columns.reshape(len(columns), -1)
         typical = np.array([p.typical for p in self.parameters])
         information = (
@@ -453,10 +445,7 @@ class JointSearch:
         start: NDArray[Any] | None = None,
         iterations: int | None = None,
     ) -> _BenchFit:
-        """Return a bench with its object, by its own tiles or those of a similar bench.
-
-        The reconstruction starts from even light or from a given object.
-        """
+        """Reconstruct the object from even light or a given object, by tiles of this or a similar bench."""
         model = self.pixels.model(unknowns, reference)
         if self.known is not None:
             linear = LinearModel(model, self.known, self.pixels.scale is None)

@@ -238,9 +238,7 @@ class Passes:
 
     @property
     def _carried(self) -> list[Plane]:
-        """Planes with carriers. The panels of the first one store the transform at the end of an
-        iteration.
-        """
+        """Planes with carriers; the first one's panels store the transform at the end of an iteration."""
         return [plane for plane in self.planes if plane.carrier is not None]
 
     def _blocks(self, with_neighbours: bool = False) -> list[Block]:
