@@ -25,6 +25,7 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import stored_number
 from wavesim.fields.guards import report_loss
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.arrays import fftn
@@ -283,13 +284,10 @@ def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
         )
     if not np.all(np.isfinite(values)):
         raise InputError(f"measured field {path}: has values that are not finite")
-    stated: dict[str, float] = {}
-    for key in ("pitch_um", "wavelength_um"):
-        if key in held:
-            if held[key].size != 1 or held[key].dtype.kind not in "fiu":
-                raise InputError(f"measured field {path}: `{key}` must be one number")
-            stated[key] = float(held[key].item())
-    return np.asarray(values, complex), stated
+    named = [key for key in ("pitch_um", "wavelength_um") if key in held]
+    return np.asarray(values, complex), {
+        key: stored_number(held, key, f"measured field {path}") for key in named
+    }
 
 
 def _pitch_um(path: Path, stated: dict[str, float], given: float | None) -> float:
