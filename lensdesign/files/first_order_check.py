@@ -98,11 +98,6 @@ def check_first_order(
     filled
         Whether the semi-diameter of the stop should equal the height of the marginal ray.
 
-    Returns
-    -------
-    ImportedFirstOrder
-        First-order data of the traced lens.
-
     Raises
     ------
     InputError

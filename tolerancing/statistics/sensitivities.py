@@ -230,11 +230,6 @@ def study_sensitivities(
     steps
         Steps of the store; those of other series are ignored.
 
-    Returns
-    -------
-    Sensitivity
-        Effect of each perturbation on each merit.
-
     Raises
     ------
     InputError
@@ -306,11 +301,6 @@ def fit_sensitivity(
     mean, kurtosis : array_like, shape (d,)
         Mean and kurtosis of each distribution, which is symmetric about its mean. The default kurtosis is
         that of a normal distribution; a uniform one has 1.8.
-
-    Returns
-    -------
-    Sensitivity
-        Effect of each perturbation on each merit.
 
     Raises
     ------

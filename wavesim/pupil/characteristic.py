@@ -139,11 +139,6 @@ def point_characteristic(
     samples
         Samples along each side of the square grid that covers the bundle's direction cosines, 8 to 4096.
 
-    Returns
-    -------
-    PointCharacteristic
-        The rays that reach the plane.
-
     Raises
     ------
     InputError

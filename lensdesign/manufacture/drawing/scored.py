@@ -150,11 +150,6 @@ def scored_drawing(
         Whether the drawing may lose more than two percentage points of yield against the study (default:
         False).
 
-    Returns
-    -------
-    ScoredDrawing
-        The drawing, its lens and its predicted yield.
-
     Raises
     ------
     InputError

@@ -213,11 +213,6 @@ class Passes:
             Weight of the mean over planes, and weights of `now` and `previous`, which are subtracted.
         tv_step
             Step t of A4.
-
-        Returns
-        -------
-        AmplitudeMatch
-            Agreement of `now` with the first plane.
         """
         self.propagate()
         sums_of_first: list[Sums] = []
