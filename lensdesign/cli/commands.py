@@ -19,7 +19,7 @@ from lensdesign.cli import workbench as cli_workbench
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.options import Design, Json, output_option
-from lensdesign.common.text import visible
+from lensdesign.common.text import quantity_text, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -213,7 +213,10 @@ def _print_check(report: CheckReport) -> None:
     constraints = table(report.title, "constraint", "value", "limit", "")
     for c in report.constraints:
         constraints.add_row(
-            c.name, _number(c.value, c.unit), f"{c.relation} {_number(c.limit, c.unit)}", _met(c.met)
+            c.name,
+            quantity_text(c.value, c.unit),
+            f"{c.relation} {quantity_text(c.limit, c.unit)}",
+            _met(c.met),
         )
     figures = table("", "figure", "value")
     heights = ", ".join(f"{h:g}" for h in report.spot_heights_mm)
@@ -248,11 +251,6 @@ def _print_check(report: CheckReport) -> None:
         typer.echo("every constraint is met")
     for sentence in report.violations:
         typer.echo(f"not met: {sentence}")
-
-
-def _number(value: float, unit: str) -> str:
-    text = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.4f}"
-    return f"{text} {unit}".rstrip()
 
 
 def _met(met: bool) -> str:
