@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wavesim.calibration.pulls import independent_pulls
+from benchmarks.calibration_pulls import independent_pulls
 
 PRIOR = np.array([2.0, 0.1, 5.0, 1.0, 0.5])
 
