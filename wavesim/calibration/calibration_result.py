@@ -217,13 +217,22 @@ def correlated_parameters(names: Sequence[str], covariance: Array) -> dict[str, 
     return {name: others for name, others in found.items() if others}
 
 
-def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float]] | None:
-    """Return diameter and center in mm of a calibration's field stop, or None if it is the patch itself.
+def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float], str] | None:
+    """Return the field stop of a calibration, or None if it is the patch itself.
 
     Parameters
     ----------
     path
         File calibration.json.
+
+    Returns
+    -------
+    diameter_mm : float
+        Diameter of the field stop.
+    centre_mm : (x, y)
+        Its centre.
+    warning : str
+        Warning that the frames do not determine the field stop; empty where they do.
 
     Raises
     ------
@@ -240,23 +249,8 @@ def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, flo
             f"{path}: field_stop_mm, field_stop_at_mm = {values!r}: must be a diameter above 0 and a pair of "
             "finite numbers"
         )
-    return float(numbers[0]), (float(numbers[1]), float(numbers[2]))
-
-
-def stop_warning_of(path: str | os.PathLike[str]) -> str:
-    """Return the warning that a calibration's field stop is not determined; empty where it is.
-
-    Parameters
-    ----------
-    path
-        File calibration.json.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    return str(read_table(path).get("field_stop_doubt") or "")
+    warning = str(table.get("field_stop_doubt") or "")
+    return float(numbers[0]), (float(numbers[1]), float(numbers[2])), warning
 
 
 def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:

@@ -128,11 +128,6 @@ class NominalRays:
         placement
             Positions of object and sensor.
 
-        Returns
-        -------
-        AimedRays
-            Paths, directions and amplitudes.
-
         Raises
         ------
         RayAimError

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator
 
-from lensdesign.common.frozen_model import Finite, FrozenModel, as_tuple
+from lensdesign.common.frozen_model import Finite, FrozenModel
 from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
@@ -41,8 +40,6 @@ class _Table(FrozenModel):
     pivot_z_mm: Finite = 0.0
     working_distance_mm: Finite = 0.0
     plane_distances_mm: tuple[Finite, ...] = ()
-
-    _lists = field_validator("plane_distances_mm", mode="before")(as_tuple)
 
 
 def mounting_table(mounting: Placement) -> dict[str, Any]:

@@ -216,7 +216,7 @@ def test_the_field_stop_of_a_calibration_is_read(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     table = {"mounting": {}, "field_stop_mm": 0.03, "field_stop_at_mm": [0.01, -0.02]}
     path.write_text(json.dumps(table | {"field_stop_from": "frames"}))
-    assert field_stop_of(path) == (0.03, (0.01, -0.02))
+    assert field_stop_of(path) == (0.03, (0.01, -0.02), "")
     path.write_text(json.dumps(table | {"field_stop_from": "patch"}))
     assert field_stop_of(path) is None
     path.write_text(json.dumps(table | {"field_stop_from": "frames", "field_stop_at_mm": [0.01]}))

@@ -60,7 +60,7 @@ def test_where_a_field_lies_must_be_told_in_numbers_and_truth_be_about_the_axis(
     run: Run, tmp_path: Path
 ) -> None:
     path, values = tmp_path / "field.npz", np.ones((200, 200), np.complex64)
-    for centre, message in (([1.0, 2.0], "must be one number each"), (np.nan, "must be finite")):
+    for centre, message in (([1.0, 2.0], "must be one number"), (np.nan, "and finite")):
         np.savez(path, values=values, pitch_um=0.4256, centre_x_mm=centre)
         with pytest.raises(InputError, match=message):
             read_centre_um(path)
