@@ -99,11 +99,3 @@ def test_frames_of_lenses_that_differ_in_the_sensor_alone_are_not_the_same(judge
     assert result.correlation is not None
     assert result.right is not None
     assert result.correlation < result.right - 0.01
-
-
-def test_an_amplitude_object_in_a_local_minimum_is_found_with_a_growing_aperture(tmp_path: Path) -> None:
-    case = next(one for one in cases.PERFECT if one.name == "dense chart, 1/20")
-    result = Judge(tmp_path).result(case)
-    assert result.status == 0
-    assert result.correlation is not None
-    assert result.correlation > 0.99
