@@ -1,7 +1,6 @@
 """Studies with measured deviations: each command that meets their file reads it."""
 
 import shutil
-import sys
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from places import GOLDEN
 
 from lensdesign import InputError
 from lensdesign.common.clusters import toolkit_version
-from tolerancing.cli.commands import main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.prediction import predict_study
 from tolerancing.run.run import run_study
@@ -47,17 +45,6 @@ def folder(tmp_path):
         shutil.copy(file, tmp_path)
     (tmp_path / "study.toml").write_text(tomli_w.dumps(TABLES))
     return tmp_path
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["tolerancing", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return int(ended.value.code or 0), *capsys.readouterr()
-
-    return run
 
 
 @pytest.mark.parametrize("workers", [1, 2])
