@@ -32,10 +32,7 @@ def pair() -> Specification:
     """Aspheres, air between, edges, three wavelengths, and a mount that shrinks."""
     asked = load_specification(DESIGNS / "moulded_pair_spec.toml")
     odd = Environment(temperatures_c=(45.0,), mount_expansion_per_k=-5e-5)
-    variables = (
-        *asked.variables,
-        VariableRange(parameter="working_distance_mm", bounds=(3.5, 4.5)),
-    )
+    variables = (*asked.variables, VariableRange(parameter="working_distance_mm", bounds=(3.5, 4.5)))
     return asked.replaced(environment=odd, variables=variables)
 
 
