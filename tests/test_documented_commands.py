@@ -50,7 +50,7 @@ SHORTER = {
     r" --free-space --calibrate": " --free-space",
     r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
-    r"^(wavesim calibrate (?!.*--parameters).*)": r"\1 --parameters rigid",
+    r"^(wavesim calibrate (?!.*--parameters).*)": r"\1 --parameters decenter_x_mm",
     r"^(wavesim plan .*)": r"\1 --most-planes 1 --exposures 1",
     # Engines weighed for a small error take longer than those few iterations.
     r"^(wavesim (?:image|reconstruct|calibrate) (?!.*--(?:error|engine|free-space)).*)": r"\1 --error 0.3",
@@ -87,6 +87,8 @@ SHORTER = {
     r"^lensdesign explore designs/as_built_(?:track|pair)_spec.*": "lensdesign explore "
     "designs/as_built_spec.toml --over thickness,as_built_rms -o front",
     r"^(lensdesign explore .*)": r"\1 --lenses 2",
+    # Limits from many starts: those that are found by then.
+    r"^(lensdesign limits .*)": r"\1 --max-seconds 2",
     # Frames at three wavelengths, half a minute each.
     r"^wavesim image designs/phone_lens.toml (.*)--patch-mm 0.05": r"wavesim image designs/tiny_twin.toml \1"
     "--patch-mm 0.024",

@@ -12,6 +12,8 @@ from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from wavesim import image
+from wavesim.reconstruction import assessment, frame_reconstruction
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.sensor.frames import write_frame
 
 PATCH_MM = 0.045
@@ -48,6 +50,19 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def no_other_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Local minima and causes of a misfit are not sought: that takes long, and has tests of its own."""
+    monkeypatch.setattr(frame_reconstruction, "may_be_stagnated", lambda *_: False)
+    monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
+
+
+@pytest.fixture
+def no_score_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only an explained misfit is held against a score test."""
+    monkeypatch.setattr(assessment, "_score_test", lambda *_: None)
+
+
 def reconstructed(wavesim: Command, bench: Path, out: Path, *stated: object) -> tuple[object, str, Any]:
     """Status, output and figures of a reconstruction."""
     frames, design = sorted(bench.glob("frame_*.tif")), ("--design", bench / "twin.toml")
@@ -70,6 +85,7 @@ def test_an_engine_that_limits_the_misfit_is_replaced(wavesim: Command, bench: B
     assert found["verdict"]["model_error"] == 0.005
 
 
+@pytest.mark.usefixtures("no_score_test")
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_wrong_bench_is_not_explained_by_another_engine(
     wavesim: Command, bench: Bench, tmp_path: Path
@@ -82,6 +98,7 @@ def test_a_wrong_bench_is_not_explained_by_another_engine(
     assert status == 1
 
 
+@pytest.mark.usefixtures("no_score_test")
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_stated_error_keeps_the_engine(wavesim: Command, bench: Bench, tmp_path: Path) -> None:
     *_, found = reconstructed(wavesim, bench(), tmp_path, "--error", 0.05, "--iterations", 20)
