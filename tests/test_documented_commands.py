@@ -50,7 +50,7 @@ SHORTER = {
     r" --free-space --calibrate": " --free-space",
     r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
-    r"^(wavesim calibrate (?!.*--parameters).*)": r"\1 --parameters decenter_x_mm",
+    r"^(wavesim calibrate (?!.*--parameters).*)": r"\1 --parameters rigid",
     r"^(wavesim plan .*)": r"\1 --most-planes 1 --exposures 1",
     # Engines weighed for a small error take longer than those few iterations.
     r"^(wavesim (?:image|reconstruct|calibrate) (?!.*--(?:error|engine|free-space)).*)": r"\1 --error 0.3",
