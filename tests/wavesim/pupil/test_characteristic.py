@@ -12,16 +12,7 @@ from places import DESIGNS
 from scipy.interpolate import CubicSpline
 from scipy.optimize import root
 
-from lensdesign import (
-    InputError,
-    Lens,
-    ObjectSpace,
-    Pose,
-    Sensor,
-    Surface,
-    SurfacePerturbation,
-    load_design,
-)
+from lensdesign import InputError, Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation, load_design
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import RayTrace, trace, trace_compiled
 from lensdesign.raytrace.status import Status
