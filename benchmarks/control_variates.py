@@ -7,6 +7,7 @@ against it. A control variate gains for the mean; a yield is pass or fail, which
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from pathlib import Path
@@ -19,7 +20,6 @@ from tolerancing import load_study, open_store, run_study
 from tolerancing.statistics.control_variates import (
     ControlVariateEstimate,
     Seconds,
-    best_narrowing,
     choose_trials,
     combined_mean,
     combined_yield,
@@ -53,6 +53,20 @@ line_width_um = 0.775
 orientation = "y"
 at_least = {LIMIT}
 """
+
+
+def best_narrowing(correlation: float, cost_ratio: float) -> float:
+    """Return the largest gain in interval width of a mean for the same computing time.
+
+    Let rho be the correlation of the two merits, and r the cost ratio of a high- to a low-fidelity trial. The
+    product of variance and time is smallest for N / n = rho sqrt(r / (1 - rho^2)). The interval is then
+    narrower than that of plain high-fidelity trials by the factor 1 / (sqrt(1 - rho^2) + rho / sqrt(r))
+    (Cochran section 12.3; Peherstorfer, Willcox and Gunzburger 2016). Below 1, plain trials are better. A
+    factor of three needs rho = 0.994 at r = 20, 0.972 at r = 100, and 0.943 at any cost ratio. One third of
+    the variance needs rho = 0.930 at r = 20.
+    """
+    rho = abs(correlation)
+    return 1.0 / (math.sqrt(1.0 - rho * rho) + rho / math.sqrt(cost_ratio))
 
 
 def main() -> None:

@@ -87,6 +87,8 @@ SHORTER = {
     r"^lensdesign explore designs/as_built_(?:track|pair)_spec.*": "lensdesign explore "
     "designs/as_built_spec.toml --over thickness,as_built_rms -o front",
     r"^(lensdesign explore .*)": r"\1 --lenses 2",
+    # Limits from many starts: those that are found by then.
+    r"^(lensdesign limits .*)": r"\1 --max-seconds 2",
     # Frames at three wavelengths, half a minute each.
     r"^wavesim image designs/phone_lens.toml (.*)--patch-mm 0.05": r"wavesim image designs/tiny_twin.toml \1"
     "--patch-mm 0.024",

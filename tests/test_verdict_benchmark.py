@@ -12,6 +12,7 @@ from benchmarks.verdicts.__main__ import main
 from benchmarks.verdicts.benches import Bench
 from benchmarks.verdicts.cases import Case, at_planes, clipped
 from benchmarks.verdicts.judging import Judge, Result, rule_kept
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 
 SMALL = Bench(
     1 / 48,
@@ -94,16 +95,11 @@ def test_no_two_cases_have_the_same_name_and_there_are_enough() -> None:
     assert sum(case.group == "perfect" for case in cases.CASES) >= 20
 
 
-def test_frames_of_lenses_that_differ_in_the_sensor_alone_are_not_the_same(judge: Judge) -> None:
+def test_frames_of_lenses_that_differ_in_the_sensor_alone_are_not_the_same(
+    judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CauseTrials, "trials", lambda _: [])  # no cause is asked for
     result = judge.result(Case("pixels larger by 15 %", "cause", SMALL, cases.pitch(1.15)))
     assert result.correlation is not None
     assert result.right is not None
     assert result.correlation < result.right - 0.01
-
-
-def test_an_amplitude_object_in_a_local_minimum_is_found_with_a_growing_aperture(tmp_path: Path) -> None:
-    case = next(one for one in cases.PERFECT if one.name == "dense chart, 1/20")
-    result = Judge(tmp_path).result(case)
-    assert result.status == 0
-    assert result.correlation is not None
-    assert result.correlation > 0.99

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.raytrace.bundles import launch_compiled, pupil_hexapolar
+from lensdesign.raytrace.bundles import directions_of, launch_compiled, pupil_hexapolar
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.rays import trace_compiled
 
@@ -139,7 +139,7 @@ def arriving_rays(
     owner, start = _starts(cosines, landed - target_mm, alive)
     origins = np.column_stack([object_points_mm, np.full(len(object_points_mm), lens.object_z_mm)])
     solution = _newton(system, origins[owner], start, target_mm, plane_z_mm)
-    rays = trace_compiled(system, origins[owner], _unit(solution), plane_z_mm)
+    rays = trace_compiled(system, origins[owner], directions_of(solution), plane_z_mm)
     distance = np.linalg.norm(rays.position[:, :2] - target_mm, axis=-1)
     ok = rays.ok & (distance < ARRIVAL_TOLERANCE_MM)
     return _distinct_rays(owner, solution, rays.direction, ok, len(object_points_mm))
@@ -171,7 +171,7 @@ def _ray_map(
     cosines = directions[:, :2].reshape(len(object_points_mm), len(pupil), 2).copy()
     # The outermost triangles reach slightly past the rim, so that their chords cover the whole stop.
     cosines[:, -ARMS:] = cosines[:, :1] + 1.02 * (cosines[:, -ARMS:] - cosines[:, :1])
-    rays = trace_compiled(system, origins, _unit(cosines.reshape(-1, 2)), plane_z_mm, clip=False)
+    rays = trace_compiled(system, origins, directions_of(cosines.reshape(-1, 2)), plane_z_mm, clip=False)
     shape = cosines.shape[:2]
     return cosines, rays.position[:, :2].reshape(*shape, 2), rays.ok.reshape(shape)
 
@@ -201,7 +201,7 @@ def _newton(
     """Return launch cosines of rays that land on the target, by damped Newton steps."""
 
     def residual(cosines: Array) -> Array:
-        rays = trace_compiled(system, origins, _unit(cosines), plane_z_mm, clip=False)
+        rays = trace_compiled(system, origins, directions_of(cosines), plane_z_mm, clip=False)
         return np.where(rays.ok[:, None], rays.position[:, :2] - target, np.inf)
 
     delta = 1e-6
@@ -244,9 +244,3 @@ def _distinct_rays(
     flags = np.arange(len(owner)) < len(owner) - len(without)
     order = np.argsort(owner, kind="stable")
     return owner[order], direction[order], flags[order]
-
-
-def _unit(cosines: Array) -> Array:
-    square = np.sum(cosines * cosines, axis=-1, keepdims=True)
-    cosines = cosines * np.where(square < 0.999, 1.0, np.sqrt(0.999 / np.maximum(square, 1e-300)))
-    return np.concatenate([cosines, np.sqrt(1.0 - np.sum(cosines**2, axis=-1, keepdims=True))], axis=-1)

@@ -296,10 +296,7 @@ def _percent(fraction: float) -> str:
 
 
 def _reach_mm(found: Footprint) -> float:
-    """Return the distance that is compared with half the sensor's shorter side.
-
-    It is the footprint radius, or half the shorter side minus the smaller margin of both sides.
-    """
+    """Return the footprint radius, or half the sensor's shorter side minus the smaller of both margins."""
     radial_margin = found.sensor_half_side_mm - found.radius_mm
     return (
         found.radius_mm if found.margin_mm == radial_margin else found.sensor_half_side_mm - found.margin_mm

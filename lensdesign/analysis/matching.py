@@ -108,16 +108,11 @@ def match(lens: Lens, wavelength_um: float) -> Matching:
 
     Examples
     --------
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(Surface(semi_diameter_mm=4.0),),
-    ... )
-    >>> matching = match(lens, 0.55)
+    >>> from lensdesign import load_design
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> matching = match(lens, 0.532)
     >>> round(matching.spread_limit_deg, 3), round(matching.sbp_ratio, 3)
-    (4.506, 1.891)
+    (4.768, 1.541)
     """
     target, sensor = lens.object, lens.sensor
     try:

@@ -52,18 +52,10 @@ def first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOrder:
 
     Examples
     --------
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(
-    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=4.0),
-    ...         Surface(radius_mm=-20.0, semi_diameter_mm=4.0),
-    ...     ),
-    ... )
+    >>> from lensdesign import load_design
+    >>> lens = load_design("designs/paper_singlet.toml")
     >>> round(first_order(lens).efl_mm, 3)
-    20.513
+    19.166
     """
     wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     curvatures = [surface.curvature for surface in lens.surfaces]

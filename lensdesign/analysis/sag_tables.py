@@ -87,16 +87,11 @@ def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
 
     Examples
     --------
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(Surface(radius_mm=20.0, semi_diameter_mm=4.0),),
-    ... )
-    >>> table = sag_table(lens, 0, spacing_mm=2.0)
+    >>> from lensdesign import load_design
+    >>> lens = load_design("designs/paper_singlet.toml")
+    >>> table = sag_table(lens, 0, spacing_mm=4.0)
     >>> table.radial_height_mm.tolist(), [round(z, 4) for z in table.sag_mm.tolist()]
-    ([0.0, 2.0, 4.0], [0.0, 0.1003, 0.4041])
+    ([0.0, 4.0, 8.0, 8.26], [0.0, 0.1895, 0.7634, 0.8143])
     """
     if not 0 <= surface < len(lens.surfaces):
         raise InputError(f"surface {surface + 1}: must be from 1 to {len(lens.surfaces)}")

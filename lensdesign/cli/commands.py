@@ -16,11 +16,10 @@ from lensdesign.cli import testplates as cli_testplates
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
 from lensdesign.cli import workbench as cli_workbench
-from lensdesign.cli.manufacture import Design, Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
-from lensdesign.common.outputs import output_file, output_folder
-from lensdesign.common.text import visible
+from lensdesign.common.options import Design, Json, output_option
+from lensdesign.common.text import quantity_text, visible
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,12 +79,7 @@ def check(
 @app.command()
 def draw(
     design: Design,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", callback=output_folder, metavar="DIR", help="Folder for the pictures."
-        ),
-    ],
+    output: Annotated[Path, output_option("Folder for the pictures.", "DIR", is_folder=True)],
     formats: Annotated[
         list[PictureFormat], typer.Option("--format", help="Picture format; may be given twice.")
     ] = [PictureFormat.PNG],  # noqa: B006
@@ -123,10 +117,7 @@ def scale(
     factor: Annotated[
         float, typer.Argument(metavar="FACTOR", help="Factor by which all lengths are multiplied.")
     ],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="TWIN", help="Design file to write."),
-    ],
+    output: Annotated[Path, output_option("Design file to write.", "TWIN")],
     as_json: Json = False,
 ) -> None:
     """Write the same lens at another size.
@@ -222,7 +213,10 @@ def _print_check(report: CheckReport) -> None:
     constraints = table(report.title, "constraint", "value", "limit", "")
     for c in report.constraints:
         constraints.add_row(
-            c.name, _number(c.value, c.unit), f"{c.relation} {_number(c.limit, c.unit)}", _met(c.met)
+            c.name,
+            quantity_text(c.value, c.unit),
+            f"{c.relation} {quantity_text(c.limit, c.unit)}",
+            _met(c.met),
         )
     figures = table("", "figure", "value")
     heights = ", ".join(f"{h:g}" for h in report.spot_heights_mm)
@@ -257,11 +251,6 @@ def _print_check(report: CheckReport) -> None:
         typer.echo("every constraint is met")
     for sentence in report.violations:
         typer.echo(f"not met: {sentence}")
-
-
-def _number(value: float, unit: str) -> str:
-    text = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.4f}"
-    return f"{text} {unit}".rstrip()
 
 
 def _met(met: bool) -> str:

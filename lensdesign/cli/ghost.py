@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.cli.manufacture import Design, Json
 from lensdesign.common.console import print_json, print_whole
+from lensdesign.common.options import Design, Json
 
 if TYPE_CHECKING:
     from lensdesign.analysis.ghosts import GhostOnPlane

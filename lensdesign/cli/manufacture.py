@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError, atomic_path
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
     from lensdesign.manufacture.drawing.primitives import Drawing
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
-
-Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
 def export(
@@ -68,10 +66,7 @@ def export(
 
 def scene(
     design: Design,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Scene to write, .glb."),
-    ],
+    output: Annotated[Path, output_option("Scene to write, .glb.", "FILE")],
     as_json: Json = False,
 ) -> None:
     """Write glass, stop, object, sensor planes and rays as a 3D scene for viewers."""
@@ -104,10 +99,7 @@ def print_outline(statements: Sequence[str]) -> None:
 
 def drawing(
     design: Design,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Drawing, .pdf or .svg."),
-    ],
+    output: Annotated[Path, output_option("Drawing, .pdf or .svg.", "FILE")],
     sheet: Annotated[
         Path | None,
         typer.Option(
@@ -261,10 +253,7 @@ def _yield_notes(predicted_yield: DrawingYield, accepted: bool) -> list[str]:
 
 def sag(
     design: Design,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Table to write, .csv."),
-    ],
+    output: Annotated[Path, output_option("Table to write, .csv.", "FILE")],
     surface: Annotated[int, typer.Option(help="Number of the surface, from 1.")],
     spacing_mm: Annotated[float, typer.Option(help="Distance between radial heights.")] = 0.1,
     as_json: Json = False,
@@ -298,10 +287,7 @@ def sag(
 
 def import_file(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{LENS_FILES}.")],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="DESIGN", help="Design file to write."),
-    ],
+    output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     lossy: Annotated[bool, typer.Option("--lossy", help="Omit what a design cannot represent.")] = False,
     working_distance_mm: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
     field_diameter_mm: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,

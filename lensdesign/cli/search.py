@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.cli.manufacture import Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import print_json
-from lensdesign.common.outputs import output_file, output_folder
+from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
@@ -29,10 +28,7 @@ if TYPE_CHECKING:
 
 def optimize(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="DESIGN", help="Design file to write."),
-    ],
+    output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     as_json: Json = False,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
     algorithm: Annotated[
@@ -123,10 +119,7 @@ def explore(
             ),
         ),
     ],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_folder, metavar="DIR", help="Folder for the results."),
-    ],
+    output: Annotated[Path, output_option("Folder for the results.", "DIR", is_folder=True)],
     lenses: Annotated[int, typer.Option(min=2, max=10000, help="Lenses for each choice of glasses.")] = 50,
     glasses: Annotated[
         str | None,

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.cli.manufacture import Json
 from lensdesign.common.console import message_console, print_json
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Json, output_option
 from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
@@ -20,10 +19,7 @@ if TYPE_CHECKING:
 def fit(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
     plates: Annotated[Path, typer.Option(help="Radii in mm: TOML with radii_mm = [...], or one a line.")],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=output_file, metavar="DESIGN", help="Design file to write."),
-    ],
+    output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     as_json: Json = False,
 ) -> None:
     """Optimize a lens whose spheres have the radii of test plates.

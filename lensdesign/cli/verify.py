@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.cli.manufacture import Design, Json
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Design, Json
 
 if TYPE_CHECKING:
     from lensdesign.manufacture.mesh.verification import MeshReport

@@ -7,22 +7,15 @@ from typing import Annotated
 
 import typer
 
-from lensdesign.cli.manufacture import Design, Json, outline_of, print_outline
+from lensdesign.cli.manufacture import outline_of, print_outline
 from lensdesign.common.console import print_json
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Design, Json, output_option
 
 
 def view(
     design: Design,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            callback=output_file,
-            metavar="FILE",
-            help="Page for a browser to write, .html; default: open a window.",
-        ),
+        Path | None, output_option("Page for a browser to write, .html; default: open a window.", "FILE")
     ] = None,
     as_json: Json = False,
 ) -> None:

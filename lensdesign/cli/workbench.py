@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lensdesign.cli.manufacture import Design
+from lensdesign.common.options import Design
 from lensdesign.errors import InputError
 
 

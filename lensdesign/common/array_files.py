@@ -82,7 +82,7 @@ def read_arrays(
             return found
 
 
-def array_names(path: str | os.PathLike[str], named: str = "") -> tuple[str, ...]:
+def array_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Return the names of the arrays of an .npz file.
 
     Raises
@@ -91,8 +91,8 @@ def array_names(path: str | os.PathLike[str], named: str = "") -> tuple[str, ...
         If the file cannot be read or is not an .npz file.
     """
     path = Path(path)
-    check_input(path, named=named)
-    with _reported(path, named), zipfile.ZipFile(path) as archive:
+    check_input(path)
+    with _reported(path, ""), zipfile.ZipFile(path) as archive:
         return tuple(_members(archive, None))
 
 

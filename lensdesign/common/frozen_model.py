@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from lensdesign.common.number_limits import LARGEST_IN_FILES, SMALLEST_IN_FILES
 from lensdesign.errors import DesignError, InputError
@@ -30,10 +30,21 @@ Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allo
 """Number of either sign in any unit; computations with both ends stay finite."""
 
 
+def _lists_as_tuples(value: Any) -> Any:
+    """Return an array of TOML as a tuple, with its inner arrays; immutable models have tuples."""
+    return tuple(map(_lists_as_tuples, value)) if type(value) in (list, tuple) else value
+
+
 class FrozenModel(BaseModel):
-    """A table of a file: immutable and without unknown keys."""
+    """A table of a file: immutable and without unknown keys.
+
+    A missing, unknown or forbidden value raises pydantic.ValidationError when an object is made. Methods that
+    change an existing object raise DesignError instead.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+    _lists = field_validator("*", mode="before")(_lists_as_tuples)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with some values replaced, without validation or cached properties."""
@@ -67,16 +78,6 @@ def _message(fault: Any) -> str:
     if isinstance(refused, InputError):
         return str(refused)
     return ": ".join([*map(str, fault["loc"]), fault["msg"]])
-
-
-def as_tuple(value: Any) -> Any:
-    """Return a list as a tuple; TOML arrays are lists, and immutable models have tuples."""
-    return tuple(value) if isinstance(value, list) else value
-
-
-def as_nested_tuple(value: Any) -> Any:
-    """Return a list of lists as a tuple of tuples."""
-    return tuple(as_tuple(row) for row in value) if isinstance(value, list | tuple) else value
 
 
 def as_path(value: Any) -> Any:

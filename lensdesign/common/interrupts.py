@@ -15,8 +15,6 @@ from typing import Any
 
 from lensdesign.errors import UNFINISHED
 
-SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
 REPEAT_SECONDS = 1.0
 """Time after the first signal in which repeated signals are ignored, since a key may be pressed twice."""
 

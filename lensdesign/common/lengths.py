@@ -93,20 +93,26 @@ WAVELENGTH_UM = PlausibleLength(0.05, 50.0, (0.19, 20.0), always=True)
 """Plausible wavelengths in um; a value outside this range is in another unit, or out of reach of lenses."""
 
 
-def implausible_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:
-    """Return a sentence that questions a length; None if it is plausible.
+def implausible_values(
+    what: str, value: object, plausible: PlausibleLength | None, unit: str = "mm"
+) -> Iterator[str]:
+    """Yield a sentence for each implausible number of a value.
 
     Parameters
     ----------
     what
-        Location and name of the length.
-    value, unit
-        Value of the length and its unit, ``mm`` or ``um``.
+        Location and name of the value in messages.
+    value
+        A length, or nested tuples and lists of lengths.
     plausible
-        Plausible range, in the same unit.
+        Plausible range; None if every length is.
+    unit
+        Unit of the value and of the range, ``mm`` or ``um``.
     """
-    objection = plausible.objection(value, unit)
-    return None if objection is None else f"{what} = {value:g}: {objection}"
+    for number in _numbers_of(value):
+        objection = None if plausible is None else plausible.objection(number, unit)
+        if objection is not None:
+            yield f"{what} = {number:g}: {objection}"
 
 
 def validate_length(what: str, value: float | None, unit: str, plausible: PlausibleLength) -> None:
@@ -115,17 +121,15 @@ def validate_length(what: str, value: float | None, unit: str, plausible: Plausi
     Raises
     ------
     InputError
-        If the length is not plausible, with the message of :func:`implausible_length`.
+        If the length is not plausible, with the message of :func:`implausible_values`.
     """
-    sentence = None if value is None else implausible_length(what, value, unit, plausible)
-    if sentence is not None:
+    for sentence in implausible_values(what, value, plausible, unit):
         raise InputError(sentence)
 
 
-def numbers_of(value: object) -> Iterator[float]:
-    """Yield the numbers of a setting, also from nested tuples and lists."""
+def _numbers_of(value: object) -> Iterator[float]:
     if isinstance(value, int | float) and not isinstance(value, bool):
         yield float(value)
     elif isinstance(value, tuple | list):
         for part in value:
-            yield from numbers_of(part)
+            yield from _numbers_of(part)

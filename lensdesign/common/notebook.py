@@ -1,4 +1,4 @@
-"""Representation of results in notebooks."""
+"""Representation of results in notebooks and on HTML pages."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lensdesign.common.text import visible
 
 if TYPE_CHECKING:
+    from jinja2 import Template
     from numpy.typing import NDArray
 
 
@@ -58,3 +59,17 @@ def html_picture(values: NDArray[Any]) -> str:
     file = io.BytesIO()
     Image.fromarray(grey).save(file, "png")
     return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
+
+
+def page_template(package: str, name: str, **options: Any) -> Template:
+    """Return a page's template from the folder `templates` of a package; `options` are those of jinja."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        **options,
+    ).get_template(name)

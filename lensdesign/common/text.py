@@ -48,3 +48,15 @@ def known_text(cell: str) -> str:
 def finite_or_none(value: T) -> T | None:
     """Return None for a float that is not finite, which JSON cannot represent; else the value itself."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def round_number_below(value: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(s * power for s in (1.0, 2.0, 5.0) if s * power <= value * (1.0 + 1e-9))
+
+
+def quantity_text(value: float, unit: str = "", digits: int = 4) -> str:
+    """Return a number with a number of decimals, or as a power of ten from 100000 on, and its unit."""
+    shown = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.{digits}f}"
+    return f"{shown} {unit}".rstrip()

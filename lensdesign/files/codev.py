@@ -42,9 +42,9 @@ from lensdesign.files.draft import (
     check_writable,
     field_height_reader,
     find_glass,
-    normalized_name,
     note_lines,
     parse_number,
+    plain_title,
     pose_break,
     pose_distances,
     quoted,
@@ -52,7 +52,7 @@ from lensdesign.files.draft import (
     read_note,
     read_vignetting,
 )
-from lensdesign.lens.glass import get_material, refractive_index
+from lensdesign.lens.glass import get_material, normalized_name, refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS, without_zeros
@@ -122,7 +122,9 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
     """Return the draft, completed with values that depend on several commands."""
     draft = reader.draft
     stored = draft.notes.get("title")
-    draft.title = stored if isinstance(stored, str) and _plain(stored) == reader.title else reader.title
+    draft.title = (
+        stored if isinstance(stored, str) and plain_title(stored, QUOTES) == reader.title else reader.title
+    )
     wavelengths_um = list(reader.wavelengths_um)
     if 1 <= reader.reference <= len(wavelengths_um):
         wavelengths_um.insert(0, wavelengths_um.pop(reader.reference - 1))
@@ -252,6 +254,9 @@ def _model_glass(token: str, location: str) -> float | None:
 
 PRIVATE = "TRANSFERLENS_"
 """Start of the names of private glasses in files that the toolkit writes."""
+
+QUOTES = "'\""
+"""Quotation marks, which a title in a file must not contain."""
 
 _ENDLESS = ("INF", "INFINITY")
 
@@ -680,7 +685,7 @@ def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
     lines = [
         "RDM;LEN",
         *(f"! {line}" for line in note_lines(lens, pose, target.parent)),
-        f"TITLE '{_plain(lens.title)}'",
+        f"TITLE '{plain_title(lens.title, QUOTES)}'",
         f"NAO {lens.object.numerical_aperture!r}",
         "DIM M",
         "WL " + " ".join(str(Decimal(repr(w)) * 1000) for w in lens.wavelengths_um),
@@ -743,9 +748,3 @@ def _surface_lines(lens: Lens, pose: Pose) -> list[str]:
         lines += [f"  CIR {surface.semi_diameter_mm!r}"] if surface.semi_diameter_mm is not None else []
     back = [f"S 0.0 {to_sensor!r}{glass}", *back] if back else []
     return [*front, *lines, *back, "SI 0.0 0.0"]
-
-
-def _plain(title: str) -> str:
-    """Return a title without quotation marks, line breaks and control characters."""
-    kept = "".join(c if c.isprintable() and c not in "'\"" else " " for c in title)
-    return " ".join(kept.split())

@@ -24,7 +24,7 @@ import numpy as np
 from lensdesign.common.input_files import LENS_FILE_BYTES, read_input
 from lensdesign.common.toml_files import joined_faults
 from lensdesign.errors import InputError, MaterialError
-from lensdesign.lens.glass import get_material, list_glasses
+from lensdesign.lens.glass import get_material, list_glasses, normalized_name
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.lens.shapes.base import Shape
@@ -392,9 +392,9 @@ def pose_break(pose: Pose) -> CoordinateBreak:
     return CoordinateBreak((x, y), (a, b, 0.0))
 
 
-def normalized_name(name: str) -> str:
-    """Return the letters and digits of a glass name in lower case; programs differ in other characters."""
-    return "".join(c for c in name.casefold() if c.isalnum())
+def plain_title(title: str, excluded: str = "") -> str:
+    """Return a title without line breaks, control characters and excluded characters."""
+    return " ".join("".join(c if c.isprintable() and c not in excluded else " " for c in title).split())
 
 
 def find_glass(

@@ -98,11 +98,6 @@ def check_first_order(
     filled
         Whether the semi-diameter of the stop should equal the height of the marginal ray.
 
-    Returns
-    -------
-    ImportedFirstOrder
-        First-order data of the traced lens.
-
     Raises
     ------
     InputError
@@ -219,21 +214,12 @@ def _traced(
     )
 
 
-def meridional_system(lens: Lens, wavelength_um: float | None = None) -> MeridionalSystem:
-    """Return the surfaces of a lens for exact rays in the meridional plane.
-
-    Parameters
-    ----------
-    lens
-        The lens.
-    wavelength_um
-        Vacuum wavelength in um (default: the first wavelength of the lens).
-    """
-    wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+def meridional_system(lens: Lens) -> MeridionalSystem:
+    """Return the surfaces of a lens for exact rays in the meridional plane, at its first wavelength."""
     return MeridionalSystem(
         tuple(s.shape for s in lens.surfaces),
         tuple(float(s.thickness_mm or 0.0) for s in lens.surfaces[:-1]),
-        tuple(float(n) for n in lens.indices(wavelength_um)),
+        tuple(float(n) for n in lens.indices(lens.wavelengths_um[0])),
     )
 
 

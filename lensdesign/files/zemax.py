@@ -41,6 +41,7 @@ from lensdesign.files.draft import (
     find_glass,
     note_lines,
     parse_number,
+    plain_title,
     pose_break,
     pose_distances,
     quoted,
@@ -115,7 +116,7 @@ def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> D
     """Return the draft, completed with values that depend on several records."""
     draft = reader.draft
     stored = draft.notes.get("title")
-    draft.title = stored if isinstance(stored, str) and _plain(stored) == reader.name else reader.name
+    draft.title = stored if isinstance(stored, str) and plain_title(stored) == reader.name else reader.name
     numbers = sorted(reader.wavelengths_um)[: reader.wavelength_count]
     if reader.primary in numbers:
         numbers.sort(key=lambda n: n != reader.primary)
@@ -695,7 +696,7 @@ def _header(lens: Lens) -> list[str]:
     return [
         "VERS 171115 0 0",
         "MODE SEQ",
-        f"NAME {_plain(lens.title)}",
+        f"NAME {plain_title(lens.title)}",
         "PFIL 0 0 0",
         "LANG 0",
         "UNIT MM X W X CM MR CPMM",
@@ -763,8 +764,3 @@ def _glass_values(material: str | float, lens: Lens) -> str:
 def _token(material: str) -> str:
     """Return a glass name as one word, without its catalogue."""
     return "_".join(material.rpartition(":")[2].split())
-
-
-def _plain(title: str) -> str:
-    """Return a title without line breaks and control characters."""
-    return " ".join("".join(c if c.isprintable() else " " for c in title).split())

@@ -24,12 +24,6 @@ class Flange(FrozenModel):
     thickness_mm
         Distance between the two faces of the ring.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import Edge, Flange
@@ -58,12 +52,6 @@ class Edge(FrozenModel):
         Leg length of the protective bevel at 45 degrees; 0 is a sharp edge.
     flange
         Ring around the edge cylinder; None means no flange.
-
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
 
     Examples
     --------

@@ -31,12 +31,6 @@ class FigureSource(FrozenModel):
     semi_diameter_mm
         Semi-diameter of the disc over which the Zernike polynomials are normalized; None with a grid file.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import FigureSource

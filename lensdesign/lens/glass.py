@@ -399,7 +399,8 @@ def _choose(material: str, found: Sequence[_Entry]) -> _Entry:
     return (exact or list(found))[0]
 
 
-def _plain(name: str) -> str:
+def normalized_name(name: str) -> str:
+    """Return the letters and digits of a glass name in lower case; programs differ in other characters."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
@@ -431,8 +432,8 @@ def _is_number(text: str) -> bool:
 
 def _similar(name: str, entries: Sequence[_Entry]) -> list[_Entry]:
     """Return entries with the same letters and digits, then those that contain them, then close spellings."""
-    requested = _plain(name)
-    plain = [(_plain(entry.name), entry) for entry in entries]
+    requested = normalized_name(name)
+    plain = [(normalized_name(entry.name), entry) for entry in entries]
     containing = [pair for pair in plain if requested and requested in pair[0]]
     containing.sort(key=lambda pair: len(pair[0]))
     close = difflib.get_close_matches(requested, dict.fromkeys(key for key, _ in plain), n=5)

@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, implausible_length
+from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, implausible_values
 from lensdesign.lens.lens import Lens
 
 FAR = 50.0
@@ -229,9 +229,9 @@ def implausible_lengths(lens: Lens) -> Iterator[str]:
     lens
         A lens, which need not be valid: its surfaces may cross, and its planes may be out of order.
     """
-    yield from _question("sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PIXEL_PITCH_UM, "um")
+    yield from implausible_values("sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PIXEL_PITCH_UM, "um")
     for wavelength in lens.wavelengths_um:
-        yield from _question("wavelengths_um", wavelength, WAVELENGTH_UM, "um")
+        yield from implausible_values("wavelengths_um", wavelength, WAVELENGTH_UM, "um")
     own = [*_of_object_and_sensor(lens), *_of_surfaces(lens), *_of_edges(lens)]
     yield from own
     if not own:
@@ -248,7 +248,7 @@ def long_radii(lens: Lens) -> Iterator[str]:
         for key in ("radius_mm", "radius_x_mm"):
             radius = getattr(surface, key)
             if radius is not None:
-                yield from _question(f"surface {number}, {key}", radius, plausible)
+                yield from implausible_values(f"surface {number}, {key}", radius, plausible)
 
 
 def _of_the_whole(lens: Lens) -> Iterator[str]:
@@ -268,12 +268,6 @@ def _of_the_whole(lens: Lens) -> Iterator[str]:
         f"surface {lens.stop_index + 1}, semi_diameter_mm = {semi:g}: {reason}; {meant:g} mm may be meant, "
         "and the same change of all other lengths"
     )
-
-
-def _question(what: str, value: float, plausible: PlausibleLength, unit: str = "mm") -> Iterator[str]:
-    sentence = implausible_length(what, value, unit, plausible)
-    if sentence is not None:
-        yield sentence
 
 
 def _fineness(scale_mm: float, most: float, what: str) -> PlausibleLength:
@@ -329,7 +323,7 @@ def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
     widths = [*_diameters(lens), field]
     if not min(widths) / 20.0 <= beam <= 20.0 * max(widths):
         others = _others(lens, "working distance")
-        yield from _question(
+        yield from implausible_values(
             "object, working_distance_mm", distance, _between(others, _geometric_median(others) / 100.0)
         )
     others = _others(lens, "field")
@@ -337,17 +331,17 @@ def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
     few_lines = 6.0 * LensLengths.of(lens).resolved_mm
     least = max(_geometric_median(others) / 2000.0, min(_geometric_median(others) / 500.0, few_lines))
     # Seen from the lens, a field of twelve times its largest length reaches 80 degrees off the axis.
-    yield from _question("object, field_diameter_mm", field, _between(others, least, 12.0))
+    yield from implausible_values("object, field_diameter_mm", field, _between(others, least, 12.0))
     others = _others(lens, "planes")
     nearest = min(_geometric_median(others) / 250.0, 0.1)
     for number, plane in enumerate(lens.sensor.plane_distances_mm, start=1):
         what = f"sensor, plane_distances_mm {number}"
-        yield from _question(what, plane, _between(others, nearest))
+        yield from implausible_values(what, plane, _between(others, nearest))
     pitch, (across, down) = lens.sensor.pixel_pitch_um, lens.sensor.size_mm
     if max(across, down) > FAR * max(_others(lens)) and pitch > PIXEL_PITCH_UM.usual[1]:
         reason = f"gives a sensor of {across:.4g} x {down:.4g} mm, more than {FAR:g} times all other lengths"
         usual = PIXEL_PITCH_UM.usual
-        yield from _question(
+        yield from implausible_values(
             "sensor, pixel_pitch_um", pitch, PlausibleLength(0.0, usual[1], usual, reason), "um"
         )
 
@@ -363,17 +357,19 @@ def _of_surfaces(lens: Lens) -> Iterator[str]:
             others = _others(lens, "thicknesses")
             glass_behind = any(s.material is not None for s in lens.surfaces[number : number + 1])
             plausible = _thickness(others, is_glass, cemented=glass_before or glass_behind)
-            yield from _question(f"{location}, thickness_mm", thickness, plausible)
+            yield from implausible_values(f"{location}, thickness_mm", thickness, plausible)
         half = semi if semi is not None else 0.5 * _geometric_median(_diameters(lens))
         for key in ("radius_mm", "radius_x_mm"):
             radius, conic = getattr(surface, key), getattr(surface, f"conic{key[6:-3]}")
             if radius is not None and conic > -1.5:  # an axicon is a hyperbola with a small radius
                 reason = f"is far less than the semi-diameter of {half:g} mm"
                 short = PlausibleLength(half / 10.0, math.inf, (0.5 * half, 500.0 * half), reason)
-                yield from _question(f"{location}, {key}", radius, short)
+                yield from implausible_values(f"{location}, {key}", radius, short)
         if surface.figure is not None and surface.figure.semi_diameter_mm is not None:
             known = surface.figure.semi_diameter_mm
-            yield from _question(f"{location}, figure, semi_diameter_mm", known, _between([half], 0.0))
+            yield from implausible_values(
+                f"{location}, figure, semi_diameter_mm", known, _between([half], 0.0)
+            )
         glass_before = is_glass
 
 
@@ -385,7 +381,7 @@ def _semi_diameter(lens: Lens, number: int) -> Iterator[str]:
     different = [2.0 * s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm not in (None, semi)]
     others = _others(lens, "diameters")
     size = max(_geometric_median(others), _geometric_median(different) if different else 0.0)
-    yield from _question(f"surface {number}, semi_diameter_mm", semi, _between(others, 0.002 * size))
+    yield from implausible_values(f"surface {number}, semi_diameter_mm", semi, _between(others, 0.002 * size))
 
 
 def _thickness(others: list[float], is_glass: bool, *, cemented: bool) -> PlausibleLength:
@@ -411,18 +407,20 @@ def _of_edges(lens: Lens) -> Iterator[str]:
         for key in ("semi_diameter_mm", "front_flat_from_mm", "back_flat_from_mm"):
             value = getattr(edge, key)
             if value is not None:
-                yield from _question(f"{location}, {key}", value, _between(diameters, narrow))
+                yield from implausible_values(f"{location}, {key}", value, _between(diameters, narrow))
         least = 1e-4 * middle
         reason = (
             f"must be 0, or {least:.2g} to {middle:.3g} mm, in proportion to the other lengths of the lens"
         )
         bevel = PlausibleLength(least, middle, (3.0 * least, middle), reason)
         for key in ("front_bevel_mm", "back_bevel_mm"):
-            yield from _question(f"{location}, {key}", getattr(edge, key), bevel)
+            yield from implausible_values(f"{location}, {key}", getattr(edge, key), bevel)
         if edge.flange is not None:
             for key, plausible in (
                 ("semi_diameter_mm", _between(diameters, narrow)),
                 ("distance_mm", _between(others, 5e-4 * middle)),
                 ("thickness_mm", _between(others, 1e-3 * middle)),
             ):
-                yield from _question(f"{location}, flange, {key}", getattr(edge.flange, key), plausible)
+                yield from implausible_values(
+                    f"{location}, flange, {key}", getattr(edge.flange, key), plausible
+                )

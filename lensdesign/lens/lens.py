@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.frozen_model import FrozenModel, Positive, as_path, as_tuple
+from lensdesign.common.frozen_model import FrozenModel, Positive, as_path
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
@@ -39,12 +39,6 @@ class ObjectSpace(FrozenModel):
     working_distance_mm
         Distance from the object plane to the front vertex.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import ObjectSpace
@@ -69,12 +63,6 @@ class Sensor(FrozenModel):
     plane_distances_mm
         Distances of the recording planes H1, H2, ... from the exit vertex, increasing.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import Sensor
@@ -87,8 +75,6 @@ class Sensor(FrozenModel):
     pixel_pitch_um: Positive
     pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
     plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
-
-    _lists = field_validator("pixels", "plane_distances_mm", mode="before")(as_tuple)
 
     @field_validator("plane_distances_mm")
     @classmethod
@@ -126,12 +112,6 @@ class Lens(FrozenModel):
     edges
         One edge for each glass element, front to back, or none at all.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
@@ -157,8 +137,6 @@ class Lens(FrozenModel):
     sensor: Sensor
     surfaces: Annotated[tuple[Surface, ...], Field(alias="surface", min_length=1)]
     edges: Annotated[tuple[Edge, ...], Field(alias="edge")] = ()
-
-    _lists = field_validator("wavelengths_um", "surfaces", "edges", mode="before")(as_tuple)
 
     @field_validator("glass_catalogs", mode="before")
     @classmethod

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_tuple
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.lens.figure_source import FigureSource
 from lensdesign.lens.shapes.base import Shape, curvature_of, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
@@ -43,12 +43,6 @@ class Surface(FrozenModel):
     figure
         Measured sag error of the made surface; None means no error.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import Surface
@@ -68,8 +62,6 @@ class Surface(FrozenModel):
     semi_diameter_mm: Positive | None = None
     stop: bool = False
     figure: FigureSource | None = None
-
-    _lists = field_validator("asphere", mode="before")(as_tuple)
 
     @field_validator("shape_type")
     @classmethod

@@ -179,19 +179,11 @@ def lens_at_temperature(
 
     Examples
     --------
-    >>> from lensdesign import Lens, ObjectSpace, Sensor, Surface
-    >>> lens = Lens(
-    ...     wavelengths_um=(0.55,),
-    ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
-    ...     sensor=Sensor(pixel_pitch_um=3.5, pixels=(1000, 1000), plane_distances_mm=(20.0,)),
-    ...     surfaces=(
-    ...         Surface(radius_mm=10.0, thickness_mm=3.0, material="N-BK7", semi_diameter_mm=4.0),
-    ...         Surface(semi_diameter_mm=4.0),
-    ...     ),
-    ... )
+    >>> from lensdesign import load_design
+    >>> lens = load_design("designs/paper_singlet.toml")
     >>> hot = lens_at_temperature(lens, 50.0)
     >>> hot.surfaces[0].material, round(hot.surfaces[0].radius_mm, 5)
-    ('N-BK7@50C', 10.00213)
+    ('N-BK7@50C', 42.30901)
     """
     difference, per_kelvin = temperature_c - REFERENCE_C, growth(lens, mount_expansion_per_k)
     surfaces = []

@@ -187,10 +187,7 @@ def _aperture(lens: Lens, specification: Specification, report: CheckReport) -> 
 
 
 def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
-    """Return the constraints on thicknesses of glass and air on the axis and at the edge.
-
-    The edge of glass is the ground diameter of the drawing, that of air the largest clear height.
-    """
+    """Return the constraints on thicknesses on the axis and at the ground or clear edges."""
     limits, rows = specification.constraints, []
     clear = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
     edges = dict(zip(lens.glass_fronts, drawn_edge_thicknesses_mm(lens), strict=True))

@@ -259,10 +259,6 @@ def minimize(
     on_point
         Called with each new best point, including the start, before `on_improvement` (default: none).
 
-    Returns
-    -------
-    Outcome
-
     Raises
     ------
     InputError

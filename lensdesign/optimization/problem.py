@@ -15,8 +15,8 @@ from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
-from lensdesign.lens.temperature import lens_at_temperature
 from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_built
+from lensdesign.optimization.compliance import at_temperatures
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
@@ -299,21 +299,14 @@ class DesignProblem:
             raise DesignError("lenses as built need their tolerances: [tolerances] study")
         study = read_as_built(tolerances)
         lens = finished_lens(self, point, self._rim) if lens is None else lens
-        found = (study.predict(one) for one in (lens, *self._at_temperatures(lens)))
+        heated = (one for _, one in at_temperatures(lens, self.specification))
+        found = (study.predict(one) for one in (lens, *heated))
         return tuple(
             AsBuiltValues(
                 np.array(one.rms_waves), np.zeros((len(one.rms_waves), 0)), 1.0 - one.good, np.zeros(0)
             )
             for one in found
         )
-
-    def _at_temperatures(self, lens: Lens) -> list[Lens]:
-        """Return a finished lens at each temperature of the specification."""
-        asked = self.specification.environment
-        if asked is None:
-            return []
-        mount = asked.mount_expansion_per_k
-        return [lens_at_temperature(lens, t, mount_expansion_per_k=mount) for t in asked.temperatures_c]
 
     def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
         """Return predictions of the lens as built at a point of the unit box; None if not needed."""

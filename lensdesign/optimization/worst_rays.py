@@ -65,18 +65,7 @@ def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) ->
 def _refined(
     problem: DesignProblem, point: Array, numbers: NDArray[np.int64], rays: Rays, values: Array
 ) -> tuple[Rays, Array]:
-    """Return the worst ray of an operand near each given ray, by shrinking grids over field and stop.
-
-    Parameters
-    ----------
-    numbers, rays, values
-        Operand, ray and value there of each search, shape (n,).
-
-    Returns
-    -------
-    rays, values
-        The worst ray of each search, and its value.
-    """
+    """Return the worst rays near given ones and their values, by shrinking grids over field and stop."""
     half, values = problem.base.half_field_mm, values.copy()
     around = (0.0,) if problem.rotational else (-1.0, 0.0, 1.0)
     five = np.linspace(-1, 1, 5)

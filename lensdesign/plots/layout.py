@@ -7,7 +7,6 @@ overlaps another, and a dotted line connects each with its object.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import round_number_below
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, glass_elements
 from lensdesign.plots.charts import TITLE_POINTS, lens_name, text_inches
@@ -330,9 +330,7 @@ def _draw_title(figure: Figure, lens: Lens) -> None:
 
 
 def _draw_scale_bar(axes: Axes, frame: _Frame) -> None:
-    desired = 1.4 * frame.scale
-    exponent = 10.0 ** math.floor(math.log10(desired))
-    bar = max(s * exponent for s in (1.0, 2.0, 5.0) if s * exponent <= desired)
+    bar = round_number_below(1.4 * frame.scale)
     left, y = frame.left + 0.15 * frame.scale, axes.get_ylim()[0] + 0.1 * frame.scale
     axes.plot([left, left + bar], [y, y], color=_INK, lw=THICK, solid_capstyle="butt")
     axes.annotate(

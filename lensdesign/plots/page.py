@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensdesign.analysis.check import check_design
+from lensdesign.common.notebook import page_template
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.scene import SHARP_DEG, ScenePart, scene_parts
@@ -93,17 +94,8 @@ def write_view(lens: Lens, path: str | os.PathLike[str]) -> PageSummary:
 
 
 def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_um: float) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("lensdesign.plots"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     legend = [{"number": i, "kind": p.kind, "color": p.color, "label": p.label} for i, p in enumerate(parts)]
-    return environment.get_template("view.html.j2").render(
+    return page_template("lensdesign.plots", "view.html.j2").render(
         title=lens.title or "Lens",
         groups=[(kind, list(group)) for kind, group in groupby(legend, lambda entry: entry["kind"])],
         figures=_figures(lens),

@@ -196,10 +196,7 @@ def _polylines(lines: NDArray[np.float64]) -> pyvista.PolyData:
 
 
 def _place_camera(plotter: pyvista.Plotter, parts: Sequence[ScenePart]) -> tuple[Array, float]:
-    """Place the camera: light travels from left to right, y is up, and the whole scene is visible.
-
-    Return the directions to the right and up on the screen, and the type size in mm.
-    """
+    """Show the whole scene with y up; return the directions right and up on screen, and the type size."""
     towards = np.array([-0.80, 0.34, -0.50])
     towards /= np.linalg.norm(towards)
     right = np.cross([0.0, 1.0, 0.0], towards)

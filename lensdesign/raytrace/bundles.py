@@ -229,7 +229,7 @@ def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, x
     cosines = np.array(np.broadcast_to(directions, (trials, *directions.shape[1:]))[..., :2])
 
     def residual(cosines: Array) -> tuple[Array, NDArray[np.bool_]]:
-        rays = trace_compiled(front, origins, _unit(cosines), clip=False)
+        rays = trace_compiled(front, origins, directions_of(cosines), clip=False)
         position = rays.position.reshape(trials, -1, 3)
         local = (position - system.vertex[:, None, stop]) @ system.rotation[:, stop]
         return local[..., :2] - xy, rays.ok.reshape(trials, -1)
@@ -250,10 +250,11 @@ def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, x
         if not np.any(better):
             break
         cosines[better], error[better] = trial[better], trial_error[better]
-    return _unit(cosines)
+    return directions_of(cosines)
 
 
-def _unit(cosines: Array) -> Array:
+def directions_of(cosines: Array) -> Array:
+    """Return unit vectors with transverse cosines, which are reduced to a real ray if they are too large."""
     square = np.sum(cosines * cosines, axis=-1, keepdims=True)
     scale = np.where(square < 0.999, 1.0, np.sqrt(0.999 / np.maximum(square, 1e-300)))
     cosines = cosines * scale

@@ -179,10 +179,7 @@ def _starts(evaluate: Callable[[Array], Array], heights_mm: Array, symmetric: bo
 
 
 def _project(coordinates: Array, low_mm: Array, high_mm: Array) -> None:
-    """Project stop points into the stop, and object points between their least and largest heights.
-
-    The coordinates, of shape (starts, polled, 4), are overwritten.
-    """
+    """Project stop points into the stop and object heights into their range, in place."""
     fx, fy, px, py = np.moveaxis(coordinates, -1, 0)
     field = np.hypot(fx, fy)
     allowed = np.clip(field, low_mm[:, None], high_mm[:, None])

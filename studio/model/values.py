@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
+from lensdesign.common.text import round_number_below
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -82,11 +82,11 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
             return Value(table_path, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
         middle = own if not isinstance(first, int | float) else first
         half = max(span * abs(middle), least)
-        step = rounded_down(half / STEPS)
+        step = round_number_below(half / STEPS)
         if not middle - half <= own <= middle + half:
             middle = own
             half = max(span * abs(middle), least)
-            step = rounded_down(half / STEPS)
+            step = round_number_below(half / STEPS)
         half = step * STEPS
         return Value(
             table_path, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step
@@ -162,12 +162,6 @@ def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
     )
     hint = did_you_mean(text, names).removeprefix("; did you mean ").removesuffix("?")
     return found[:most] or ([hint] if hint else [])
-
-
-def rounded_down(value: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(s * power for s in (1.0, 2.0, 5.0) if s * power <= value * (1.0 + 1e-9))
 
 
 def _plane(row: Value) -> Value:

@@ -106,9 +106,3 @@ _PAGE_UPDATES: weakref.WeakKeyDictionary[Any, _PageUpdates] = weakref.WeakKeyDic
 def text(value: object) -> str:
     """Return a value as escaped text for markup."""
     return escape(visible(str(value)))
-
-
-def number(value: float, unit: str = "", digits: int = 4) -> str:
-    """Return a number in the format of the commands' tables."""
-    shown = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.{digits}f}"
-    return f"{shown} {unit}".rstrip()

@@ -6,9 +6,10 @@ import numpy as np
 import panel as pn
 
 from lensdesign.analysis.report import CheckReport, Constraint
+from lensdesign.common.text import quantity_text
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.panes.common import bench_of, follow, number, text
+from studio.panes.common import bench_of, follow, text
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
@@ -105,10 +106,11 @@ def _constraint(one: Constraint) -> str:
     near = " near" if one.met and fraction is not None and fraction > 0.999 else ""
     kind = ("met" if one.met else "bad") + near
     state = "binds" if near else "met" if one.met else "not met"
+    value, limit = (quantity_text(number, one.unit) for number in (one.value, one.limit))
     return (
         f'<div class="constraint {kind}" data-name="{text(one.name)}" data-value="{one.value!r}">'
-        f'<span>{text(one.name)}</span><span class="state">{state}</span><b>{number(one.value, one.unit)}</b>'
-        f"<span>{text(one.relation)} {number(one.limit, one.unit)}</span><div class='bar'>{bar}</div></div>"
+        f'<span>{text(one.name)}</span><span class="state">{state}</span><b>{value}</b>'
+        f"<span>{text(one.relation)} {limit}</span><div class='bar'>{bar}</div></div>"
     )
 
 

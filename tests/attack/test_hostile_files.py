@@ -309,10 +309,7 @@ HOSTILE_ARCHIVES = {
     ),
     "nothing": (three_mf(model(ONE, '<item objectid="7"/>')), "'7' is placed, but not defined"),
     "unit": (three_mf(model(ONE, unit="parsec")), "unit 'parsec'"),
-    "transform": (
-        three_mf(model(ONE, '<item objectid="1" transform="nan"/>')),
-        "not a valid 3MF file",
-    ),
+    "transform": (three_mf(model(ONE, '<item objectid="1" transform="nan"/>')), "not a valid 3MF file"),
     "infinite": (
         three_mf(model(ONE, '<item objectid="1" transform="inf 0 0 0 1 0 0 0 1 0 0 0"/>')),
         "not a finite number",
@@ -340,10 +337,7 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
     block = b" " * 2**20
     packed = b"".join(squeezer.compress(block) for _ in range(64)) + squeezer.flush()
     path = tmp_path / "bomb.3mf"
-    for size, message in [
-        (2**31, f"at most {TABLE_BYTES}"),
-        (1000, "not a valid 3MF file"),
-    ]:
+    for size, message in [(2**31, f"at most {TABLE_BYTES}"), (1000, "not a valid 3MF file")]:
         name = b"3D/3dmodel.model"
         fields = (20, 0, 8, 0, 33, 0, len(packed), size, len(name), 0)
         local = struct.pack("<4s5H3L2H", b"PK\x03\x04", *fields) + name + packed

@@ -194,8 +194,7 @@ class TestMethod:
         assert by_name["contrast of 1.55 µm lines, tilt 0.5°"].here > 0.9
 
     def test_a_tilt_about_the_exit_vertex_loses_fine_lines_where_nothing_is_refocused(
-        self,
-        results: Results,
+        self, results: Results
     ) -> None:
         by_name = numbers(results, "figure-7bc")
         name = "contrast of {} µm lines, tilt {}° about the {}, {}"

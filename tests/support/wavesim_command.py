@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from programs import Ended, run_program
 from small_pictures import draw_few_dots
 
 from lensdesign import load_design, save_design, scaled
 from lensdesign.lens.poses import Pose
-from wavesim.cli.commands import main
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.files import write_field
 from wavesim.sensor.exposures import Electronics
@@ -30,14 +29,10 @@ ENDED = (0, 1)
 
 def run_wavesim(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
-) -> tuple[object, str, str]:
+) -> Ended:
     """Exit status, standard output and standard error; pictures are of few dots, which are drawn sooner."""
     draw_few_dots(monkeypatch)
-    monkeypatch.setattr(sys, "argv", ["wavesim", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    output = capsys.readouterr()
-    return stop.value.code, output.out, output.err
+    return run_program(monkeypatch, capsys, "wavesim", *arguments)
 
 
 def write_frames(folder: Path, pose: Pose = Pose()) -> None:

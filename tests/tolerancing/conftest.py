@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
+from programs import Command, run_program
 from tests_studies import DESIGN, FULL_STUDY, RAY_STUDY
 
 from tolerancing.run.run import run_study
 from tolerancing.store.store import Store, open_store
 from tolerancing.study.files import load_study
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs `tolerancing`: exit status, standard output and standard error."""
+    return partial(run_program, monkeypatch, capsys, "tolerancing")
 
 
 @pytest.fixture

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
-from lensdesign.common.outputs import check_output_file, output_file, output_folder
+from lensdesign.common.options import Json, output_option
+from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, TransferLensError
 from tolerancing.cli import predict as cli_predict
 from tolerancing.cli import statistics as cli_statistics
 from tolerancing.cli import tolerances as cli_tolerances
 from tolerancing.cli.tables import print_table
-from tolerancing.cli.tolerances import Json, StorePath, Trust
+from tolerancing.cli.tolerances import StorePath, Trust
 
 if TYPE_CHECKING:
     from tolerancing.merits.base import Merit
@@ -121,13 +122,7 @@ def show(
     store: StorePath,
     trial: Annotated[int | None, typer.Option(help="Draw, trace and score this trial again.")] = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            callback=output_file,
-            help="With --trial: picture of the trial to write (png, svg or pdf).",
-        ),
+        Path | None, output_option("With --trial: picture of the trial to write (png, svg or pdf).")
     ] = None,
     high_fidelity: Annotated[
         bool, typer.Option("--dear", help="With --trial: also score it by the high-fidelity merits.")
@@ -175,9 +170,7 @@ def _show_trial(store: Store, number: int, output: Path | None, high_fidelity: b
 @app.command()
 def report(
     store: StorePath,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", callback=output_folder, help="Folder for the report.")
-    ],
+    output: Annotated[Path, output_option("Folder for the report.", is_folder=True)],
     beside: Annotated[
         Path | None,
         typer.Option(metavar="STORE", help="Store of the original lens, to compare this lens with."),

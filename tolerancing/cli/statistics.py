@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import messages_only, print_json
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Json, output_option
 from tolerancing.cli.tables import print_table
-from tolerancing.cli.tolerances import Json, StorePath, Trust
+from tolerancing.cli.tolerances import StorePath, Trust
 
 if TYPE_CHECKING:
     from tolerancing.statistics.indices import VarianceIndices
@@ -47,9 +47,7 @@ def indices(
     base: Annotated[
         int, typer.Option(help="A power of two; there are BASE x (perturbations + 2) trials.")
     ] = 256,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", callback=output_file, help="Chart (png, svg or pdf).")
-    ] = None,
+    output: Annotated[Path | None, output_option("Chart (png, svg or pdf).")] = None,
     as_json: Json = False,
 ) -> None:
     """Compute which fraction of each merit's variance each perturbation causes, alone and with others.

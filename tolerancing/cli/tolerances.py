@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import messages_only, print_json
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
@@ -33,7 +33,6 @@ Processes = Annotated[
     typer.Option(metavar="[N=]NAME", help="Manufacturing process of element N, or of all; may be repeated."),
 ]
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store made by a run.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Trust = Annotated[
     bool,
     typer.Option("--trust", help="Execute Python code in the store; only for stores from people you trust."),
@@ -42,10 +41,8 @@ MeritName = Annotated[str | None, typer.Option("--merit", help="Analyse only the
 
 
 def start(
-    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", callback=output_file, help="Study file to write.")
-    ],
+    design: Design,
+    output: Annotated[Path, output_option("Study file to write.")],
     grade: Annotated[
         str, typer.Option(help="commercial, precision, high_precision, or iso10110 (general tolerances).")
     ] = "precision",
@@ -121,9 +118,7 @@ def inverse(
 def budget(
     store: StorePath,
     required: Annotated[float, typer.Option("--yield", help="Required fraction of good lenses, 0 to 1.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", callback=output_file, help="Study file with the new tolerances.")
-    ],
+    output: Annotated[Path, output_option("Study file with the new tolerances.")],
     weight: Annotated[
         list[str] | None,
         typer.Option(help="COLUMN=WEIGHT: cost of a tolerance relative to the others; may be repeated."),

@@ -20,7 +20,7 @@ from tolerancing.merits.pupil import Axis
 from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
-    from wavesim import Engine, Measurement, PupilSampler
+    from wavesim import Electronics, Engine, Measurement, PupilSampler
     from wavesim import Field as LightField
     from wavesim.sensor import Recording
     from wavesim.targets.patch import Patch
@@ -38,6 +38,18 @@ TILE_ERROR = 0.05
 DARK = 0.01
 """Smallest sum of bar and gap intensity, relative to the brightest intensity. Below it contrast is
 reduced."""
+
+
+PEAK_FILL = 0.8
+"""Signal of the brightest pixel, as a fraction of full well."""
+
+
+def electronics_for(electrons: float | None, bits: int) -> Electronics:
+    """Return the electronics whose brightest pixel receives a number of electrons; None: the default."""
+    from wavesim import Electronics
+
+    full_well = {} if electrons is None else {"full_well_electrons": electrons / PEAK_FILL}
+    return Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +145,10 @@ class Chain:
         self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
     ) -> Recording:
         """Return the recording settings of a perturbed system; parameters as for :meth:`record`."""
-        from wavesim import Electronics
         from wavesim.sensor import Recording
 
-        # Signal of the brightest pixel, as a fraction of full well.
-        full_well_fraction = 0.8
-        full_well = {} if electrons is None else {"full_well_electrons": electrons / full_well_fraction}
-        electronics = Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
-        return Recording(self.planes_mm, electronics, noise, full_well_fraction, state=system)
+        electronics = electronics_for(electrons, bits)
+        return Recording(self.planes_mm, electronics, noise, PEAK_FILL, state=system)
 
     def record(
         self, system: SystemState, electrons: float | None, bits: int, noise: np.random.SeedSequence

@@ -47,12 +47,6 @@ class Merit(FrozenModel):
         Name of a low-fidelity merit that scores all trials. This merit then scores only the trials that the
         study's `fidelity` selects.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from tolerancing.merits import RmsWaves

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, Positive, as_nested_tuple, as_tuple
+from lensdesign.common.frozen_model import Bounded, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, orientation_text, points_text, refocus_text
 from tolerancing.merits.context import Context, Points
@@ -40,10 +40,6 @@ class PupilMerit(Merit):
     field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
     field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
     refocus: bool = True
-
-    _lists = field_validator("field_mm", mode="before")(as_tuple)
-
-    _points = field_validator("field_points_mm", mode="before")(as_nested_tuple)
 
     @model_validator(mode="after")
     def _one_field_key(self) -> PupilMerit:

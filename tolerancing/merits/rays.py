@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, Positive, as_nested_tuple
+from lensdesign.common.frozen_model import Bounded, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
@@ -34,8 +33,6 @@ class RayMerit(Merit):
 
     levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256
-
-    _lists = field_validator("field_points_mm", mode="before")(as_nested_tuple)
 
     def check(self, lens: Lens) -> None:
         for point in self.field_points_mm:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Positive, as_tuple
+from lensdesign.common.frozen_model import Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import check_field_point, points_text
 from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, STEP_FRACTION, Compensator, bounded_step
@@ -50,8 +50,6 @@ class ReconstructionLoss(PupilMerit):
 
     trials_per_chunk: ClassVar[int] = 4
     engine: ClassVar[str] = "linearised chain on meridians"
-
-    _planes = field_validator("planes_mm", mode="before")(as_tuple)
 
     @property
     def details(self) -> tuple[str, ...]:
@@ -111,17 +109,7 @@ class ReconstructionLoss(PupilMerit):
 
 
 class _AdaptedModel:
-    """The reconstruction's model, with compensators fitted to the visible path error of a perturbed lens.
-
-    Parameters
-    ----------
-    context
-        Context with the compensators.
-    chains
-        Linearised chains on the meridians of one field point.
-    wavelength_um
-        Vacuum wavelength; None: the first of the design.
-    """
+    """The reconstruction's model, with compensators fitted to the visible path error of a perturbed lens."""
 
     def __init__(
         self, context: Context, chains: Sequence[LinearisedChain], wavelength_um: float | None

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import FrozenModel, as_nested_tuple, as_tuple
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
@@ -50,10 +50,6 @@ class Correlation(FrozenModel):
     names: Annotated[tuple[str, ...], Field(min_length=2)]
     coefficient: Coefficient | None = None
     matrix: tuple[tuple[Coefficient, ...], ...] | None = None
-
-    _lists = field_validator("names", mode="before")(as_tuple)
-
-    _rows = field_validator("matrix", mode="before")(as_nested_tuple)
 
     @field_validator("names")
     @classmethod

@@ -64,10 +64,7 @@ def _sampled() -> Array:
 
 @lru_cache(maxsize=8)
 def _unit_splines(semi_diameter_mm: float) -> tuple[Array, float]:
-    """Return spline coefficients in mm of each polynomial at 1 um, and the spacing of their grid in mm.
-
-    A spline is linear in the heights, so the splines of a figure are weighted sums of these.
-    """
+    """Return spline coefficients (mm) of each polynomial at 1 um, and the spacing of their grid in mm."""
     ones = np.eye(len(INDICES))
     figure = figure_from_zernike({index: ones[k] for k, index in enumerate(INDICES)}, semi_diameter_mm)
     return figure.coefficients, figure.spacing_mm

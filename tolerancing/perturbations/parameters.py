@@ -289,12 +289,6 @@ class Perturbation(PerturbedParameter):
     distribution
         Distribution of the deviations.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from tolerancing import Perturbation

@@ -192,7 +192,7 @@ def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts
     return np.asarray(losses.max(axis=0))
 
 
-def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = DRAWS) -> float:
+def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss) -> float:
     """Predict the mean of a merit over lenses as built.
 
     The lenses are drawn from the perturbations of the study by a Sobol sequence.
@@ -201,10 +201,8 @@ def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = 
     ----------
     lens, study, merit
         As for :func:`expected_losses`.
-    draws
-        Number of lenses.
     """
-    return float(np.mean(expected_losses(lens, study, merit, drawn_amounts(study, draws))))
+    return float(np.mean(expected_losses(lens, study, merit, drawn_amounts(study, DRAWS))))
 
 
 def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:

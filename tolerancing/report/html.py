@@ -5,23 +5,15 @@ from __future__ import annotations
 import json
 import re
 
+from lensdesign.common.notebook import page_template
 from tolerancing.report.blocks import FigureBlock, Heading, Report, plain
 from tolerancing.report.figures.svg import svg_text
 
 
 def html_page(report: Report) -> str:
     """Return the report as HTML text."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
-    environment = Environment(
-        loader=PackageLoader("tolerancing.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=lambda value: plain(value) if type(value) is str else value,
-    )
     sections = [b for b in report.blocks if isinstance(b, Heading) and b.level == 2]
     names = {id(section): f"section-{number}" for number, section in enumerate(sections, start=1)}
     figures: dict[int, list[Markup]] = {}
@@ -30,7 +22,12 @@ def html_page(report: Report) -> str:
             figures[number] = [
                 Markup(svg_text(panel, f"f{number}p{k}-")) for k, panel in enumerate(block.panels)
             ]
-    return environment.get_template("report.html.j2").render(
+    template = page_template(
+        "tolerancing.report",
+        "report.html.j2",
+        finalize=lambda value: plain(value) if type(value) is str else value,
+    )
+    return template.render(
         report=report,
         sections=[(names[id(section)], section.text) for section in sections],
         names=names,

@@ -69,11 +69,6 @@ def estimate_run(
         Number of worker processes; 0 for a cluster.
     chunk
         Number of trials in a task.
-
-    Returns
-    -------
-    RunEstimate
-        Amount of work and expected time.
     """
     study, context = loaded.study, context_of(loaded.lens, loaded.study)
     score_trials(context, study, (0,))  # The first call includes the one-time setup; it is not timed.

@@ -70,11 +70,6 @@ class LocalPool(Processes):
             Level of each merit, by the merit's label. If the run decides on other levels, the results of
             tasks that were performed in advance are discarded.
 
-        Returns
-        -------
-        Result
-            Result of `work`.
-
         Raises
         ------
         RunError

@@ -167,11 +167,6 @@ def chosen_trials(study: Study, low_fidelity_scores: ArrayLike) -> TrialChoice:
         Study with at least one high-fidelity merit.
     low_fidelity_scores : array_like, shape (trials,)
         Scores of all trials by the merit of :func:`predictor`; NaN for a trial without a score.
-
-    Returns
-    -------
-    TrialChoice
-        Numbers of the worst and of the random trials.
     """
     margin = predictor(study).margin(low_fidelity_scores)
     return choose_trials(margin, study.seed, *high_fidelity_counts(study, len(margin)))

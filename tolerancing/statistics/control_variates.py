@@ -147,20 +147,6 @@ def choose_trials(low_fidelity_margin: ArrayLike, seed: int, worst: int, random:
     return TrialChoice(order[:worst], np.sort(rng.choice(order[worst:], size=random, replace=False)))
 
 
-def best_narrowing(correlation: float, cost_ratio: float) -> float:
-    """Return the largest gain in interval width of a mean for the same computing time.
-
-    Let rho be the correlation of the two merits, and r the cost ratio of a high- to a low-fidelity trial. The
-    product of variance and time is smallest for N / n = rho sqrt(r / (1 - rho^2)). The interval is then
-    narrower than that of plain high-fidelity trials by the factor 1 / (sqrt(1 - rho^2) + rho / sqrt(r))
-    (Cochran section 12.3; Peherstorfer, Willcox and Gunzburger 2016). Below 1, plain trials are better. A
-    factor of three needs rho = 0.994 at r = 20, 0.972 at r = 100, and 0.943 at any cost ratio. One third of
-    the variance needs rho = 0.930 at r = 20.
-    """
-    rho = abs(correlation)
-    return 1.0 / (math.sqrt(1.0 - rho * rho) + rho / math.sqrt(cost_ratio))
-
-
 def combined_mean(
     low_fidelity: ArrayLike, chosen: TrialChoice, high_fidelity: ArrayLike, seconds: Seconds
 ) -> ControlVariateEstimate:
@@ -330,11 +316,7 @@ def _by_counts(worst: NDArray[np.bool_], random: NDArray[np.bool_], total: int) 
 def _arrays(
     low: NDArray, chosen: TrialChoice, high: NDArray
 ) -> tuple[NDArray, NDArray, NDArray, NDArray[np.bool_]]:
-    """Check the arrays and split the high-fidelity values.
-
-    Returns the low-fidelity values, the high-fidelity values of the worst and of the random trials, and a
-    mask of all trials that are not among the worst.
-    """
+    """Return low-fidelity values, high-fidelity ones of worst and random trials, and a mask of the others."""
     every = chosen.all
     if low.ndim != 1 or high.shape != every.shape:
         raise InputError(

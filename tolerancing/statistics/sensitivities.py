@@ -230,11 +230,6 @@ def study_sensitivities(
     steps
         Steps of the store; those of other series are ignored.
 
-    Returns
-    -------
-    Sensitivity
-        Effect of each perturbation on each merit.
-
     Raises
     ------
     InputError
@@ -306,11 +301,6 @@ def fit_sensitivity(
     mean, kurtosis : array_like, shape (d,)
         Mean and kurtosis of each distribution, which is symmetric about its mean. The default kurtosis is
         that of a normal distribution; a uniform one has 1.8.
-
-    Returns
-    -------
-    Sensitivity
-        Effect of each perturbation on each merit.
 
     Raises
     ------
@@ -443,12 +433,7 @@ def _comparison(
 
 
 def _fit_parabolas(change: Array) -> tuple[Array, Array]:
-    """Fit a parabola to each change, with the deviation in fractions of the tolerance.
-
-    Returns
-    -------
-    coefficients, residuals : ndarray, shape (d, 3, m) and (d, m)
-    """
+    """Fit parabolas over fractions of the tolerance; return coefficients (d, 3, m) and residuals (d, m)."""
     d, steps, m = change.shape
     u = np.array([*STEPS, 0.0])
     terms = np.stack([np.ones_like(u), u, u**2], axis=1)

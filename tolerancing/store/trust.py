@@ -23,11 +23,6 @@ def restrict_python(loaded: LoadedStudy, store: Path) -> LoadedStudy:
     store
         Path of the store. An own copy of a file lies in the same folder, has the same name and the same
         bytes, and belongs to the present user.
-
-    Returns
-    -------
-    LoadedStudy
-        The study with its merits.
     """
     merits = tuple(_restrict(merit, loaded, store) for merit in loaded.study.all_merits)
     return replace(loaded, study=loaded.study.model_copy(update={"all_merits": merits}))

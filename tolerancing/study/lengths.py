@@ -11,9 +11,8 @@ from lensdesign.common.lengths import (
     UNITS,
     WAVELENGTH_UM,
     PlausibleLength,
-    implausible_length,
+    implausible_values,
     in_unit,
-    numbers_of,
 )
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
@@ -32,13 +31,13 @@ def implausible_study_lengths(study: Study, lens: Lens) -> Iterator[str]:
         plausible = _plausible_deviation(one, size, lens)
         widths = {name: getattr(one.distribution, name) for name in one.distribution.widths}
         for name, value in widths.items():
-            yield from _implausible(f"{location}, {name}", value, one.unit, plausible)
+            yield from implausible_values(f"{location}, {name}", value, plausible, one.unit)
         yield from _steps(f"{location}, mean", [one.distribution.mean], one, plausible)
         yield from _steps(f"{location}, values", getattr(one.distribution, "values", ()), one, plausible)
         if not widths and not hasattr(one.distribution, "values"):
             yield from _steps(f"{location}, largest deviation", [one.distribution.largest], one, plausible)
         if isinstance(one.seat, float):
-            yield from _implausible(f"{location}, seat", one.seat, "mm", size.plausible_mm("pivot_z"))
+            yield from implausible_values(f"{location}, seat", one.seat, size.plausible_mm("pivot_z"))
     for number, adapted in enumerate(study.compensators, start=1):
         location = f"compensator {number}: {adapted.column}, limit"
         yield from _steps(location, [adapted.limit], adapted, _plausible_step(adapted, size, lens))
@@ -49,7 +48,7 @@ def implausible_study_lengths(study: Study, lens: Lens) -> Iterator[str]:
         for axis in (grid.x, grid.y):
             plausible = _plausible_step(axis, size, lens)
             yield from _series(f"grid {number}: {axis.column}, values", axis.values, axis, plausible)
-    yield from _implausible("pivot_z_mm", study.pivot_z_mm, "mm", size.plausible_mm("pivot_z"))
+    yield from implausible_values("pivot_z_mm", study.pivot_z_mm, size.plausible_mm("pivot_z"))
     yield from _settings("sampling", study.sampling, lens)
     for kind, tables in (
         ("merit", study.all_merits),
@@ -84,8 +83,8 @@ def _steps(
     location: str, values: Iterable[float], one: PerturbedParameter, plausible: PlausibleLength | None
 ) -> Iterator[str]:
     """Yield messages for values that are too large; small values are allowed."""
-    for value in values:
-        yield from _implausible(location, value, one.unit, None if plausible is None else plausible.at_most())
+    limits = None if plausible is None else plausible.at_most()
+    yield from implausible_values(location, tuple(values), limits, one.unit)
 
 
 def _series(
@@ -93,22 +92,15 @@ def _series(
 ) -> Iterator[str]:
     """Yield messages for steps of a sweep that are too large, and for the largest step if it is too small."""
     most = max(values, key=abs)
-    yield from _implausible(location, most, one.unit, plausible)
+    yield from implausible_values(location, most, plausible, one.unit)
     yield from _steps(location, [value for value in values if value != most], one, plausible)
-
-
-def _implausible(name: str, value: float, unit: str, plausible: PlausibleLength | None) -> Iterator[str]:
-    """Yield a message if a length is not plausible."""
-    message = None if plausible is None else implausible_length(name, value, unit, plausible)
-    if message is not None:
-        yield message
 
 
 def _settings(location: str, table: BaseModel, lens: Lens) -> Iterator[str]:
     """Yield messages for lengths of a merit, a sampling or a series that are settings of a simulation."""
     wavelength = getattr(table, "wavelength_um", None)
     if wavelength is not None:
-        yield from _implausible(f"{location}, wavelength_um", wavelength, "um", WAVELENGTH_UM)
+        yield from implausible_values(f"{location}, wavelength_um", wavelength, WAVELENGTH_UM, "um")
     size = LensLengths.of(lens, wavelength)
     for name in type(table).model_fields:
         quantity, _, unit = name.rpartition("_")
@@ -116,5 +108,5 @@ def _settings(location: str, table: BaseModel, lens: Lens) -> Iterator[str]:
         plausible = size.plausible_mm(quantity) if unit in UNITS else None
         if plausible is None:
             continue
-        for value in numbers_of(getattr(table, name)):
-            yield from _implausible(f"{location}, {name}", value, unit, in_unit(plausible, unit))
+        limits = in_unit(plausible, unit)
+        yield from implausible_values(f"{location}, {name}", getattr(table, name), limits, unit)

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
-from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive, as_tuple
+from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -74,8 +74,6 @@ class LinePairSection(FrozenModel):
     line_widths_um: tuple[Positive, ...] = ()
     orientation: Orientation = "worse"
     field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
-
-    _own_lists = field_validator("line_widths_um", "merits", "field_mm", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _check_scores(self) -> Any:

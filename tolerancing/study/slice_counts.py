@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive, as_tuple
+from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -57,10 +57,6 @@ class SliceCounts(FrozenModel, Series):
     line_widths_um: Annotated[tuple[Positive, ...], Field(min_length=1)]
     field_height_mm: Bounded = 0.0
     picture_slices: tuple[int, ...] = ()
-
-    _lists = field_validator("slices", "compensations", "line_widths_um", "picture_slices", mode="before")(
-        as_tuple
-    )
 
     @model_validator(mode="after")
     def _consistent(self) -> SliceCounts:

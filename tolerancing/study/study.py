@@ -87,12 +87,6 @@ class Study(FrozenModel):
         Series of steps that vary one parameter, two parameters, or the number of slices (``[[sweep]]``,
         ``[[grid]]``, ``[[slice_count]]``).
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from tolerancing import load_study

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import Bounded, as_tuple
+from lensdesign.common.frozen_model import Bounded
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
@@ -38,8 +38,6 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
     picture_values: tuple[Bounded, ...] = ()
-
-    _lists = field_validator("values", "picture_values", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _consistent(self) -> Sweep:
@@ -78,8 +76,6 @@ class GridAxis(PerturbedParameter):
     """A parameter of a grid, and its values."""
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
-
-    _lists = field_validator("values", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _check_values(self) -> GridAxis:

@@ -48,7 +48,7 @@ def slit_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> An
     """
     scene = _scene(semi_diameter_mm, wavelength_um, 1)
     k, (distance, apart) = scene.wavenumber_per_mm, _distances(semi_diameter_mm)
-    y, weight = _nodes(-semi_diameter_mm, semi_diameter_mm, 1e-3 * wavelength_um)
+    y, weight = panel_nodes(-semi_diameter_mm, semi_diameter_mm, 1e-3 * wavelength_um)
     light = scene.object_grid.cell * _line_source(k, y, distance) * weight
     exact = np.concatenate(
         [_line_source(k, part[:, None] - y, apart) @ light for part in _parts(scene.exit_grid.y_mm)]
@@ -66,11 +66,11 @@ def hole_scene(semi_diameter_mm: float = 0.15, wavelength_um: float = 0.5) -> An
     squares = np.round((scene.exit_grid.y_mm / scene.exit_grid.pitch_mm) ** 2 * 4.0)
     unique, positions = np.unique(squares[:, None] + squares, return_inverse=True)
     radii = 0.5 * scene.exit_grid.pitch_mm * np.sqrt(unique)
-    r, weight = _nodes(0.0, semi_diameter_mm, 1e-3 * wavelength_um)
+    r, weight = panel_nodes(0.0, semi_diameter_mm, 1e-3 * wavelength_um)
     away = np.hypot(r, distance)
     light = distance / away**2 * (1.0 / away - 1j * k) * np.exp(1j * k * away) / (2.0 * math.pi)
     light = scene.object_grid.cell * light * r * weight
-    angle, widths = _nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * (semi_diameter_mm + radii[-1])))
+    angle, widths = panel_nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * (semi_diameter_mm + radii[-1])))
     exact = np.zeros(len(radii), complex)
     for part in _parts(np.arange(len(angle))):
         q, along = k * np.sin(angle[part]), k * np.cos(angle[part])
@@ -93,11 +93,11 @@ def _line_source(k: float, across_mm: Array, along_mm: float) -> NDArray[np.comp
     return np.asarray(0.5j * k * along_mm / away * wave * series)
 
 
-def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
+def panel_nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
     """Return nodes and weights of a quadrature with panels of at most `width`."""
     # Each panel has a Gauss-Legendre rule of eight nodes.
     x, weight = np.polynomial.legendre.leggauss(8)
-    ends = np.linspace(start, stop, math.ceil((stop - start) / width) + 1)
+    ends = np.linspace(start, stop, max(1, math.ceil((stop - start) / width)) + 1)
     half, middle = 0.5 * np.diff(ends), 0.5 * (ends[1:] + ends[:-1])
     return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
 

@@ -88,10 +88,7 @@ def tilted_plate_scene(
 
 
 def _size(waist_mm: float, tilt: float, widening: float) -> tuple[float, float]:
-    """Return the semi-diameter of a plate that transmits the beam, and the distance of its centre.
-
-    This distance keeps its rim away from the object grid.
-    """
+    """Return semi-diameter and distance of a plate that transmits the beam, with its rim off the grid."""
     sine = math.sin(tilt)
     semi = (waist_mm + GAP_MM * widening) / (math.cos(tilt) - 2.1 * sine * widening)
     return semi, 1.1 * semi * sine + GAP_MM

@@ -193,11 +193,6 @@ def search_bench(
     known
         Transmission of the object where it is known.
 
-    Returns
-    -------
-    Calibrated
-        The bench, estimates and their covariance.
-
     Raises
     ------
     InputError

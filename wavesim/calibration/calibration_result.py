@@ -7,13 +7,12 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Finite, FrozenModel, as_tuple
+from lensdesign.common.frozen_model import Finite, FrozenModel
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
@@ -215,13 +214,22 @@ def correlated_parameters(names: Sequence[str], covariance: Array) -> dict[str, 
     return {name: others for name, others in found.items() if others}
 
 
-def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float]] | None:
-    """Return diameter and center in mm of a calibration's field stop, or None if it is the patch itself.
+def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float], str] | None:
+    """Return the field stop of a calibration, or None if it is the patch itself.
 
     Parameters
     ----------
     path
         File calibration.json.
+
+    Returns
+    -------
+    diameter_mm : float
+        Diameter of the field stop.
+    centre_mm : (x, y)
+        Its centre.
+    warning : str
+        Warning that the frames do not determine the field stop; empty where they do.
 
     Raises
     ------
@@ -238,23 +246,8 @@ def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, flo
             f"{path}: field_stop_mm, field_stop_at_mm = {values!r}: must be a diameter above 0 and a pair of "
             "finite numbers"
         )
-    return float(numbers[0]), (float(numbers[1]), float(numbers[2]))
-
-
-def stop_warning_of(path: str | os.PathLike[str]) -> str:
-    """Return the warning that a calibration's field stop is not determined; empty where it is.
-
-    Parameters
-    ----------
-    path
-        File calibration.json.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    return str(read_json(path).get("field_stop_doubt") or "")
+    warning = str(table.get("field_stop_doubt") or "")
+    return float(numbers[0]), (float(numbers[1]), float(numbers[2])), warning
 
 
 class _Mounting(FrozenModel):
@@ -266,7 +259,7 @@ class _Mounting(FrozenModel):
     tilt_y_deg: Finite = 0.0
     pivot_z_mm: Finite = 0.0
     working_distance_mm: Finite = 0.0
-    plane_distances_mm: Annotated[tuple[Finite, ...], BeforeValidator(as_tuple)] = ()
+    plane_distances_mm: tuple[Finite, ...] = ()
 
 
 def read_calibration(path: str | os.PathLike[str], lens: Lens) -> SystemState:

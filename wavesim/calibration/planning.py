@@ -496,9 +496,7 @@ class _Trial(NamedTuple):
         return _Outcome(correlation, found.misfit[-1] / noise, len(found.misfit), smooth)
 
     def _smooth_fraction(self, found: NDArray[Any], correlation: float) -> float:
-        """Return the fraction of the squared error with less than `SMOOTH_CYCLES` cycles across the
-        patch.
-        """
+        """Return the fraction of the squared error below `SMOOTH_CYCLES` cycles across the patch."""
         found, true = (np.where(self.inside, one, 0.0) for one in (found, self.target.values))
         factor = np.vdot(found, true) / np.vdot(found, found)
         cycles = [scipy.fft.fftfreq(count, 1.0 / count) for count in found.shape]

@@ -79,11 +79,6 @@ def mounting_response(
         Standard deviation, in pixels, of a Gaussian that smooths all intensities.
     fits_scale
         Whether measured amplitudes are known only up to a factor.
-
-    Returns
-    -------
-    Response
-        Residual and derivatives.
     """
     lit = model.illumination.with_values(transmission * model.illumination.values)
     exit_field = model.engine.forward(lit)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Json
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
-from wavesim.cli.options import AsJson, DesignOption, Empty, Frames, Output, Priors, print_warnings
+from wavesim.cli.options import DesignOption, Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSettings
 
@@ -35,7 +36,7 @@ def calibrate(
     ] = None,
     empty: Empty = None,
     priors: Priors = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Calibrate the bench from frames: light, lens, mounting and camera.
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Design, Json
 from lensdesign.common.text import finite_or_none
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
-from wavesim.cli.options import AsJson, Design
 from wavesim.cli.resolve import PlaneDistanceMm
 from wavesim.cli.runs import print_table
 from wavesim.scene.lengths import validate_lengths
@@ -43,7 +43,7 @@ def choose(
     runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
     memory_gb: Annotated[float, typer.Option(help="Memory limit.")] = 16.0,
     hours: Annotated[float, typer.Option(help="Time limit of all runs together.")] = 1.0,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Predict error, time and memory of every engine, and name the cheapest that meets the error limit.
 

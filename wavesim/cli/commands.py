@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, print_json, run_app
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import decimals_text, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
@@ -17,7 +17,7 @@ from wavesim.cli.calibrate import calibrate
 from wavesim.cli.choose import choose
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
-from wavesim.cli.options import AsJson, Design, numbers, validate_picture_request, with_settings
+from wavesim.cli.options import numbers, validate_picture_request, with_settings
 from wavesim.cli.oracle import oracle
 from wavesim.cli.plan import plan
 from wavesim.cli.reconstruct import reconstruct
@@ -47,11 +47,8 @@ def pupil(
     linewidths_um: Annotated[str, typer.Option(help="Line widths, separated by commas.")] = "1.55,0.775,0.6",
     refocus: Annotated[bool, typer.Option(help="Refocus the reconstruction digitally.")] = True,
     samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
-    as_json: AsJson = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", callback=output_file, help="Picture to write (png, svg, pdf)."),
-    ] = None,
+    as_json: Json = False,
+    output: Annotated[Path | None, output_option("Picture to write (png, svg, pdf).")] = None,
 ) -> None:
     """Predict the resolution of a reconstruction if the lens is displaced.
 

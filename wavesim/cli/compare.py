@@ -8,11 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import message_console, print_json
-from lensdesign.common.outputs import output_folder
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, Design
 from wavesim.cli.runs import print_table
 from wavesim.scene.lengths import validate_lengths
 
@@ -28,9 +27,7 @@ plane in semi-diameters."""
 
 def compare(
     design: Design,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", callback=output_folder, help="Folder to write to.")
-    ],
+    output: Annotated[Path, output_option("Folder to write to.", is_folder=True)],
     radius_mm: Annotated[float, typer.Option(help="Radius of the exact cylinder.")] = 0.2,
     planes: Annotated[bool, typer.Option(help="Also compare on whole planes.")] = True,
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
@@ -38,7 +35,7 @@ def compare(
     scale: Annotated[float, typer.Option(help="Scale factor of the lens.")] = 1.0,
     most_seconds: Annotated[float, typer.Option(help="Skip runs that are predicted to take longer.")] = 10.0,
     maps: Annotated[bool, typer.Option(help="Also draw failure maps.")] = True,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Chart error against seconds and memory of every engine, and map where each fails.
 

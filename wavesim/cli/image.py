@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Design, Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, Design, Output, print_warnings, settings_text
+from wavesim.cli.options import Output, print_warnings, settings_text
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import ImageSettings
 
@@ -40,7 +41,7 @@ def image(
     all_wavelengths: Annotated[
         bool, typer.Option(help="Record at each wavelength of the design, each in its own subfolder.")
     ] = False,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Simulate frames of an object, and write them with the true object, previews and all settings.
 

@@ -15,11 +15,10 @@ from pydantic.fields import FieldInfo
 
 from lensdesign.common.console import message_console
 from lensdesign.common.frozen_model import FrozenModel
-from lensdesign.common.outputs import output_folder
+from lensdesign.common.options import output_option
 from lensdesign.errors import InputError
 from wavesim.scene.settings import SettingError
 
-Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
 DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="Design file (TOML).")]
 Frames = Annotated[
     list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one or more for each plane.")
@@ -36,10 +35,7 @@ Priors = Annotated[
         metavar="STUDY", help="Tolerance study (TOML), whose tolerances are the prior deviations of the lens."
     ),
 ]
-Output = Annotated[
-    Path, typer.Option("--output", "-o", callback=output_folder, metavar="DIR", help="Folder to write to.")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Output = Annotated[Path, output_option("Folder to write to.", "DIR", is_folder=True)]
 
 Command = Callable[..., None]
 

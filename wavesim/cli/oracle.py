@@ -7,8 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Json
 from wavesim.analytic.registry import ORACLES
-from wavesim.cli.options import AsJson, print_warnings, settings_text
+from wavesim.cli.options import print_warnings, settings_text
 from wavesim.cli.runs import print_table
 from wavesim.engines.registry import ENGINES
 from wavesim.scene.settings import SingleEngineDetails
@@ -25,7 +26,7 @@ def oracle(
     incidence_deg: Annotated[
         float | None, typer.Option(help="Angle of incidence on the plate or plane.")
     ] = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Compare an engine with an exact solution.
 

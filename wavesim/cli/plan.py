@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, Design, print_warnings, validate_picture_request
+from wavesim.cli.options import print_warnings, validate_picture_request
 from wavesim.cli.runs import print_table, progress
 from wavesim.scene.settings import PlanSettings
 
@@ -24,15 +24,9 @@ def plan(
     design: Design,
     settings: PlanSettings,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            callback=output_file,
-            help="Figure of error against planes to write (png, svg, pdf).",
-        ),
+        Path | None, output_option("Figure of error against planes to write (png, svg, pdf).")
     ] = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Recommend the number, positions and exposures of the recording planes, and predict the correlation.
 

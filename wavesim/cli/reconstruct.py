@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
 from wavesim.cli.free_space import in_free_space
-from wavesim.cli.options import AsJson, Empty, Frames, Output, Priors, print_warnings
+from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import (
     STOP_ORIGINS,
@@ -61,7 +62,7 @@ def reconstruct(
     truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
     empty: Empty = None,
     priors: Priors = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Reconstruct the object from frames: amplitude, phase, residuals, focus, and goodness of fit.
 
@@ -102,8 +103,7 @@ def reconstruct(
         warnings.simplefilter("always")
         lens = load_design(design)
         state = None if calibration is None else _calibrated_before(calibration, lens)
-        stop_from, settings = _stop_of(calibration, settings)
-        stop_doubt = _stop_doubt(calibration) if stop_from == "calibration" else ""
+        stop_from, stop_doubt, settings = _stop_of(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / subfolder
@@ -159,23 +159,19 @@ def _calibrated_before(path: Path, lens: Lens) -> SystemState:
     return read_calibration(path, lens)
 
 
-def _stop_doubt(calibration: Path | None) -> str:
-    """Return why the field stop of an earlier calibration is undetermined; empty if it is determined."""
-    from wavesim.calibration.calibration_result import stop_warning_of
-
-    return "" if calibration is None else stop_warning_of(calibration)
-
-
 def _stop_of(
     calibration: Path | None, settings: ReconstructionSettings
-) -> tuple[StopOrigin | None, ReconstructionSettings]:
-    """Return the field stop of an earlier calibration, unless the settings state it."""
+) -> tuple[StopOrigin | None, str, ReconstructionSettings]:
+    """Return origin, warning and settings of a calibration's field stop, unless the settings state one."""
     if calibration is None or settings.field_stop_from != "patch":
-        return None, settings
+        return None, "", settings
     from wavesim.calibration.calibration_result import field_stop_of
 
     stop = field_stop_of(calibration)
-    return (None, settings) if stop is None else ("calibration", settings.with_stop(*stop))
+    if stop is None:
+        return None, "", settings
+    diameter_mm, centre_mm, warning = stop
+    return "calibration", warning, settings.with_stop(diameter_mm, centre_mm)
 
 
 def _calibrated(

@@ -9,18 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json, progress_bar
-from lensdesign.common.outputs import output_file
+from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import (
-    AsJson,
-    Design,
-    numbers,
-    print_warnings,
-    settings_text,
-    validate_picture_request,
-)
+from wavesim.cli.options import numbers, print_warnings, settings_text, validate_picture_request
 from wavesim.cli.runs import print_table
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import SingleEngineDetails
@@ -51,15 +44,9 @@ def resolve(
     plane_distance_mm: PlaneDistanceMm = 2.0,
     wavelength_um: WavelengthUm = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            callback=output_file,
-            help="Figure of contrast against line width to write (png, svg, pdf).",
-        ),
+        Path | None, output_option("Figure of contrast against line width to write (png, svg, pdf).")
     ] = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
     """Measure the contrast of lines that each engine reconstructs from the field of a reference engine.
 

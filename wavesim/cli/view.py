@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
-from lensdesign.common.outputs import check_output_file, output_file
+from lensdesign.common.options import output_option
+from lensdesign.common.outputs import check_output_file
 from lensdesign.errors import InputError
 
 CAMERA: dict[str, Any] = {
@@ -39,14 +40,7 @@ def view(
         typer.Option(help="Pixel pitch of a frame (.tif) that does not state it; its counts are shown."),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            callback=output_file,
-            metavar="FILE",
-            help="Page to write (.html); default: next to RESULT.",
-        ),
+        Path | None, output_option("Page to write (.html); default: next to RESULT.", "FILE")
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,18 +72,18 @@ def read_field(path: Path) -> tuple[Any, float]:
         raise InputError(
             f"field {path}: has no {' and no '.join(lacking)}; it contains {sorted(array_names(path))}"
         )
-    values, pitch = arrays["values"], arrays["pitch_um"]
+    values, pitch = arrays["values"], stored_number(arrays, "pitch_um", f"field {path}")
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fc":
         raise InputError(
             f"field {path}: has {values.dtype} values of shape {values.shape}: must be complex or real, "
             "(ny, nx)"
         )
-    if pitch.size != 1 or pitch.dtype.kind not in "fiu" or not 0.0 < float(pitch.item()) < math.inf:
+    if pitch <= 0.0:
         raise InputError(f"field {path}: `pitch_um` must be one number, finite and greater than 0")
     values = values.astype(np.complex64 if values.dtype.kind == "c" else np.float32, copy=False)
     if not all(np.all(np.isfinite(row)) for row in values):
         raise InputError(f"field {path}: has values that are not finite")
-    return values, float(pitch.item())
+    return values, pitch
 
 
 def read_centre_um(path: Path) -> tuple[float, float]:
@@ -95,9 +96,13 @@ def read_centre_um(path: Path) -> tuple[float, float]:
     """
     names = ("centre_x_mm", "centre_y_mm")
     arrays = read_arrays(path, 1000, named="the field", only=names)
-    if not all(arrays[name].size == 1 and arrays[name].dtype.kind in "fiu" for name in arrays):
-        raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be one number each")
-    x, y = (float(arrays[name].item()) if name in arrays else 0.0 for name in names)
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be finite")
+    x, y = (stored_number(arrays, name, f"field {path}") if name in arrays else 0.0 for name in names)
     return 1e3 * x, 1e3 * y
+
+
+def stored_number(arrays: Mapping[str, Any], name: str, location: str) -> float:
+    """Return a number stored with a field; raise InputError if it is not a single finite one."""
+    value = arrays[name]
+    if value.size != 1 or value.dtype.kind not in "fiu" or not math.isfinite(value.item()):
+        raise InputError(f"{location}: `{name}` must be one number, and finite")
+    return float(value.item())

@@ -119,11 +119,6 @@ def compare_with_exact(
     oracle
         Name of the exact solution, for the result.
 
-    Returns
-    -------
-    AnalyticResult
-        Error and cost.
-
     Raises
     ------
     InputError, SamplingError

@@ -20,6 +20,7 @@ from scipy.special import j0, j1
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from wavesim.analytic.aperture_diffraction import panel_nodes
 from wavesim.analytic.registry import AnalyticCase
 from wavesim.engines.surfaces.samples import other_transmission, surface_slopes, transmission_at
 from wavesim.engines.wpm.engine import TANGENT_PLANE
@@ -30,10 +31,8 @@ from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
 
-NODES, PANEL_WAVES, BLOCKS = 8, 1.9, 200
-"""Nodes of the Gauss-Legendre rule in each panel; width of a panel on a surface in wavelengths; number of
-angles that are summed at a time.
-"""
+PANEL_WAVES, BLOCKS = 1.9, 200
+"""Width of a panel on a surface in wavelengths; number of angles that are summed at a time."""
 
 OVERFILLED, WINDOW = 1.1, 0.4
 """Largest sine of the light of rings over that of the aperture; radius at which rings fall to 1/e over half
@@ -145,7 +144,7 @@ def _object(scene: Scene) -> _Sheet:
 def _surface(scene: Scene, number: int) -> _Sheet:
     """Return nodes along a radius, up to the rim."""
     wavelength_mm = 1e-3 * scene.wavelength_um
-    r, weight = _nodes(0.0, float(scene.system.semi_diameter[number]), PANEL_WAVES * wavelength_mm)
+    r, weight = panel_nodes(0.0, float(scene.system.semi_diameter[number]), PANEL_WAVES * wavelength_mm)
     # Azimuths at which a surface must have the same height.
     azimuth_count = 17
     azimuth = 2.0 * math.pi * np.arange(azimuth_count) / azimuth_count
@@ -161,18 +160,11 @@ def _surface(scene: Scene, number: int) -> _Sheet:
     return _Sheet(r, z, slope, weight if scene.object_grid.is_line else weight * r)
 
 
-def _nodes(start: float, stop: float, width: float) -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(NODES)
-    edges = np.linspace(start, stop, max(1, math.ceil((stop - start) / width)) + 1)
-    half, middle = 0.5 * np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
-    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()
-
-
 def _radiated(source: _Sheet, sources: ComplexArray, k: float, target: _Sheet, is_line: bool) -> ComplexArray:
     """Return Kirchhoff's integral over a source sheet at a target sheet, as a sum of plane waves."""
     top, bottom = float(np.max(source.z_mm)), float(np.min(source.z_mm))
     apart = math.hypot(np.max(source.r_mm) + np.max(target.r_mm), np.max(target.z_mm) - bottom)
-    angles, weights = _nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * apart))
+    angles, weights = panel_nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * apart))
     found = np.zeros(len(target.r_mm), complex)
     for part in np.array_split(np.arange(len(angles)), math.ceil(len(angles) / BLOCKS)):
         q, kz = k * np.sin(angles[part]), k * np.cos(angles[part])

@@ -318,11 +318,6 @@ def verdict(
         Whether the bench was calibrated before, so that a calibration is not advised.
     rounding
         Largest fraction of a dark pixel's variance that is due to rounding to counts.
-
-    Returns
-    -------
-    GoodnessOfFit
-        The verdict.
     """
     judged = plane_verdicts(planes, model_error)
     excess = [plane.excess for plane in judged]

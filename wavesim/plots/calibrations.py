@@ -24,11 +24,6 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
         Result of the calibration.
     noise
         Misfit that noise alone causes, drawn as a dashed line.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
     """
     from matplotlib.figure import Figure
 

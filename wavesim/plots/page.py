@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from lensdesign.common.notebook import page_template
 from lensdesign.errors import InputError, atomic_path
 from wavesim.plots.layers import PictureLayer
 from wavesim.plots.pyramid import TILE
@@ -229,16 +230,7 @@ def _bytes_per_sample(layer: PictureLayer, number: int, tiles: Tiles) -> float:
 
 
 def _page(title: str, figures: Sequence[tuple[str, str]], layers: Sequence[Any]) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("wavesim.plots"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("zoom.html.j2").render(
+    return page_template("wavesim.plots", "zoom.html.j2").render(
         title=title,
         figures=figures,
         planes=[

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.text import visible
+from lensdesign.common.text import round_number_below, visible
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,7 +70,7 @@ def colour_bar(figure: Figure, picture: Any, axes: Any, label: str) -> None:
 def scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
     """Draw a scale bar of a round length, about a fifth of the width, below the picture instead of ticks."""
     rows, columns = shape
-    length_um = _round_length(0.2 * columns * pitch_um)
+    length_um = round_number_below(0.2 * columns * pitch_um)
     left, low, length = 0.0, -0.025 * rows, length_um / pitch_um
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
@@ -78,9 +78,3 @@ def scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
     text = f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm"
     axes.text(left + length + 0.015 * columns, low, text, va="center", ha="left", fontsize=10)
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
-
-
-def _round_length(length: float) -> float:
-    """Round a length down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9))

@@ -25,11 +25,6 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
         Result of :func:`wavesim.calibration.plan_frames`.
     title
         Title of the figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
     """
     from matplotlib.figure import Figure
 

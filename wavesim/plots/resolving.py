@@ -32,11 +32,6 @@ def resolving_figure(
     threshold
         Smallest contrast of resolved lines.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-
     Raises
     ------
     InputError

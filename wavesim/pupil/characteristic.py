@@ -76,13 +76,6 @@ class PointCharacteristic:
         return np.asarray(np.linalg.det(self.jacobian_mm))
 
     @cached_property
-    def amplitude_per_mm(self) -> Array:
-        """Amplitude a in 1/mm, shape (n,); infinite on a caustic."""
-        cosines = self.grid.axial_cosine / (self.index_behind * self.directions[:, 2])
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.sqrt(cosines / np.abs(self.determinant_mm2)), float)
-
-    @cached_property
     def inverse_jacobian(self) -> Array:
         """dp/ds in 1/mm, shape (n, 2, 2).
 
@@ -145,11 +138,6 @@ def point_characteristic(
         Distance of the plane from the exit vertex in mm.
     samples
         Samples along each side of the square grid that covers the bundle's direction cosines, 8 to 4096.
-
-    Returns
-    -------
-    PointCharacteristic
-        The rays that reach the plane.
 
     Raises
     ------

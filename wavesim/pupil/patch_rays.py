@@ -128,11 +128,6 @@ class NominalRays:
         state
             Positions of object and sensor.
 
-        Returns
-        -------
-        AimedRays
-            Paths, directions and amplitudes.
-
         Raises
         ------
         RayAimError

@@ -85,11 +85,6 @@ class AimingMap:
         state
             Positions of object and sensor.
 
-        Returns
-        -------
-        Aimed
-            The rays.
-
         Raises
         ------
         RayAimError

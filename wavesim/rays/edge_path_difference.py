@@ -157,8 +157,7 @@ class EdgePathDifference:
         return EdgeRayLandings(self.pupil.inwards(stop), detour, stop, ok & met, inverse)
 
     def _by_rim(self, points: Array, arms: NDArray[np.intp]) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return where rays of other points by way of the rim meet the plane, the paths from the object point
-        to the rim and from there to the plane, and whether the rays arrive."""
+        """Return where rays by way of the rim meet the plane, their paths, and whether they arrive."""
         stop, inverse = self._rim[arms], self._rim_inverse[arms]
         change = miss = np.zeros((len(arms), len(self._axes)))
         for step in range(AIM_STEPS):
@@ -176,8 +175,7 @@ class EdgePathDifference:
     def _aimed(
         self, target: Array, arms: NDArray[np.intp], start: Array, inverse: Array
     ) -> tuple[Array, Array, NDArray[np.bool_], Array]:
-        """Return the stop points of direct rays to targets on the plane, their paths, whether they arrive,
-        and the derivatives there."""
+        """Return stop points of direct rays to targets, their paths, arrival, and the derivatives there."""
         axes, points, stop = self._axes, self._points[arms], start.copy()
         index = float(self.scene.system.index[0, -1])
         change = miss = np.zeros((len(arms), len(axes)))

@@ -275,8 +275,7 @@ def _followed(detours: EdgePathDifference) -> _Followed:
 
 
 def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Return distances inwards and detours on either side of the rim, shape (2, arms), the displacement of
-    the object point that gave them, and whether they were found."""
+    """Return distances and detours on both sides of the rim (2, arms), displacements, and success."""
     count = len(detours.reach)
     inwards, detour = np.zeros((2, count)), np.zeros((2, count))
     moved, good = np.ones(count), np.zeros(count, bool)

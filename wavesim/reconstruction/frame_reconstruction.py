@@ -320,9 +320,7 @@ def _coarse_start(
     hand_over: ClusterHandover,
     reporter: ProgressReporter,
 ) -> SolverState | None:
-    """Return the state after the first iterations of a whole field on half of its samples, or None if they
-    save little.
-    """
+    """Return the state after first iterations on half of the samples; None if they save little."""
     if not isinstance(case.engine, Tiled) or len(case.modes) > 1:
         return None
     small = coarse_problem(case.engine.scene, case.light, case.given)

@@ -437,10 +437,7 @@ def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
 
 
 def _expected_change(misfits: Sequence[float]) -> float:
-    """Return the relative change of the misfit that further iterations are expected to make.
-
-    The changes are extrapolated as a geometric series from the last three.
-    """
+    """Return the relative misfit change of further iterations, as a geometric series of the last three."""
     changes = np.abs(np.diff(misfits[-4:]))
     if len(changes) < 3 or not changes[0] > changes[1] > changes[2]:
         return math.inf

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, validate_whole_number
 from wavesim.fields.field import Field, Grid
@@ -262,13 +261,6 @@ def run_iterations(
     return state
 
 
-def amplitude_correlation(a: Array, b: Array) -> float:
-    """Return the correlation of two amplitudes (A6)."""
-    x, y = a - a.mean(dtype=float), b - b.mean(dtype=float)
-    norm = math.sqrt(float(np.sum(x * x, dtype=float)) * float(np.sum(y * y, dtype=float)))
-    return float(np.sum(x * y, dtype=float)) / norm if norm > 0.0 else 0.0
-
-
 def residual(field: Field, plane: Measurement) -> float:
     """Return the relative L2 difference between a field's amplitude on a plane and the measured one.
 
@@ -335,17 +327,6 @@ def agreement(fields: Sequence[Field]) -> float:
         raise InputError(f"agreement of {len(fields)} field(s): needs at least two")
     values = [np.ravel(f.values) / np.linalg.norm(f.values) for f in fields]
     return min(float(abs(np.vdot(u, v))) for i, u in enumerate(values) for v in values[:i])
-
-
-def replace_amplitude(
-    field: NDArray[np.complexfloating], amplitude: Array, known: NDArray[np.bool_] | None = None
-) -> None:
-    """Do A2 in place in valid pixels; where the field vanishes it gets the phase 0."""
-    from wavesim.reconstruction.retrieval.kernel import replace
-
-    rows, target, known_rows = (None if v is None else np.atleast_2d(v) for v in (field, amplitude, known))
-    assert rows is not None
-    replace(rows.view(rows.real.dtype), target, known_rows)
 
 
 def validate_planes(recorded: Sequence[Measurement], shape: tuple[int, ...], owner: str) -> None:

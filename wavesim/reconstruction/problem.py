@@ -565,9 +565,7 @@ def _ring_of(light: Array, clipped: int) -> _Ring:
 
 
 def _footprint_light(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:
-    """Return the light of a frame per unit of exposure: within the footprint, and on the ring inside its
-    border.
-    """
+    """Return the light of a frame per unit of exposure, within the footprint and on its inner border."""
     # Width over the radius of the footprint of the ring of pixels that shows the light at the rim.
     ring_width = 0.1
     width = ring_width * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))

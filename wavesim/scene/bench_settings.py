@@ -6,11 +6,11 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import Field, field_validator
 
-from lensdesign.common.frozen_model import FrozenModel, as_tuple
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.figure import figure_from_zernike
@@ -21,8 +21,8 @@ from wavesim.scene.light_errors import LightErrors, Orders
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 
-Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
+Numbers = tuple[float, ...]
+Pair = tuple[float, float]
 
 ZERNIKE = re.compile(r"zernike_(\d+)_um")
 """Name of a Zernike term of a surface's figure: rms sag over the clear semi-diameter, in um."""
@@ -48,7 +48,7 @@ class BenchSettings(FrozenModel):
     )
     working_distance_error_mm: float = Field(0.0, description="Shift of the object away from the lens.")
     sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Tilt of the sensor about x,y.")
-    plane_shift_um: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = Field(
+    plane_shift_um: tuple[Pair, ...] = Field(
         (), description="x,y shift of the sensor on the first plane; repeat the option for the next planes."
     )
     plane_background: Numbers = Field(

@@ -13,9 +13,8 @@ from lensdesign.common.lengths import (
     UNITS,
     WAVELENGTH_UM,
     PlausibleLength,
-    implausible_length,
+    implausible_values,
     in_unit,
-    numbers_of,
 )
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
@@ -85,10 +84,8 @@ def _validate(name: str, value: Any, plausible_mm: PlausibleLength | None, label
     if unit not in UNITS:
         unit = "mm"
     plausible = plausible_mm if name in ABSOLUTE_UM else in_unit(plausible_mm, unit)
-    for value_in_unit in numbers_of(value):
-        sentence = implausible_length(label or f"{{{name}}}", value_in_unit, unit, plausible)
-        if sentence is not None:
-            raise SettingError(sentence)
+    for sentence in implausible_values(label or f"{{{name}}}", value, plausible, unit):
+        raise SettingError(sentence)
 
 
 def _validate_perturbations(lens: Lens, size: LensLengths, text: str | None) -> None:

@@ -23,12 +23,12 @@ from pydantic import (
     field_validator,
 )
 
-from lensdesign.common.frozen_model import FrozenModel, as_tuple
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.scene.bench_settings import BenchSettings
+from wavesim.scene.bench_settings import BenchSettings, Numbers, Pair
 
 STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
 """Starts of each reconstruction method; the first is the default."""
@@ -122,11 +122,8 @@ def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
 
 Size = Annotated[float, AfterValidator(_finite_positive)]
 Count = Annotated[int, AfterValidator(_finite_positive)]
-Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 Points = Annotated[
     tuple[Pair, ...],
-    BeforeValidator(as_tuple),
     Field(description="usaf: centre x,y of an additional chart with fine groups; may be repeated."),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
@@ -145,7 +142,7 @@ STOP_ORIGINS: dict[StopOrigin, str] = {
 def _pixels(value: Any) -> Any:
     """Return numbers of pixels from their text, such as 9344x7000."""
     if not isinstance(value, str) or value == "all":
-        return tuple(value) if isinstance(value, list) else value
+        return value
     parts = value.split("x")
     if not all(part.strip().isdecimal() for part in parts) or len(parts) > 2:
         raise ValueError("must be a whole number, two numbers such as 9344x7000, or all")
@@ -446,7 +443,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         0.0,
         description="object: diameter of the light source (partial coherence), or find.",
     )
-    region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(as_tuple)] | None = Field(
+    region_mm: tuple[float, float, float, float] | None = Field(
         None, description="x,y,width,height: region of the object that is evaluated and written."
     )
 

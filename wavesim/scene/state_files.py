@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import Field, field_validator
 
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_nested_tuple, as_tuple
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError, atomic_path
@@ -30,9 +30,9 @@ from wavesim.scene.system_state import SystemState
 STATE = "state"
 """Key of the state in files."""
 
-Pair = Annotated[tuple[Finite, Finite], BeforeValidator(as_tuple)]
-Triple = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(as_tuple)]
-Numbers = Annotated[tuple[Finite, ...], BeforeValidator(as_tuple)]
+Pair = tuple[Finite, Finite]
+Triple = tuple[Finite, Finite, Finite]
+Numbers = tuple[Finite, ...]
 Modes = dict[Annotated[str, Field(pattern=r"^\d\d$")], Finite]
 
 
@@ -48,7 +48,7 @@ class _Pose(FrozenModel):
 class _Figure(FrozenModel):
     semi_diameter_mm: Positive
     spacing_mm: Positive
-    coefficients_mm: Annotated[tuple[tuple[Finite, ...], ...], BeforeValidator(as_nested_tuple)]
+    coefficients_mm: tuple[tuple[Finite, ...], ...]
 
     @field_validator("coefficients_mm")
     @classmethod
@@ -93,7 +93,7 @@ class _State(FrozenModel):
     sensor_tilt_deg: Pair = (0.0, 0.0)
     wavelength_um: Positive | None = None
     light: _Light = _Light()
-    plane_shifts_um: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
+    plane_shifts_um: tuple[Pair, ...] = ()
     plane_backgrounds: Numbers = ()
     source: _Source = _Source()
 

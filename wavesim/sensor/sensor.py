@@ -155,11 +155,6 @@ def interference_on_pixels(direct: Field, other: Field, sensor: Sensor, *, fill_
     return 0.25 * (light(1.0) - light(-1.0) + 1j * (light(-1j) - light(1j)))
 
 
-def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, fill_factor: float = 1.0) -> Array:
-    """Return the modulation transfer of a pixel along one axis: sinc(frequency * pitch * fill factor)."""
-    return np.asarray(np.sinc(np.asarray(frequency_per_mm) * 1e-3 * sensor.pixel_pitch_um * fill_factor))
-
-
 def warn_of_footprint(caught: float, total: float, sensor: Sensor) -> None:
     """Warn if a fraction of the energy falls outside the sensor.
 

@@ -59,11 +59,6 @@ def set_contrast(
     polarity
         "dark" for clear bars on a dark field, "bright" for opaque bars on a bright field.
 
-    Returns
-    -------
-    SetContrast
-        Contrast, and the profile across the bars.
-
     Raises
     ------
     InputError

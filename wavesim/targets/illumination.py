@@ -18,7 +18,6 @@ from lensdesign.common.array_files import array_names, read_arrays
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError, validate_choice, validate_positive
 from wavesim.fields.coverage import (
-    Rectangle,
     disc_coverage,
     rectangle,
     rectangle_coverage,
@@ -26,6 +25,7 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import stored_number
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.fields.sampling_checks import report_loss
 from wavesim.runtime.arrays import fftn
@@ -266,20 +266,6 @@ def field_stop(
     return _soft(abs(y), half, edge_mm) * _soft(abs(x), half, edge_mm)
 
 
-def validate_within_stop(
-    outline: Rectangle, shape: StopShape, width_mm: float, centre_mm: tuple[float, float] = (0.0, 0.0)
-) -> None:
-    """Raise InputError if an object's outline reaches beyond a field stop."""
-    x = max(abs(outline.left_mm - centre_mm[0]), abs(outline.right_mm - centre_mm[0]))
-    y = max(abs(outline.low_mm - centre_mm[1]), abs(outline.high_mm - centre_mm[1]))
-    needed = 2.0 * (math.hypot(x, y) if shape == "disc" else max(x, y))
-    if needed > width_mm * (1.0 + 1e-9):
-        raise InputError(
-            f"field stop ({shape}) of width_mm = {width_mm:g}: smaller than the object; must be "
-            f"{needed:.4g} or more"
-        )
-
-
 def _soft(distance: Array, half: float, edge: float) -> Array:
     return np.asarray(0.5 - 0.5 * np.sin(np.pi * np.clip((distance - half) / edge, -0.5, 0.5)))
 
@@ -298,13 +284,10 @@ def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
         )
     if not np.all(np.isfinite(values)):
         raise InputError(f"measured field {path}: has values that are not finite")
-    stated: dict[str, float] = {}
-    for key in ("pitch_um", "wavelength_um"):
-        if key in held:
-            if held[key].size != 1 or held[key].dtype.kind not in "fiu":
-                raise InputError(f"measured field {path}: `{key}` must be one number")
-            stated[key] = float(held[key].item())
-    return np.asarray(values, complex), stated
+    named = [key for key in ("pitch_um", "wavelength_um") if key in held]
+    return np.asarray(values, complex), {
+        key: stored_number(held, key, f"measured field {path}") for key in named
+    }
 
 
 def _pitch_um(path: Path, stated: dict[str, float], given: float | None) -> float:

@@ -59,11 +59,6 @@ def stated_lens(lens: Lens, tolerances: ToleranceOf) -> Stated:
     tolerances
         Function that returns the tolerances of an element.
 
-    Returns
-    -------
-    Stated
-        The lens of the drawing, with notes.
-
     Raises
     ------
     InputError

@@ -152,11 +152,6 @@ def drawing_with_yield(
         Whether the drawing may lose more than two percentage points of yield against the study (default:
         False).
 
-    Returns
-    -------
-    DrawingWithYield
-        The drawing, its lens and its predicted yield.
-
     Raises
     ------
     InputError

@@ -51,15 +51,6 @@ class Area(NamedTuple):
         """Height in mm."""
         return self.top - self.bottom
 
-    def overlaps(self, other: Area) -> bool:
-        """Return whether two rectangles overlap."""
-        return (
-            self.left < other.right
-            and other.left < self.right
-            and self.bottom < other.top
-            and other.bottom < self.top
-        )
-
 
 @dataclass(frozen=True)
 class Stroke:

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from lensdesign.common.frozen_model import FrozenModel, as_tuple
+from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, closed_elements
@@ -59,8 +59,6 @@ class DrawingOptions(FrozenModel):
     drawn_by: Label = ""
     tolerances: tuple[DrawingTolerances | None, ...] = ()
     remark: Label = ""
-
-    _lists = field_validator("tolerances", mode="before")(as_tuple)
 
 
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Annotated, Any, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lensdesign.analysis.outline import GENERAL_EDGES, EdgeAllowance
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_tuple
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.surface import Surface
 
@@ -36,8 +36,6 @@ class MarkedTolerances(FrozenModel):
 
     general: tuple[str, ...] = ()
     derived: tuple[str, ...] = ()
-
-    _names = field_validator("general", "derived", mode="before")(as_tuple)
 
     def mark(self, name: str) -> str:
         """Return the mark of a value on the sheet; empty if it has none."""
@@ -102,8 +100,6 @@ class SurfaceTolerances(MarkedTolerances):
     laser_damage: ShortText = ""
     chamfer_mm: tuple[NotNegative, NotNegative] | None = None
     coating: ShortText = ""
-
-    _lists = field_validator("chamfer_mm", mode="before")(as_tuple)
 
     def radius_allowed_mm(self, surface: Surface, fringe_um: float) -> float | None:
         """Return the tolerance (±) of a surface's radius in mm; None if it is not specified.

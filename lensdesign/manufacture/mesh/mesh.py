@@ -240,22 +240,7 @@ def _azimuths(elements: Sequence[Element], error_mm: float, allowed_mm: float) -
 
 
 def _symmetric_mesh(element: Element, error_mm: float, count: int) -> LensMesh:
-    """Mesh one body of revolution.
-
-    Parameters
-    ----------
-    element
-        The exact body.
-    error_mm
-        Intended distance between the facets and the exact surfaces in mm; the result holds the measured one.
-    count
-        Number of meridians.
-
-    Raises
-    ------
-    InputError
-        If facets of the two surfaces would cross.
-    """
+    """Mesh one body of revolution with `count` meridians, for facets within `error_mm` of its surfaces."""
     import trimesh
 
     sides = (element.front, element.back)

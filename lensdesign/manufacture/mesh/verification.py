@@ -157,10 +157,7 @@ def verify_mesh(lens: Lens, mesh: TriangleMesh, chord_error_um: float = 0.1) -> 
 
 
 def _assign_facets(corners: Array, elements: Sequence[Element]) -> tuple[NDArray[np.int64], float | None]:
-    """Return the surface index of each facet, and the largest distance of other facets from the edge in um.
-
-    Surfaces are counted as front and back of each element in turn; -1 marks facets of the edge.
-    """
+    """Return the surface index of each facet (-1: edge), and the largest distance of edge facets in um."""
     sides = [(m, sign) for e in elements for m, sign in ((e.front, -1.0), (e.back, 1.0))]
     assigned = np.full(len(corners), -1, np.int64)
     edge_deviation = None

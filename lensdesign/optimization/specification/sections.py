@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.frozen_model import FrozenModel, Positive, as_tuple
+from lensdesign.common.frozen_model import FrozenModel, Positive
 from lensdesign.lens.catalogues.thermal import COLDEST_C, HOTTEST_C, REFERENCE_C
 from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from lensdesign.optimization.nlopt_driver import ALGORITHMS
@@ -87,10 +87,6 @@ class Constraints(FrozenModel):
     max_as_built_rms_waves: Positive | None = None
     max_as_built_reconstruction_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
-    _lists = field_validator("max_spread_xy_deg", "field_spread", "max_footprint_radius_mm", mode="before")(
-        as_tuple
-    )
-
 
 class Tolerances(FrozenModel):
     """Manufacturing tolerances of the lens.
@@ -141,8 +137,6 @@ class Environment(FrozenModel):
         tuple[Annotated[float, Field(ge=COLDEST_C, le=HOTTEST_C)], ...], Field(min_length=1)
     ]
     mount_expansion_per_k: Annotated[float, Field(ge=-1e-3, le=1e-3)] = ALUMINIUM_PER_K
-
-    _lists = field_validator("temperatures_c", mode="before")(as_tuple)
 
     @field_validator("temperatures_c")
     @classmethod

@@ -11,9 +11,8 @@ import os
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import as_tuple
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
@@ -50,12 +49,6 @@ class Specification(Lens):
     variables
         Variables with their bounds or choices.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from lensdesign import load_specification
@@ -71,8 +64,6 @@ class Specification(Lens):
     tolerances: Tolerances | None = None
     environment: Environment | None = None
     variables: Annotated[tuple[VariableRange, ...], Field(alias="variable", min_length=1)]
-
-    _variable_lists = field_validator("variables", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _consistent(self) -> Specification:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import Finite, FrozenModel, Positive, as_tuple
+from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.lens.shapes.base import term_of
 from lensdesign.lens.shapes.registry import parameters
 from lensdesign.raytrace.gradients import Variable
@@ -36,8 +36,6 @@ class VariableRange(FrozenModel):
     bounds: tuple[Finite, Finite] | None = None
     smallest_radius_mm: Positive | None = None
     choices: tuple[str | float, ...] = ()
-
-    _lists = field_validator("bounds", "choices", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _complete(self) -> VariableRange:

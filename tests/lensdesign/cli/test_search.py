@@ -3,47 +3,42 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from places import DESIGNS
+from programs import Command
 
-from lensdesign.cli.commands import main
-
-Command = Callable[..., tuple[int, str]]
+Searched = Callable[..., tuple[int, str]]
 
 SPEC = DESIGNS / "thinnest_singlet_spec.toml"
 
 
 @pytest.fixture
-def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Command:
-    """Run the command in this process: exit status, and all that it says on one line."""
+def searched(command: Command) -> Searched:
+    """Runs `lensdesign`: exit status, and all that it says on one line."""
 
     def run(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["lensdesign", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        return int(stop.value.code or 0), out or " ".join(err.split())
+        status, out, err = command(*arguments)
+        return status, out or " ".join(err.split())
 
     return run
 
 
-def test_an_exploration_goes_on_where_it_stopped(tmp_path: Path, command: Command) -> None:
+def test_an_exploration_goes_on_where_it_stopped(tmp_path: Path, searched: Searched) -> None:
     out = tmp_path / "front"
     call = ["explore", SPEC, "--over", "thickness,spread", "-o", out, "--lenses", 2]
-    code, said = command(*call)
+    code, said = searched(*call)
     assert code == 0, said
     assert "thickness_mm" in said
     assert sorted(p.name for p in out.glob("front.*")) == ["front.csv", "front.html", "front.png"]
     before = (out / "searches.jsonl").read_bytes()
-    code, said = command(*call, "--json")
+    code, said = searched(*call, "--json")
     assert code == 0
     assert (out / "searches.jsonl").read_bytes() == before
     assert json.loads(said)["searches"] == 4
-    code, said = command(*call[:-1], 3)
+    code, said = searched(*call[:-1], 3)
     assert code == 2
     assert "holds an exploration of another" in said
 
@@ -56,9 +51,9 @@ def test_an_exploration_goes_on_where_it_stopped(tmp_path: Path, command: Comman
         (["--over", "thickness,spread", "--glasses", "catalogue:NONE"], "no such catalogue"),
     ],
 )
-def test_bad_input_writes_nothing(tmp_path: Path, command: Command, changed: list[str], said: str) -> None:
+def test_bad_input_writes_nothing(tmp_path: Path, searched: Searched, changed: list[str], said: str) -> None:
     out = tmp_path / "front"
-    code, errors = command("explore", SPEC, "-o", out, *changed)
+    code, errors = searched("explore", SPEC, "-o", out, *changed)
     assert code == 2
     assert said in errors
     assert not out.exists()

@@ -10,9 +10,8 @@ from lensdesign.common.lengths import (
     PIXEL_PITCH_UM,
     WAVELENGTH_UM,
     PlausibleLength,
-    implausible_length,
+    implausible_values,
     in_unit,
-    numbers_of,
 )
 
 WIDTH = PlausibleLength(0.1, 10.0, (0.5, 5.0), "is no width")
@@ -23,13 +22,13 @@ WIDTH = PlausibleLength(0.1, 10.0, (0.5, 5.0), "is no width")
     [(0.532, None), (532.0, "0.532"), (0.000532, "0.532"), (5320.0, "5.32"), (5.32e-7, "0.532")],
 )
 def test_a_wavelength_in_another_unit_is_questioned(value: float, meant: str | None) -> None:
-    found = implausible_length("wavelengths_um", value, "um", WAVELENGTH_UM)
+    found = list(implausible_values("wavelengths_um", value, WAVELENGTH_UM, "um"))
     if meant is None:
-        assert found is None
+        assert not found
     else:
-        assert found == (
+        assert found == [
             f"wavelengths_um = {value:g}: must be 0.05 to 50, in micrometres; {meant} um may be meant"
-        )
+        ]
 
 
 def test_without_another_unit_only_an_absolute_limit_refuses() -> None:
@@ -50,5 +49,6 @@ def test_a_range_in_another_unit_is_the_same_range() -> None:
     assert in_unit(WIDTH, "um").objection(2e3, "um") is None
 
 
-def test_numbers_of_nested_values() -> None:
-    assert list(numbers_of(((1.0, 2), [3.0], "4", True, None))) == [1.0, 2.0, 3.0]
+def test_all_numbers_of_nested_values_are_judged() -> None:
+    found = implausible_values("widths", ((1.0, 2000), [3000.0], "4000", True, None), WIDTH, "mm")
+    assert [sentence.partition(":")[0] for sentence in found] == ["widths = 2000", "widths = 3000"]

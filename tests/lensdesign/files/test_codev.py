@@ -188,11 +188,7 @@ LOSSES = [
     ("F2_SCHOTT", "620364", r"surface 3: dispersion.* 620364"),
     ("F2_SCHOTT", "620040.363700", "surface 3: dispersion"),
     ("F2_SCHOTT", "1.62004:36.37", "surface 3: dispersion"),
-    (
-        "F2_SCHOTT",
-        "'MINE'\nPRV\nPWL 650 550 480\n'MINE' 1.61 1.62 1.63\nEND",
-        r"dispersion.*MINE",
-    ),
+    ("F2_SCHOTT", "'MINE'\nPRV\nPWL 650 550 480\n'MINE' 1.61 1.62 1.63\nEND", r"dispersion.*MINE"),
     ("CIR 5.0", "CIR 5.0; REX 5.0", "surface 4: 'REX 5.0'"),
     ("CIR 5.0", "CIR 5.0; CIR OBS 1.0", "surface 4: aperture CIR 'OBS 1.0'"),
     ("CIR 5.0", "CIR 5.0; XDE 0.1; DAR", "surface 4: coordinate break that is not a pose"),

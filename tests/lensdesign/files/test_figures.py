@@ -143,10 +143,7 @@ def test_what_is_no_grid_is_not_written(tmp_path: Path) -> None:
 # Design files.
 
 
-@pytest.mark.parametrize(
-    "figure",
-    [ZERNIKE, ZERNIKE.replace("_um", "_waves_633nm"), 'file = "front.csv"'],
-)
+@pytest.mark.parametrize("figure", [ZERNIKE, ZERNIKE.replace("_um", "_waves_633nm"), 'file = "front.csv"'])
 def test_a_saved_design_reads_back_equal_from_anywhere(tmp_path: Path, figure: str) -> None:
     grid_file(tmp_path)
     lens = load_design(design(tmp_path, figure))

@@ -183,10 +183,7 @@ def test_a_twin_has_the_edge_scaled(paper_lens: Lens) -> None:
 @pytest.mark.parametrize(
     ("edge", "message"),
     [
-        (
-            {"semi_diameter_mm": 9.9},
-            r"edge 1: .*semi_diameter_mm = 9.9 .*surface 2",
-        ),
+        ({"semi_diameter_mm": 9.9}, r"edge 1: .*semi_diameter_mm = 9.9 .*surface 2"),
         ({"back_bevel_mm": 0.5}, r"surface 2 .*bevel of 0.5 mm"),
         ({"semi_diameter_mm": 12.0, "front_flat_from_mm": 8.0}, r"surface 1 .*flat from 8 mm"),
         ({"semi_diameter_mm": 12.0, "front_flat_from_mm": 11.9, "front_bevel_mm": 0.2}, "flat from 11.9 mm"),

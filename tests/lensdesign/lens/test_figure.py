@@ -133,12 +133,7 @@ def test_holes_inside_the_disc_are_counted() -> None:
 @pytest.mark.parametrize(
     ("values", "spacing", "semi", "message"),
     [
-        (
-            np.zeros((21, 41)),
-            0.25,
-            4.0,
-            r"2\.5 mm from the vertex.* 4 mm",
-        ),
+        (np.zeros((21, 41)), 0.25, 4.0, r"2\.5 mm from the vertex.* 4 mm"),
         (np.zeros((7, 41)), 0.25, 0.5, "both at least 8"),
         (np.zeros(41), 0.25, 4.0, r"shape \(41,\)"),
         (np.zeros((41, 41)), 0.0, 4.0, r"spacing_mm = 0.0"),

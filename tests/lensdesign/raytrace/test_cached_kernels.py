@@ -53,7 +53,9 @@ def test_nothing_is_touched_where_nothing_is_kept(formula: Path, tmp_path: Path)
     drop_outdated(lambda: None, ["some_formula"])
     drop_outdated(SimpleNamespace(stats=SimpleNamespace(cache_path=None)), ["some_formula"])
     (tmp_path / "file").touch()
+    before = {path.name for path in tmp_path.iterdir()}
     drop_outdated(kernel_in(tmp_path / "file" / "kept"), ["some_formula"])
+    assert {path.name for path in tmp_path.iterdir()} == before
 
 
 def test_kernels_of_rays_are_kept_with_the_formulas_of_all_shapes() -> None:

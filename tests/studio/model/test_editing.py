@@ -12,14 +12,7 @@ from places import DESIGNS
 from lensdesign import load_design
 from lensdesign.errors import InputError
 from studio.model.document import opened
-from studio.model.editing import (
-    Editing,
-    value_at,
-    with_stop,
-    with_surface_after,
-    with_value,
-    without_surface,
-)
+from studio.model.editing import Editing, value_at, with_stop, with_surface_after, with_value, without_surface
 
 RADIUS = ("surface", 1, "radius_mm")
 

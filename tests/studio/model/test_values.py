@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from places import DESIGNS
 
 from lensdesign import InputError
+from lensdesign.common.text import round_number_below
 from studio.model.document import opened
 from studio.model.editing import value_at, with_value
-from studio.model.values import STEPS, glasses_like, parsed, path_of_key, rounded_down, values_of
+from studio.model.values import STEPS, glasses_like, parsed, path_of_key, values_of
 
 
 @pytest.mark.parametrize("name", ["paper_singlet", "moulded_pair", "rectangular_sensor", "phone_lens"])
@@ -46,7 +47,7 @@ def test_a_slider_stands_while_one_drags_and_follows_what_is_typed() -> None:
 
 @given(st.floats(1e-9, 1e9))
 def test_steps_are_round_and_not_larger(value: float) -> None:
-    step = rounded_down(value)
+    step = round_number_below(value)
     assert 0.39 * value <= step <= value * (1.0 + 1e-9)
     assert round(step / 10.0 ** math.floor(math.log10(step) + 1e-9), 6) in (1.0, 2.0, 5.0)
 

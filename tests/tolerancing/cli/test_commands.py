@@ -8,7 +8,6 @@ import sqlite3
 import subprocess
 import sys
 import time
-from typing import NamedTuple
 
 import pytest
 from stopping import heeding
@@ -16,31 +15,9 @@ from stored_rows import rows
 from typer.testing import CliRunner
 
 from tolerancing.budgets import study_budget
-from tolerancing.cli.commands import main
 from tolerancing.study.files import load_study
 
 HEAVY = ("scipy", "pandas", "matplotlib", "jinja2", "numba")
-
-
-class Ran(NamedTuple):
-    """How a command ended, and what it said."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Runs ``tolerancing``."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["tolerancing", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return Ran(int(ended.value.code or 0), *capsys.readouterr())
-
-    return run
 
 
 def test_what_tolerances_cost_and_the_cheapest_that_do(command, write_study, ray_study, tmp_path):
@@ -261,10 +238,7 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ("sensitivity", "STORE", "--merit", "speed"),
-            "--merit 'speed': there is no such merit; allow",
-        ),
+        (("sensitivity", "STORE", "--merit", "speed"), "--merit 'speed': there is no such merit; allow"),
         (("inverse", "STUDY", "--change", "-1.0"), "change = -1: must be above 0"),
         (
             ("budget", "STORE", "--yield", "0.9", "-o", "OUT", "--weight", "a=x"),

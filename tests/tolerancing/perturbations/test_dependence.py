@@ -139,10 +139,7 @@ def test_a_table_is_read():
         ),
         ({"names": ["a", "b"], "matrix": [[1, 0.5]]}, r"1 rows.* 2 names"),
         ({"names": ["a", "b"], "matrix": [[1, 0.5], [0.5]]}, r"matrix, row 2: holds 1 numbers"),
-        (
-            {"names": ["a", "b"], "matrix": [[1, 0.5], [0.4, 1]]},
-            r"a with b is 0.5.*b with a is 0.4",
-        ),
+        ({"names": ["a", "b"], "matrix": [[1, 0.5], [0.4, 1]]}, r"a with b is 0.5.*b with a is 0.4"),
         ({"names": ["a", "b"], "matrix": [[1, 0.5], [0.5, 0.9]]}, r"b with itself is 0.9"),
         ({"names": ["a", "b"], "matrix": [[1, 1.5], [1.5, 1]]}, r"matrix 1 2 = 1.5: must be less than"),
         ({"names": ["a", "b"], "matrix": "none"}, r"matrix = 'none': must be a (valid tuple|list)"),

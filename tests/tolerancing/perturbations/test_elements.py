@@ -83,10 +83,7 @@ def test_a_wedge_lifts_the_rim_on_one_side(paper_lens, target, parameter, reach,
     [
         ({"target": "element 2", "parameter": "decenter_x_mm"}, r"no such element.*element 1"),
         ({"target": "element 1", "parameter": "radius_mm"}, r"no such parameter.*decenter_x_mm"),
-        (
-            {"target": "element 1", "parameter": "despace_mm", "seat": "back"},
-            "only tilts and rolls of",
-        ),
+        ({"target": "element 1", "parameter": "despace_mm", "seat": "back"}, "only tilts and rolls of"),
         ({"target": "lens", "parameter": "tilt_x_deg", "seat": "back"}, "only tilts and rolls of"),
         ({"target": "element 1", "parameter": "roll_x_deg", "seat": 2.0}, "seat = 2: a roll needs a surface"),
         ({"target": "element 1", "parameter": "roll_x_deg"}, "the front of element 1 is a plane"),

@@ -73,11 +73,7 @@ def test_missing_keys_are_named(key):
         ("surface 3", "conic", r"no such surface.*lens, surface 1, surface 2"),
         ("surface 1", "radius_mm", r"surface 1 is a plane"),
         ("surface 1", "radius_percent", r"surface 1 is a plane"),
-        (
-            "surface 2",
-            "radius_x_mm",
-            r"surface 2 \(conic\).*radius_x_mm.*radius_mm, conic",
-        ),
+        ("surface 2", "radius_x_mm", r"surface 2 \(conic\).*radius_x_mm.*radius_mm, conic"),
         ("surface 2", "conic_x", r"surface 2 \(conic\).*conic_x"),
         ("surface 2", "asphere_4", r"surface 2 \(conic\).*asphere_4"),
         ("surface 2", "radius_fringes", r"surface 2 has no semi_diameter_mm"),

@@ -11,13 +11,7 @@ from lensdesign.errors import DesignError
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.perturbations.batch import batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.prediction.derivatives import (
-    ARMS,
-    RINGS,
-    differentials,
-    nominal_paths,
-    weights_over_stop,
-)
+from tolerancing.prediction.derivatives import ARMS, RINGS, differentials, nominal_paths, weights_over_stop
 from wavesim import PupilSampler, refocus, rms_waves
 
 FIELD = (0.4, 1.1)

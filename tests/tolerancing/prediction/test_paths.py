@@ -129,10 +129,7 @@ def test_a_thicker_plate_and_a_longer_wavelength_are_told_in_closed_form() -> No
             "wavelengths_um": [0.5],
             "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.3, "working_distance_mm": 10.0},
             "sensor": {"pixel_pitch_um": 3.0, "pixels": [1000, 1000], "plane_distances_mm": [5.0]},
-            "surface": [
-                {"thickness_mm": 2.0, "material": 1.6, "semi_diameter_mm": 4.0, "stop": True},
-                {},
-            ],
+            "surface": [{"thickness_mm": 2.0, "material": 1.6, "semi_diameter_mm": 4.0, "stop": True}, {}],
         }
     )
     axis = PupilSamples(np.zeros((1, 2)), np.ones(1))

@@ -24,11 +24,7 @@ SCATTER = (
     ("surface 2", "tilt_y_deg", 0.1),
     ("light", "wavelength_um", 1e-3),
 )
-COMPENSATORS = (
-    ("lens", "decenter_x_mm", 0.02),
-    ("lens", "decenter_y_mm", 0.02),
-    ("lens", "tilt_x_deg", 5.0),
-)
+COMPENSATORS = (("lens", "decenter_x_mm", 0.02), ("lens", "decenter_y_mm", 0.02), ("lens", "tilt_x_deg", 5.0))
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +60,7 @@ def study_of(compensators=(), limits=(), figure=False, **merit):
 
 @pytest.mark.parametrize(
     ("compensators", "merit"),
-    [
-        ((), {}),
-        ((), {"object": "complex", "planes_mm": [0.05, 0.2, 0.45]}),
-        (COMPENSATORS, {}),
-    ],
+    [((), {}), ((), {"object": "complex", "planes_mm": [0.05, 0.2, 0.45]}), (COMPENSATORS, {})],
 )
 def test_losses_are_those_of_the_merit(twin, compensators, merit):
     study = study_of(compensators, figure=True, **merit)

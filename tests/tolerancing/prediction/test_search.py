@@ -75,8 +75,7 @@ at_most = 0.1
 
 
 @pytest.mark.parametrize(
-    ("wavelengths", "tolerances"),
-    [("[0.532]", ""), ("[0.6328, 0.532]", ""), ("[0.532]", "cost = 10.0\n")],
+    ("wavelengths", "tolerances"), [("[0.532]", ""), ("[0.6328, 0.532]", ""), ("[0.532]", "cost = 10.0\n")]
 )
 def test_gradients_are_those_of_differences(figured_study: Path, wavelengths: str, tolerances: str) -> None:
     """Of all variables at once, a figure on a surface of open size among the perturbations."""
@@ -201,10 +200,7 @@ def test_each_wavelength_is_judged_as_by_itself(wavefront_study: Path, tmp_path:
     ):
         own = tmp_path / f"{name}.toml"
         own.write_text(study, encoding="utf-8")
-        asked = {
-            '"thinnest lens"': '"yield"',
-            "wavelengths_um = [0.532]": f"wavelengths_um = {wavelengths}",
-        }
+        asked = {'"thinnest lens"': '"yield"', "wavelengths_um = [0.532]": f"wavelengths_um = {wavelengths}"}
         specification = load_specification(specified(own, f"{name}_spec.toml", **asked))
         problem = DesignProblem(specification, specification.lens)
         values = problem.as_built(problem.to_unit(load_design(DESIGNS / "thinnest_singlet.toml")))

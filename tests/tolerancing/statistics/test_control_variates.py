@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from benchmarks.control_variates import best_narrowing
 from lensdesign.errors import InputError
 from tolerancing.statistics.control_variates import (
     Seconds,
     TrialChoice,
-    best_narrowing,
     choose_trials,
     combined_mean,
     combined_yield,

@@ -32,12 +32,7 @@ def results_of(values, scores, messages=None):
 
 @pytest.mark.parametrize(
     ("passed", "total", "low", "high"),
-    [
-        (0, 10, 0.0, 0.2775),
-        (5, 10, 0.2366, 0.7634),
-        (10, 10, 0.7225, 1.0),
-        (90, 100, 0.8256, 0.9448),
-    ],
+    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (10, 10, 0.7225, 1.0), (90, 100, 0.8256, 0.9448)],
 )
 def test_intervals_are_wilsons(passed, total, low, high):
     good = yield_of(np.arange(total) < passed)

@@ -34,11 +34,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
     ("old", "new", "message"),
     [
         ("seed = 7", "sed = 7", r"study.toml: sed: .*did you mean seed"),
-        (
-            "sigma = 0.02",
-            "sgma = 0.02",
-            r"perturbation 1: sgma: .*did you mean sigma",
-        ),
+        ("sigma = 0.02", "sgma = 0.02", r"perturbation 1: sgma: .*did you mean sigma"),
         ('design = "design.toml"', 'design = "a\\u0000"', r"cannot read .*null byte"),
         ("trials = 40", "trials = 0", r"trials = 0.* 1"),
         ("trials = 40", "", r"trials: missing key"),
@@ -106,11 +102,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
         ),
         ("arms = 6", "arms = 1", r"sampling, arms = 1"),
         ('design = "design.toml"', 'design = "none.toml"', r"cannot read .*none.toml"),
-        (
-            'merits = ["largest_spread_deg"]',
-            'merits = ["speed"]',
-            r"no merit 'speed'.*larg",
-        ),
+        ('merits = ["largest_spread_deg"]', 'merits = ["speed"]', r"no merit 'speed'.*larg"),
         (
             "picture_values = [0.04]",
             "picture_values = [0.05]",

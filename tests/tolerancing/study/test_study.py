@@ -1,7 +1,6 @@
 """Studies with measured deviations: each command that meets their file reads it."""
 
 import shutil
-import sys
 
 import numpy as np
 import pytest
@@ -9,14 +8,15 @@ import tomli_w
 from places import GOLDEN
 
 from lensdesign import InputError
-from tolerancing.cli.commands import main
+from lensdesign.common.clusters import toolkit_version
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.prediction import predict_study
 from tolerancing.run.run import run_study
-from tolerancing.run.tasks import all_tasks
+from tolerancing.run.tasks import all_tasks, perform
 from tolerancing.run.workers import StudyParcel, work_in_cluster
 from tolerancing.statistics.limits import inverse
 from tolerancing.store.store import open_store
+from tolerancing.study.evaluate import context_of
 from tolerancing.study.files import load_study, study_from_tables
 
 TABLES = {
@@ -45,17 +45,6 @@ def folder(tmp_path):
         shutil.copy(file, tmp_path)
     (tmp_path / "study.toml").write_text(tomli_w.dumps(TABLES))
     return tmp_path
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["tolerancing", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return int(ended.value.code or 0), *capsys.readouterr()
-
-    return run
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -103,13 +92,13 @@ def test_every_command(folder, command, monkeypatch):
 
 def test_workers_of_a_cluster(folder):
     loaded = load_study(folder / "study.toml")
-    from lensdesign.common.clusters import toolkit_version
-
+    tasks = list(all_tasks(loaded.study, 4, 1))
+    here = [perform(context_of(loaded.lens, loaded.study), loaded.study, task) for task in tasks]
     parcel = StudyParcel(toolkit_version(), loaded.name, loaded.files, loaded.fingerprint, {})
-    shutil.rmtree(folder / "elsewhere", ignore_errors=True)
     (folder / "meas_ok.csv").unlink()
-    for task in all_tasks(loaded.study, 4, 1):
-        work_in_cluster(parcel, task)
+    for task, expected in zip(tasks, here, strict=True):
+        found = work_in_cluster(parcel, task)
+        np.testing.assert_equal(vars(found) | {"seconds": 0}, vars(expected) | {"seconds": 0})
 
 
 def test_steps_follow_the_perturbations_of_a_changed_study(folder):

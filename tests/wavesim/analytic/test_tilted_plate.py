@@ -40,8 +40,7 @@ def test_stairs_that_feed_on_themselves_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [{"incidence_deg": 51.0}, {"incidence_deg": np.nan}, {"index": 0.9}, {"thickness_mm": 0.0}],
+    "arguments", [{"incidence_deg": 51.0}, {"incidence_deg": np.nan}, {"index": 0.9}, {"thickness_mm": 0.0}]
 )
 def test_refused(arguments: dict) -> None:
     with pytest.raises(InputError):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wavesim.calibration.calibration_result import Calibrated, stop_warning_of
+from wavesim.calibration.calibration_result import Calibrated, field_stop_of
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.system_state import SystemState
 
@@ -29,7 +29,7 @@ def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_an
     assert "field_stop_x_mm" in found.table()["undetermined"]
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
-    assert stop_warning_of(path) == found.stop_warning
+    assert field_stop_of(path) == (0.02, (0.0, 0.0), found.stop_warning)
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
-from wavesim_command import frames_and_design, run_wavesim, write_frames
-
-Run = Callable[..., tuple[object, str, str]]
+from programs import Command
+from wavesim_command import frames_and_design, write_frames
 
 
 @pytest.fixture(scope="session")
@@ -20,10 +19,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path) -> Run:
+def run(wavesim: Command, data: Path) -> Command:
     """`wavesim reconstruct` on the twin's frames."""
-
-    def command(*arguments: object) -> tuple[object, str, str]:
-        return run_wavesim(monkeypatch, capsys, "reconstruct", *frames_and_design(data), *arguments)
-
-    return command
+    return partial(wavesim, "reconstruct", *frames_and_design(data))

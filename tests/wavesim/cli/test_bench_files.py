@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from places import DESIGNS
-from wavesim_command import ENDED, run_wavesim
+from programs import Command
+from wavesim_command import ENDED
 
 from lensdesign import InputError, load_design, save_design, scaled
 from wavesim import image
@@ -19,8 +19,6 @@ from wavesim.fields.files import write_field
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import write_frame
-
-Command = Callable[..., tuple[object, str, str]]
 
 LIGHT = SystemState(light=LightErrors((0.5, -0.3), {(1, 0): -0.06}, {(2, 0): 0.05}))
 
@@ -44,15 +42,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bench: Path) -> Command:
+def run(wavesim: Command, bench: Path) -> Command:
     """A command on the frames of the star."""
-
-    def command(name: str, *arguments: object) -> tuple[object, str, str]:
-        frames = bench / "star" / "frame_1.tif", bench / "star" / "frame_2.tif"
-        design = "--design", bench / "twin.toml", "--patch-mm", 0.04, "--error", 0.3
-        return run_wavesim(monkeypatch, capsys, name, *frames, *design, *arguments)
-
-    return command
+    frames = bench / "star" / "frame_1.tif", bench / "star" / "frame_2.tif"
+    design = "--design", bench / "twin.toml", "--patch-mm", 0.04, "--error", 0.3
+    return lambda name, *arguments: wavesim(name, *frames, *design, *arguments)
 
 
 def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: Path, tmp_path: Path) -> None:

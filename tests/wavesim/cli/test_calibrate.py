@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from wavesim_command import frames_and_design, run_wavesim, write_frames
+from programs import Command
+from wavesim_command import frames_and_design, write_frames
 
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
@@ -32,20 +33,11 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
 ) -> None:
     sought = "--parameters", "decenter_x_mm,tilt_y_deg"
-    code, out, err = run_wavesim(
-        monkeypatch,
-        capsys,
-        "calibrate",
-        *frames_and_design(data),
-        *sought,
-        "--known",
-        data,
-        "-o",
-        tmp_path,
-        "--json",
+    code, out, err = wavesim(
+        "calibrate", *frames_and_design(data), *sought, "--known", data, "-o", tmp_path, "--json"
     )
     assert code == 0, err
     found = json.loads(out)
@@ -71,15 +63,13 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     # Frames that the nominal lens does not explain are said not to be; what else might has tests of its own.
     monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
     for ended, options in ((1, ()), (0, ("--calibration", tmp_path / "calibration.json"))):
-        code, out, err = run_wavesim(
-            monkeypatch, capsys, "reconstruct", *quick, *options, "-o", tmp_path / "out", "--json"
-        )
+        code, out, err = wavesim("reconstruct", *quick, *options, "-o", tmp_path / "out", "--json")
         assert code == ended, err
         figures.append(json.loads(out)["truth"]["object_correlation"])
     assert figures[0] < 0.8
     assert figures[1] > 0.95
-    code, _, err = run_wavesim(
-        monkeypatch, capsys, "reconstruct", *quick, "--calibration", tmp_path / "calibration.json",
+    code, _, err = wavesim(
+        "reconstruct", *quick, "--calibration", tmp_path / "calibration.json",
         "--tilt-y-deg", 0.8, "-o", tmp_path / "out",
     )  # fmt: skip
     assert code == 2
@@ -87,7 +77,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
 
 
 def test_an_interrupted_search_goes_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
 ) -> None:
     """The second run begins after the steps that the first one has made, and comes to the same."""
     command = (*frames_and_design(data), "--parameters", "rigid", "--iterations", 3, "--scale", 1)
@@ -104,7 +94,7 @@ def test_an_interrupted_search_goes_on(
         return whole(replace(search, keep=kept), state)
 
     monkeypatch.setattr(JointSearch, "run", cut_off)
-    code, _, err = run_wavesim(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
+    code, _, err = wavesim("calibrate", *command, "-o", tmp_path)
     assert code == 130
     assert "interrupted after" in err
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.npz"]
@@ -114,7 +104,7 @@ def test_an_interrupted_search_goes_on(
         return whole(search, state)
 
     monkeypatch.setattr(JointSearch, "run", watched)
-    code, _, err = run_wavesim(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
+    code, _, err = wavesim("calibrate", *command, "-o", tmp_path)
     assert code in (0, 1), err
     assert began[0] == 0 < began[1]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
@@ -124,7 +114,7 @@ def test_an_interrupted_search_goes_on(
 
 
 def test_both_in_one_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
 ) -> None:
     """The bench that is found is what the reconstruction takes, and lies beside it."""
     given: list[object] = []
@@ -159,7 +149,7 @@ def test_both_in_one_run(
         tmp_path,
         "--calibrate",
     )
-    code, out, err = run_wavesim(monkeypatch, capsys, "reconstruct", *command)
+    code, out, err = wavesim("reconstruct", *command)
     assert code in (0, 1), err
     assert "deviation from the design" in out
     path = tmp_path / "calibration" / "calibration.json"
@@ -169,7 +159,7 @@ def test_both_in_one_run(
     assert taken_bench.light == written.light
     assert taken_bench.plane_shifts_um == written.plane_shifts_um
     assert taken_bench.pose == written.pose
-    code, _, err = run_wavesim(monkeypatch, capsys, "reconstruct", *command, "--calibration", path)
+    code, _, err = wavesim("reconstruct", *command, "--calibration", path)
     assert code == 2
     assert "give only one of them" in err
 
@@ -186,16 +176,9 @@ def test_both_in_one_run(
     ],
 )
 def test_bad_input_ends_with_one_message_and_no_file(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    data: Path,
-    tmp_path: Path,
-    options: tuple[object, ...],
-    message: str,
+    wavesim: Command, data: Path, tmp_path: Path, options: tuple[object, ...], message: str
 ) -> None:
-    code, out, err = run_wavesim(
-        monkeypatch, capsys, "calibrate", *frames_and_design(data), *options, "-o", tmp_path / "out"
-    )
+    code, out, err = wavesim("calibrate", *frames_and_design(data), *options, "-o", tmp_path / "out")
     assert code == 2
     assert message in err
     assert out == ""
@@ -216,7 +199,7 @@ def test_the_field_stop_of_a_calibration_is_read(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     table = {"mounting": {}, "field_stop_mm": 0.03, "field_stop_at_mm": [0.01, -0.02]}
     path.write_text(json.dumps(table | {"field_stop_from": "frames"}))
-    assert field_stop_of(path) == (0.03, (0.01, -0.02))
+    assert field_stop_of(path) == (0.03, (0.01, -0.02), "")
     path.write_text(json.dumps(table | {"field_stop_from": "patch"}))
     assert field_stop_of(path) is None
     path.write_text(json.dumps(table | {"field_stop_from": "frames", "field_stop_at_mm": [0.01]}))

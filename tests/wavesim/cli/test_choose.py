@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 from places import DESIGNS
-from wavesim_command import run_wavesim
+from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from wavesim.scene.settings import DEFAULT_ERROR
@@ -16,15 +16,11 @@ from wavesim.scene.settings import DEFAULT_ERROR
 PAPER = DESIGNS / "paper_singlet.toml"
 WHERE = ("--patch-mm", "0.05", "--plane-distance-mm", "0.125", "--meridional")
 
-Choose = Callable[..., tuple[object, str, str]]
-
 
 @pytest.fixture
-def choose(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Choose:
-    def command(*arguments: object) -> tuple[object, str, str]:
-        return run_wavesim(monkeypatch, capsys, "choose", *arguments)
-
-    return command
+def choose(wavesim: Command) -> Command:
+    """The command `wavesim choose`."""
+    return partial(wavesim, "choose")
 
 
 @pytest.fixture
@@ -34,7 +30,7 @@ def twin_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_default_finds_an_engine_for_the_papers_lens(choose: Choose) -> None:
+def test_the_default_finds_an_engine_for_the_papers_lens(choose: Command) -> None:
     code, out, err = choose(PAPER, "--json")
     assert code == 0, err
     found = json.loads(out)
@@ -44,7 +40,7 @@ def test_the_default_finds_an_engine_for_the_papers_lens(choose: Choose) -> None
     assert {"relative_error", "seconds", "peak_mb", "refused"} <= set(found["predictions"][0])
 
 
-def test_errors_are_of_the_objects_light(choose: Choose, twin_file: Path) -> None:
+def test_errors_are_of_the_objects_light(choose: Command, twin_file: Path) -> None:
     predicted = {}
     for name in ("even", "phase", "usaf"):
         code, out, err = choose(twin_file, *WHERE, "--object", name, "--json")
@@ -56,7 +52,7 @@ def test_errors_are_of_the_objects_light(choose: Choose, twin_file: Path) -> Non
     assert predicted["usaf"] < 0.7 * predicted["even"]
 
 
-def test_table(choose: Choose, twin_file: Path) -> None:
+def test_table(choose: Command, twin_file: Path) -> None:
     code, out, err = choose(twin_file, *WHERE, "--ground", "dark", "--error", "0.1")
     assert code == 0, err
     assert out.startswith("object usaf, patch 0.05 mm, field height 0 mm\n")
@@ -72,7 +68,7 @@ def test_table(choose: Choose, twin_file: Path) -> None:
         (("--object", "usf"), "object = 'usf': allowed: usaf, star, phase, tissue"),
     ],
 )
-def test_refused(choose: Choose, twin_file: Path, options: tuple[str, ...], said: str) -> None:
+def test_refused(choose: Command, twin_file: Path, options: tuple[str, ...], said: str) -> None:
     code, out, err = choose(twin_file, *WHERE, *options)
     assert (code, out) == (2, "")
     assert err.startswith(f"error: {said}")

@@ -7,26 +7,13 @@ from pathlib import Path
 
 import pytest
 from places import DESIGNS
-
-from wavesim.cli.commands import main
+from programs import Command
 
 DESIGN = str(DESIGNS / "paper_singlet.toml")
 
 
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
-) -> tuple[object, str, str]:
-    monkeypatch.setattr(sys, "argv", ["wavesim", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    output = capsys.readouterr()
-    return stop.value.code, output.out, output.err
-
-
-def test_json_holds_every_figure(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = run(
-        monkeypatch, capsys, "pupil", DESIGN, "--decenter-y-mm", "0.02", "--samples", "96", "--json"
-    )
+def test_json_holds_every_figure(wavesim: Command) -> None:
+    code, out, _ = wavesim("pupil", DESIGN, "--decenter-y-mm", "0.02", "--samples", "96", "--json")
     assert code == 0
     data = json.loads(out)
     assert data["refocused"] is True
@@ -39,11 +26,11 @@ def test_json_holds_every_figure(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert [row["modulation_x"] > row["modulation_y"] for row in data["mtf"]][:2] == [True, True]
 
 
-def test_refocusing_is_a_choice(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refocusing_is_a_choice(wavesim: Command) -> None:
     values = {}
     for flag in ("--refocus", "--no-refocus"):
-        _, out, _ = run(
-            monkeypatch, capsys, "pupil", DESIGN, "--despace-mm", "0.004", "--samples", "64",
+        _, out, _ = wavesim(
+            "pupil", DESIGN, "--despace-mm", "0.004", "--samples", "64",
             "--linewidths-um", "0.775", "--json", flag,
         )  # fmt: skip
         values[flag] = json.loads(out)
@@ -53,12 +40,10 @@ def test_refocusing_is_a_choice(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert values["--no-refocus"]["line_pairs"][0]["contrast_x"] < -0.5
 
 
-def test_table_and_picture(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_table_and_picture(wavesim: Command, tmp_path: Path) -> None:
     picture = tmp_path / "pupil.png"
-    code, out, _ = run(
-        monkeypatch, capsys, "pupil", DESIGN, "--field-mm", "0,1.5", "--tilt-x-deg", "0.05", "--samples",
+    code, out, _ = wavesim(
+        "pupil", DESIGN, "--field-mm", "0,1.5", "--tilt-x-deg", "0.05", "--samples",
         "64", "--linewidths-um", "1.0,0.7", "-o", str(picture),
     )  # fmt: skip
     assert code == 0
@@ -94,12 +79,9 @@ def test_table_and_picture(
     ],
 )
 def test_bad_input_is_one_message_and_status_two(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
-    message: str,
+    wavesim: Command, arguments: tuple[str, ...], message: str
 ) -> None:
-    code, out, err = run(monkeypatch, capsys, "pupil", *arguments)
+    code, out, err = wavesim("pupil", *arguments)
     assert code == 2
     assert out == ""
     assert err.startswith("error: ")

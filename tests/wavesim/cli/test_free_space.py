@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from places import GOLDEN
-from wavesim_command import run_wavesim
+from programs import Command
 
 from wavesim.calibration.free_space import descent
 
@@ -20,11 +20,11 @@ AT = ("--plane-distance-mm", "0.01,0.03,0.08")
 
 
 def test_planes_are_predicted_and_written(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(descent, "SCALE_ITERATIONS", 5)
     more = ("--calibrate", "--iterations", 20, "--predict-mm", "0.05,0", "-o", tmp_path / "out", "--json")
-    code, out, err = run_wavesim(monkeypatch, capsys, "reconstruct", *FRAMES, *LIGHT, *AT, *more)
+    code, out, err = wavesim("reconstruct", *FRAMES, *LIGHT, *AT, *more)
     assert code == 0, err
     assert "not explained within their noise" in err
     result = json.loads(out)
@@ -57,16 +57,12 @@ def test_planes_are_predicted_and_written(
     ],
 )
 def test_what_cannot_be_used_is_named_and_nothing_is_written(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    arguments: tuple[object, ...],
-    words: str,
+    wavesim: Command, tmp_path: Path, arguments: tuple[object, ...], words: str
 ) -> None:
     Image.fromarray(np.full((64, 64), 9000, np.uint16)).save(tmp_path / "small.png")
     given = [tmp_path / "small.png" if one == "{small}" else one for one in arguments]
     out = tmp_path / "out"
-    code, _, err = run_wavesim(monkeypatch, capsys, "reconstruct", *given, "-o", out)
+    code, _, err = wavesim("reconstruct", *given, "-o", out)
     assert code == 2
     assert words in " ".join(err.split())
     assert not out.exists()

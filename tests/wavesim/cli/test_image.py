@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wavesim_command import run_wavesim
+from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from wavesim import write_state
@@ -23,20 +23,12 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
-) -> tuple[object, str, str]:
-    return run_wavesim(monkeypatch, capsys, "image", *arguments)
-
-
 QUICK = ("--patch-mm", 0.05, "--engine", "eikonal", "--error", 0.3)
 
 
-def test_frames_truth_and_record(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
-) -> None:
+def test_frames_truth_and_record(wavesim: Command, twin: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    code, out, err = run(monkeypatch, capsys, twin, *QUICK, "--seed", 5, "-o", folder, "--json")
+    code, out, err = wavesim("image", twin, *QUICK, "--seed", 5, "-o", folder, "--json")
     assert (code, err) == (0, "")
     data = json.loads(out)
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -62,12 +54,12 @@ def test_frames_truth_and_record(
 
 
 def test_the_same_seed_gives_the_same_frames_and_words_for_people(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+    wavesim: Command, twin: Path, tmp_path: Path
 ) -> None:
     counts = {}
     for name, options in {"a": ("--seed", 1), "b": ("--seed", 1), "c": ("--no-noise",)}.items():
-        code, out, _ = run(
-            monkeypatch, capsys, twin, *QUICK, "--planes-mm", "0.1", "--object", "star", "--ground", "dark",
+        code, out, _ = wavesim(
+            "image", twin, *QUICK, "--planes-mm", "0.1", "--object", "star", "--ground", "dark",
             *options, "-o", tmp_path / name,
         )  # fmt: skip
         assert code == 0
@@ -79,11 +71,11 @@ def test_the_same_seed_gives_the_same_frames_and_words_for_people(
 
 
 def test_results_are_replaced_and_what_else_is_there_stays(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+    wavesim: Command, twin: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "frame_1.tif").write_text("old")
-    code, _, _ = run(monkeypatch, capsys, twin, *QUICK, "--planes-mm", "0.1", "-o", tmp_path)
+    code, _, _ = wavesim("image", twin, *QUICK, "--planes-mm", "0.1", "-o", tmp_path)
     assert code == 0
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert read_frame(tmp_path / "frame_1.tif").counts.max() > 1000
@@ -123,15 +115,10 @@ def test_results_are_replaced_and_what_else_is_there_stays(
     ],
 )
 def test_bad_input_is_one_message_status_two_and_nothing_written(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    twin: Path,
-    tmp_path: Path,
-    options: tuple[object, ...],
-    message: str,
+    wavesim: Command, twin: Path, tmp_path: Path, options: tuple[object, ...], message: str
 ) -> None:
     folder = tmp_path / "out"
-    code, out, err = run(monkeypatch, capsys, twin, "--patch-mm", 0.05, *options, "-o", folder)
+    code, out, err = wavesim("image", twin, "--patch-mm", 0.05, *options, "-o", folder)
     assert (code, out) == (2, "")
     assert err.startswith("error: ")
     assert message in err
@@ -140,21 +127,19 @@ def test_bad_input_is_one_message_status_two_and_nothing_written(
 
 
 def test_a_file_in_place_of_the_folder_is_refused_and_kept(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+    wavesim: Command, twin: Path, tmp_path: Path
 ) -> None:
     place = tmp_path / "out"
     place.write_text("mine")
-    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "-o", place)
+    code, _, err = wavesim("image", twin, *QUICK, "-o", place)
     assert code == 2
     assert "is no folder" in err
     assert place.read_text() == "mine"
 
 
-def test_exposures_of_each_plane_stand_side_by_side(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
-) -> None:
+def test_exposures_of_each_plane_stand_side_by_side(wavesim: Command, twin: Path, tmp_path: Path) -> None:
     several = (*QUICK, "--exposures", "1000,1", "--seed", 2, "--pixels", "all")
-    code, out, err = run(monkeypatch, capsys, twin, *several, "-o", tmp_path / "a", "--json")
+    code, out, err = wavesim("image", twin, *several, "-o", tmp_path / "a", "--json")
     assert (code, err) == (0, "")
     result = json.loads(out)["frames"]
     names = ["frame_1_1.tif", "frame_1_2.tif", "frame_2_1.tif", "frame_2_2.tif"]
@@ -171,7 +156,7 @@ def test_exposures_of_each_plane_stand_side_by_side(
     assert short[known].sum() == pytest.approx(long[known].sum(), abs=4.5 * error)
     # One exposure has the names and the noise that it would have without the option; a long one says nothing.
     for name, options in {"b": (), "c": ("--exposures", 1), "d": ("--exposures", 1000)}.items():
-        code, out, err = run(monkeypatch, capsys, twin, *QUICK, *options, "-o", tmp_path / name)
+        code, out, err = wavesim("image", twin, *QUICK, *options, "-o", tmp_path / name)
         assert (code, err.count("\n")) == (0, 1)
     assert "1000 x" in out
     plain, one, longer = (read_frame(tmp_path / name / "frame_1.tif").counts for name in "bcd")
@@ -180,27 +165,25 @@ def test_exposures_of_each_plane_stand_side_by_side(
 
 
 def test_a_state_from_a_file_records_what_its_options_record(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+    wavesim: Command, twin: Path, tmp_path: Path
 ) -> None:
     options = ("--decenter-x-mm", 0.002, "--light-error-deg", "0.2,0.1", "--plane-background", 0.02)
-    code, _, err = run(monkeypatch, capsys, twin, *QUICK, *options, "-o", tmp_path / "options")
+    code, _, err = wavesim("image", twin, *QUICK, *options, "-o", tmp_path / "options")
     assert code == 0, err
     written = json.loads((tmp_path / "options" / "image.json").read_text())["state"]
     path = write_state(state_from_table(written, "image.json", load_design(twin)), tmp_path / "state.json")
-    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "--state", path, "-o", tmp_path / "file")
+    code, _, err = wavesim("image", twin, *QUICK, "--state", path, "-o", tmp_path / "file")
     assert code == 0, err
     one, other = (read_frame(tmp_path / name / "frame_2.tif").counts for name in ("options", "file"))
     assert np.array_equal(one, other)
-    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "--state", path, *options, "-o", tmp_path / "both")
+    code, _, err = wavesim("image", twin, *QUICK, "--state", path, *options, "-o", tmp_path / "both")
     assert code == 2
     assert "--state" in err
 
 
-def test_a_chart_stands_beside_the_middle_too(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
-) -> None:
+def test_a_chart_stands_beside_the_middle_too(wavesim: Command, twin: Path, tmp_path: Path) -> None:
     options = (*QUICK[2:], "--patch-mm", 0.09, "--planes-mm", 0.1, "--no-noise", "--chart-at-mm", "0.036,0")
-    code, out, err = run(monkeypatch, capsys, twin, *options, "-o", tmp_path, "--json")
+    code, out, err = wavesim("image", twin, *options, "-o", tmp_path, "--json")
     assert (code, err) == (0, "")
     target = make_target(object_patch(load_design(twin), 0.09), "usaf", numerical_aperture=0.5)
     assert json.loads(out)["object"]["elements"] == len(target.elements) + 2
@@ -210,26 +193,17 @@ def test_a_chart_stands_beside_the_middle_too(
     assert 0.028 < x[other].min() < 0.036 < x[other].max() < 0.044
 
 
-def test_each_wavelength_has_its_folder(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
-) -> None:
+def test_each_wavelength_has_its_folder(wavesim: Command, twin: Path, tmp_path: Path) -> None:
     """The same frames as of each wavelength by itself."""
     lens = load_design(twin)
     save_design(lens.model_copy(update={"wavelengths_um": (0.532, 0.6)}), tmp_path / "two.toml")
-    code, out, _ = run(
-        monkeypatch,
-        capsys,
-        tmp_path / "two.toml",
-        *QUICK,
-        "--all-wavelengths",
-        "-o",
-        tmp_path / "both",
-        "--json",
+    code, out, _ = wavesim(
+        "image", tmp_path / "two.toml", *QUICK, "--all-wavelengths", "-o", tmp_path / "both", "--json"
     )
     assert code == 0
     assert [one["wavelength_um"] for one in json.loads(out)["images"]] == [0.532, 0.6]
-    code, _, _ = run(
-        monkeypatch, capsys, tmp_path / "two.toml", *QUICK, "--wavelength-um", 0.6, "-o", tmp_path / "one"
+    code, _, _ = wavesim(
+        "image", tmp_path / "two.toml", *QUICK, "--wavelength-um", 0.6, "-o", tmp_path / "one"
     )
     assert code == 0
     alone, together = (
@@ -239,11 +213,9 @@ def test_each_wavelength_has_its_folder(
     assert np.array_equal(together.counts, alone.counts)
 
 
-def test_wavelengths_are_asked_for_in_one_way(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
-) -> None:
-    code, _, err = run(
-        monkeypatch, capsys, twin, *QUICK, "--all-wavelengths", "--wavelength-um", 0.6, "-o", tmp_path / "out"
+def test_wavelengths_are_asked_for_in_one_way(wavesim: Command, twin: Path, tmp_path: Path) -> None:
+    code, _, err = wavesim(
+        "image", twin, *QUICK, "--all-wavelengths", "--wavelength-um", 0.6, "-o", tmp_path / "out"
     )
     assert code == 2
     assert "--all-wavelengths, --wavelength-um: give only one" in err
@@ -251,11 +223,11 @@ def test_wavelengths_are_asked_for_in_one_way(
 
 
 def test_a_field_stop_beside_the_axis_is_imaged_and_said(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+    wavesim: Command, twin: Path, tmp_path: Path
 ) -> None:
     stop = "--field-stop-mm", 0.03, "--field-stop-at-mm=-0.006,0.008"
     thing = "--object", "phase", *stop
-    code, out, err = run(monkeypatch, capsys, twin, *QUICK, *thing, "-o", tmp_path / "out")
+    code, out, err = wavesim("image", twin, *QUICK, *thing, "-o", tmp_path / "out")
     assert code == 0, err
     assert "field stop 0.03 mm at -0.006, 0.008 mm" in out
     said = json.loads((tmp_path / "out" / "image.json").read_text())["object"]
@@ -266,8 +238,8 @@ def test_a_field_stop_beside_the_axis_is_imaged_and_said(
     axis = 1e-3 * float(stored["pitch_um"]) * (np.arange(len(dark)) - 0.5 * (len(dark) - 1))
     x, y = (float(dark.sum(axis=n) @ axis / dark.sum()) for n in (0, 1))
     assert math.dist((x, y), (-0.006, 0.008)) < 6e-4
-    code, _, err = run(
-        monkeypatch, capsys, twin, *QUICK, "--field-stop-mm", 0.03, "--field-stop-at-mm", "0.02,0",
+    code, _, err = wavesim(
+        "image", twin, *QUICK, "--field-stop-mm", 0.03, "--field-stop-at-mm", "0.02,0",
         "-o", tmp_path / "no",
     )  # fmt: skip
     assert code == 2

@@ -3,23 +3,15 @@
 import json
 
 import pytest
-from wavesim_command import run_wavesim
+from programs import Command
 
 from lensdesign.errors import InputError
 from wavesim.scene.settings import SingleEngineDetails
 
 
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
-) -> tuple[object, str, str]:
-    return run_wavesim(monkeypatch, capsys, "oracle", *arguments)
-
-
-def test_json_holds_error_cost_and_settings(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, out, _ = run(
-        monkeypatch, capsys, "--engine", "thin-lens", "--radius-mm", "0.05", "--pitch-um", "0.2", "--json"
+def test_json_holds_error_cost_and_settings(wavesim: Command) -> None:
+    code, out, _ = wavesim(
+        "oracle", "--engine", "thin-lens", "--radius-mm", "0.05", "--pitch-um", "0.2", "--json"
     )
     assert code == 0
     data = json.loads(out)
@@ -32,8 +24,8 @@ def test_json_holds_error_cost_and_settings(
     assert set(data["predicted"]) == {"seconds", "setup_seconds", "peak_mb"}
 
 
-def test_table_for_people(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = run(monkeypatch, capsys, "--engine", "no-lens", "--oracle", "beam")
+def test_table_for_people(wavesim: Command) -> None:
+    code, out, _ = wavesim("oracle", "--engine", "no-lens", "--oracle", "beam")
     assert code == 0
     for text in ("no-lens on the exact beam", "relative error", "measured", "predicted", "peak memory (MB)"):
         assert text in out
@@ -57,12 +49,9 @@ def test_table_for_people(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     ],
 )
 def test_bad_input_is_one_message_and_status_two(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
-    message: str,
+    wavesim: Command, arguments: tuple[str, ...], message: str
 ) -> None:
-    code, out, err = run(monkeypatch, capsys, *arguments)
+    code, out, err = wavesim("oracle", *arguments)
     assert code == 2
     assert out == ""
     assert err.startswith("error: ")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from wavesim_command import ENDED, PLANES_MM, frames_and_design, run_wavesim
+from programs import Command
+from wavesim_command import ENDED, PLANES_MM, frames_and_design
 
 from wavesim.reconstruction import forward_model, resumable
 from wavesim.reconstruction import object_solver as reconstruction
@@ -16,21 +17,13 @@ from wavesim.reconstruction.retrieval import iteration as retrieval_steps
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
-) -> tuple[object, str, str]:
-    return run_wavesim(monkeypatch, capsys, "reconstruct", *arguments)
-
-
 def usual(data: Path) -> tuple[object, ...]:
     return (*frames_and_design(data), "--engine", "eikonal")
 
 
-def test_the_object_is_found_and_all_is_written(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
-) -> None:
-    code, out, err = run(
-        monkeypatch, capsys, *usual(data), "--kind", "amplitude", "--iterations", 15, "--truth", data,
+def test_the_object_is_found_and_all_is_written(wavesim: Command, data: Path, tmp_path: Path) -> None:
+    code, out, err = wavesim(
+        "reconstruct", *usual(data), "--kind", "amplitude", "--iterations", 15, "--truth", data,
         "--usaf", "bright", "--refocus-mm=-0.006,0.006", "-o", tmp_path / "out", "--json",
     )  # fmt: skip
     assert code == 0, err
@@ -53,11 +46,9 @@ def test_the_object_is_found_and_all_is_written(
     assert len(lines) == found["iterations"] + 1
 
 
-def test_the_paper_s_way_and_words_for_people(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
-) -> None:
-    code, out, err = run(
-        monkeypatch, capsys, *usual(data), "--method", "paper", "--iterations", 40, "--truth", data,
+def test_the_paper_s_way_and_words_for_people(wavesim: Command, data: Path, tmp_path: Path) -> None:
+    code, out, err = wavesim(
+        "reconstruct", *usual(data), "--method", "paper", "--iterations", 40, "--truth", data,
         "--refocus-mm=-0.004,0.004", "-o", tmp_path / "out",
     )  # fmt: skip
     assert code in ENDED, err
@@ -72,19 +63,14 @@ def test_the_paper_s_way_and_words_for_people(
     ("method", "start"), [("object", "even"), ("object", "amplitude"), ("paper", "model")]
 )
 def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    data: Path,
-    tmp_path: Path,
-    method: str,
-    start: str,
+    wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path, method: str, start: str
 ) -> None:
     monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
     monkeypatch.setattr(resumable, "SAVE_TIME_FRACTION", np.inf)
     monkeypatch.setattr(reconstruction, "AMPLITUDE_START", 2)
     options = (*usual(data), "--method", method, "--start", start, "--iterations", 7)
     options = (*options, "--refocus-mm=-0.002,0.002")
-    code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "whole")
+    code, _, err = wavesim("reconstruct", *options, "-o", tmp_path / "whole")
     assert code in ENDED, err
 
     step = {"object": forward_model.ForwardModel, "paper": retrieval_steps.Passes}[method], "step"
@@ -98,7 +84,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
         return call(*args)
 
     monkeypatch.setattr(*step, stopped)
-    code, out, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
+    code, out, err = wavesim("reconstruct", *options, "-o", tmp_path / "cut")
     assert (code, out) == (130, "")
     assert "interrupted after 3 of 7 iterations; run the same command again" in err
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
@@ -109,7 +95,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
 
     taken.clear()
     monkeypatch.setattr(*step, counted)
-    code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
+    code, _, err = wavesim("reconstruct", *options, "-o", tmp_path / "cut")
     assert code in ENDED, err
     result = json.loads((tmp_path / "whole" / "reconstruction.json").read_text())
     assert len(taken) == result["iterations"] - 3
@@ -160,16 +146,11 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
     ],
 )
 def test_bad_frames_are_one_message_status_two_and_nothing_written(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    data: Path,
-    tmp_path: Path,
-    fault: str,
-    message: str,
+    wavesim: Command, data: Path, tmp_path: Path, fault: str, message: str
 ) -> None:
     bad, folder = bad_frame(data, tmp_path, fault), tmp_path / "out"
-    code, out, err = run(
-        monkeypatch, capsys, data / "frame_1.tif", bad, "--design", data / "twin.toml", "-o", folder
+    code, out, err = wavesim(
+        "reconstruct", data / "frame_1.tif", bad, "--design", data / "twin.toml", "-o", folder
     )
     assert (code, out) == (2, "")
     assert err.startswith("error: ")
@@ -199,15 +180,10 @@ def test_bad_frames_are_one_message_status_two_and_nothing_written(
     ],
 )
 def test_bad_options_are_one_message_status_two_and_nothing_written(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    data: Path,
-    tmp_path: Path,
-    options: tuple[object, ...],
-    message: str,
+    wavesim: Command, data: Path, tmp_path: Path, options: tuple[object, ...], message: str
 ) -> None:
     folder = tmp_path / "out"
-    code, out, err = run(monkeypatch, capsys, *usual(data), *options, "-o", folder)
+    code, out, err = wavesim("reconstruct", *usual(data), *options, "-o", folder)
     assert (code, out) == (2, "")
     assert message in err
     assert "Traceback" not in err
@@ -215,30 +191,28 @@ def test_bad_options_are_one_message_status_two_and_nothing_written(
 
 
 def test_one_frame_does_for_an_amplitude_object_but_not_for_the_paper_s_way(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+    wavesim: Command, data: Path, tmp_path: Path
 ) -> None:
     one = (data / "frame_1.tif", *usual(data)[2:])
-    code, _, err = run(monkeypatch, capsys, *one, "--method", "paper", "-o", tmp_path / "paper")
+    code, _, err = wavesim("reconstruct", *one, "--method", "paper", "-o", tmp_path / "paper")
     assert code == 2
     assert "--method paper: needs frames of at least two planes" in err
-    code, _, err = run(
-        monkeypatch, capsys, *one, "--kind", "amplitude", "--iterations", 4, "-o", tmp_path / "object"
+    code, _, err = wavesim(
+        "reconstruct", *one, "--kind", "amplitude", "--iterations", 4, "-o", tmp_path / "object"
     )
     assert code in ENDED, err
 
 
-def test_foreign_frames_and_little_diversity_are_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
-) -> None:
+def test_foreign_frames_and_little_diversity_are_told(wavesim: Command, data: Path, tmp_path: Path) -> None:
     for number in (1, 2):
         counts = read_frame(data / f"frame_{number}.tif").counts
         Image.fromarray(counts).save(tmp_path / f"{number}.tif")
     frames = (tmp_path / "1.tif", tmp_path / "2.tif", *usual(data)[2:])
-    code, _, err = run(monkeypatch, capsys, *frames, "-o", tmp_path / "out")
+    code, _, err = wavesim("reconstruct", *frames, "-o", tmp_path / "out")
     assert code == 2
     assert "does not state how it was recorded" in err
-    code, _, err = run(
-        monkeypatch, capsys, *frames, "--plane-distance-mm", "0.0625,0.0635", "--exposure", "1,1",
+    code, _, err = wavesim(
+        "reconstruct", *frames, "--plane-distance-mm", "0.0625,0.0635", "--exposure", "1,1",
         "--pixel-pitch-um", 3.2, "--wavelength-um", 0.532, "--bits", 16, "--offset-counts", 64,
         "--gain-electrons-per-count", 15.3, "--iterations", 1, "-o", tmp_path / "out",
     )  # fmt: skip
@@ -249,11 +223,11 @@ def test_foreign_frames_and_little_diversity_are_told(
 
 
 def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+    wavesim: Command, data: Path, tmp_path: Path
 ) -> None:
     chart = ("--patch-mm", 0.09, "--engine", "eikonal", "--error", 0.3, "--chart-at-mm", "0.036,0")
     exposed = (*chart, "--exposures", "1,30", "--planes-mm", 0.0625, "--pixels", "all", "-o", tmp_path)
-    code, _, err = run_wavesim(monkeypatch, capsys, "image", data / "twin.toml", *exposed)
+    code, _, err = wavesim("image", data / "twin.toml", *exposed)
     assert code == 0, err
     merged, alone = tmp_path / "merged", tmp_path / "alone"
     both = (tmp_path / "frame_1_1.tif", tmp_path / "frame_1_2.tif")
@@ -268,11 +242,11 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
         "--iterations",
         8,
     )
-    code, out, err = run(monkeypatch, capsys, *both, *usual, "-o", merged)
+    code, out, err = wavesim("reconstruct", *both, *usual, "-o", merged)
     assert code in ENDED, err
     assert re.fullmatch(r"memory: about 0\.4\d GB of [\d.]+ GB allowed", err.strip())
     assert "chart at 0.036, 0 mm: resolved down to group 9, element 2" in out.replace("\n", " ")
-    code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
+    code, out, err = wavesim("reconstruct", both[0], *usual, "-o", alone, "--json")
     assert code in ENDED
     result = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]
     assert [len(one["planes"][0]["exposures"]) for one in result] == [2, 1]
@@ -280,21 +254,21 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     (beside,) = result[0]["usaf"]["beside"]
     assert beside["at_mm"] == [0.036, 0.0]
     assert [one["group"] for one in beside["elements"]] == [9, 9]
-    code, _, err = run(monkeypatch, capsys, *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
+    code, _, err = wavesim("reconstruct", *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
     assert code == 2
     assert "--method paper: needs frames of at least two planes" in err
 
 
 def test_frames_of_swapped_planes_end_with_status_1_and_say_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+    wavesim: Command, data: Path, tmp_path: Path
 ) -> None:
     for number, distance in enumerate(reversed(PLANES_MM), start=1):
         frame = read_frame(data / f"frame_{number}.tif")
         swapped = Frame(frame.counts, frame.settings.replaced(plane_distance_mm=distance))
         write_frame(swapped, tmp_path / f"frame_{number}.tif")
     frames = tmp_path / "frame_1.tif", tmp_path / "frame_2.tif"
-    code, out, err = run(
-        monkeypatch, capsys, *frames, *usual(data)[2:], "--kind", "amplitude", "--iterations", 6,
+    code, out, err = wavesim(
+        "reconstruct", *frames, *usual(data)[2:], "--kind", "amplitude", "--iterations", 6,
         "-o", tmp_path / "out",
     )  # fmt: skip
     assert code == 1, err
@@ -307,16 +281,10 @@ def test_frames_of_swapped_planes_end_with_status_1_and_say_so(
 
 
 @pytest.mark.parametrize("option", ["flat", "dark", "bad-pixels"])
-def test_a_map_of_another_size_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    data: Path,
-    tmp_path: Path,
-    option: str,
-) -> None:
+def test_a_map_of_another_size_is_refused(wavesim: Command, data: Path, tmp_path: Path, option: str) -> None:
     np.save(tmp_path / "map.npy", np.ones((3, 4)))
-    code, _, err = run(
-        monkeypatch, capsys, *usual(data), f"--{option}", tmp_path / "map.npy", "-o", tmp_path / "out"
+    code, _, err = wavesim(
+        "reconstruct", *usual(data), f"--{option}", tmp_path / "map.npy", "-o", tmp_path / "out"
     )
     assert code == 2
     assert "4 x 3 pixels; the frames have 216 x 216" in " ".join(err.split())
@@ -332,31 +300,23 @@ def test_a_map_of_another_size_is_refused(
     ],
 )
 def test_a_map_that_cannot_be_is_refused_and_nothing_overwritten(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    data: Path,
-    tmp_path: Path,
-    option: str,
-    value: float,
-    message: str,
+    wavesim: Command, data: Path, tmp_path: Path, option: str, value: float, message: str
 ) -> None:
     np.save(tmp_path / "map.npy", np.full((216, 216), value))
     out = tmp_path / "out"
     out.mkdir()
     (out / "reconstruction.json").write_text("kept")
-    code, _, err = run(monkeypatch, capsys, *usual(data), f"--{option}", tmp_path / "map.npy", "-o", out)
+    code, _, err = wavesim("reconstruct", *usual(data), f"--{option}", tmp_path / "map.npy", "-o", out)
     assert code == 2
     assert message in " ".join(err.split())
     assert [path.read_text() for path in out.iterdir()] == ["kept"]
 
 
-def test_frames_of_two_wavelengths_are_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
-) -> None:
+def test_frames_of_two_wavelengths_are_refused(wavesim: Command, data: Path, tmp_path: Path) -> None:
     frame = read_frame(data / "frame_2.tif")
     write_frame(Frame(frame.counts, frame.settings.replaced(wavelength_um=0.6)), tmp_path / "red.tif")
     frames = data / "frame_1.tif", tmp_path / "red.tif"
-    code, _, err = run(monkeypatch, capsys, *frames, *usual(data)[2:], "-o", tmp_path / "out")
+    code, _, err = wavesim("reconstruct", *frames, *usual(data)[2:], "-o", tmp_path / "out")
     assert code == 2
     assert "red.tif: wavelength_um = 0.6; that of" in " ".join(err.split())
     assert not (tmp_path / "out").exists()

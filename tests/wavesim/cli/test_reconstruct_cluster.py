@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from dask_cluster import Cluster
+from programs import Command
 from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
 from wavesim.engines.whole_field.executors import ThisComputer
 from wavesim.reconstruction import frame_reconstruction, resumable
 
-Run = Callable[..., tuple[object, str, str]]
 
-
-def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -> None:
+def test_super_tiles_done_by_a_cluster_make_the_same(run: Command, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
     code, _, err = run(*options, "-o", tmp_path / "here")
@@ -36,7 +35,7 @@ def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -
 
 
 def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
     uses, most = [0], [1000]
@@ -85,13 +84,10 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        (("--cluster", "tcp://nowhere:1"), "--cluster: engine eikonal"),
-        (("--device", "gpu"), "--device"),
-    ],
+    [(("--cluster", "tcp://nowhere:1"), "--cluster: engine eikonal"), (("--device", "gpu"), "--device")],
 )
 def test_bad_options_are_one_message_status_two_and_nothing_written(
-    run: Run, tmp_path: Path, options: tuple[object, ...], message: str
+    run: Command, tmp_path: Path, options: tuple[object, ...], message: str
 ) -> None:
     code, out, err = run("--engine", "eikonal", *options, "-o", tmp_path / "out")
     assert (code, out) == (2, "")

@@ -3,43 +3,79 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from wavesim_command import run_wavesim
+from programs import Command
 
 from lensdesign import load_design, save_design, scaled
+from wavesim import image
+from wavesim.reconstruction import assessment, frame_reconstruction
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
+from wavesim.sensor.frames import write_frame
 
 PATCH_MM = 0.045
-BRIGHT = ("--exposures", "1,30,1000", "--full-well", 1e6, "--bits", 16, "--read-noise", 1, "--seed", 1)
+
+Bench = Callable[..., Path]
 
 
-def reconstructed(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    *mounting: object,
-    stated: tuple[object, ...] = (),
-) -> tuple[object, str, dict[str, Any]]:
-    """Status, output and figures of a reconstruction from bright frames, whose engine is accurate."""
-    twin = folder / "twin.toml"
-    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 48), twin)
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """Folders with bright frames of a chart through a small twin, made once for each mounting."""
+    lens, made = scaled(load_design("designs/paper_singlet.toml"), 1 / 48), dict[float, Path]()
+
+    def folder(decenter_x_mm: float = 0.0) -> Path:
+        if decenter_x_mm not in made:
+            made[decenter_x_mm] = tmp_path_factory.mktemp("bench")
+            save_design(lens, made[decenter_x_mm] / "twin.toml")
+            imaged = image(
+                lens,
+                "usaf",
+                patch_mm=PATCH_MM,
+                decenter_x_mm=decenter_x_mm,
+                exposures=(1.0, 30.0, 1000.0),
+                full_well_electrons=1e6,
+                bits=16,
+                read_noise_electrons=1.0,
+                seed=1,
+                engine="eikonal",
+                error=0.002,
+            )
+            for number, frame in enumerate(imaged.frames, start=1):
+                write_frame(frame, made[decenter_x_mm] / f"frame_{number}.tif")
+        return made[decenter_x_mm]
+
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def no_other_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Local minima and causes of a misfit are not sought: that takes long, and has tests of its own."""
+    monkeypatch.setattr(frame_reconstruction, "may_be_stagnated", lambda *_: False)
+    monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
+
+
+@pytest.fixture
+def no_score_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only an explained misfit is held against a score test."""
+    monkeypatch.setattr(assessment, "_score_test", lambda *_: None)
+
+
+def reconstructed(wavesim: Command, bench: Path, out: Path, *stated: object) -> tuple[object, str, Any]:
+    """Status, output and figures of a reconstruction."""
+    frames, design = sorted(bench.glob("frame_*.tif")), ("--design", bench / "twin.toml")
     patch = "--patch-mm", PATCH_MM
-    accurate = "--engine", "eikonal", "--error", 0.002
-    command = "image", twin, "--object", "usaf", *patch, *BRIGHT, *accurate, *mounting, "-o", folder / "seen"
-    assert run_wavesim(monkeypatch, capsys, *command)[0] == 0
-    frames = sorted((folder / "seen").glob("frame_*.tif"))
-    command = "reconstruct", *frames, "--design", twin, *patch, "--kind", "amplitude"
-    status, printed, _ = run_wavesim(monkeypatch, capsys, *command, *stated, "-o", folder / "found")
-    return status, printed, json.loads((folder / "found" / "reconstruction.json").read_text())
+    status, printed, _ = wavesim(
+        "reconstruct", *frames, *design, *patch, "--kind", "amplitude", *stated, "-o", out
+    )
+    return status, printed, json.loads((out / "reconstruction.json").read_text())
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_an_engine_that_limits_the_misfit_is_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, printed, found = reconstructed(tmp_path, monkeypatch, capsys)
+def test_an_engine_that_limits_the_misfit_is_replaced(wavesim: Command, bench: Bench, tmp_path: Path) -> None:
+    status, printed, found = reconstructed(wavesim, bench(), tmp_path)
     assert status == 0
     replaced = found["engine_replaced"]
     before, after = replaced["before"]["predicted_error"], replaced["after"]["predicted_error"]
@@ -49,22 +85,22 @@ def test_an_engine_that_limits_the_misfit_is_replaced(
     assert found["verdict"]["model_error"] == 0.005
 
 
+@pytest.mark.usefixtures("no_score_test")
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_wrong_bench_is_not_explained_by_another_engine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    wavesim: Command, bench: Bench, tmp_path: Path
 ) -> None:
     """The decenter leaves less than the first engine's predicted error, and so the engine is replaced."""
-    status, printed, found = reconstructed(tmp_path, monkeypatch, capsys, "--decenter-x-mm", 0.0002)
+    status, printed, found = reconstructed(wavesim, bench(0.0002), tmp_path)
     assert "the engine was replaced" in printed
     assert found["verdict"]["model_error"] == 0.005
     assert found["verdict"]["over_noise"] > 1.3
     assert status == 1
 
 
+@pytest.mark.usefixtures("no_score_test")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_stated_error_keeps_the_engine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    *_, found = reconstructed(tmp_path, monkeypatch, capsys, stated=("--error", 0.05, "--iterations", 20))
+def test_a_stated_error_keeps_the_engine(wavesim: Command, bench: Bench, tmp_path: Path) -> None:
+    *_, found = reconstructed(wavesim, bench(), tmp_path, "--error", 0.05, "--iterations", 20)
     assert "engine_replaced" not in found
     assert found["engine"]["predicted_error"] > 0.03

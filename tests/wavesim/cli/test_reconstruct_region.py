@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from programs import Command
 from wavesim_command import ENDED, written
 
 from lensdesign.errors import InputError
 from wavesim.cli.view import _field
 from wavesim.fields.files import read_centre_um
-
-Run = Callable[..., tuple[object, str, str]]
 
 REGION = "0.0083,0.0085,0.012,0.016"
 """Holds the two elements of the chart."""
@@ -32,7 +30,9 @@ def part_like(whole: dict[str, Any], part: dict[str, Any]) -> Any:
     return whole["values"][tuple(found)]
 
 
-def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path: Path, data: Path) -> None:
+def test_of_a_region_of_the_object_alone_is_told_and_written(
+    run: Command, tmp_path: Path, data: Path
+) -> None:
     usual = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 12, "--truth", data)
     usual = (*usual, "--usaf", "bright")
     assert run(*usual, "-o", tmp_path / "whole")[0] in ENDED
@@ -57,10 +57,10 @@ def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path:
 
 
 def test_where_a_field_lies_must_be_told_in_numbers_and_truth_be_about_the_axis(
-    run: Run, tmp_path: Path
+    run: Command, tmp_path: Path
 ) -> None:
     path, values = tmp_path / "field.npz", np.ones((200, 200), np.complex64)
-    for centre, message in (([1.0, 2.0], "must be one number each"), (np.nan, "must be finite")):
+    for centre, message in (([1.0, 2.0], "must be one number"), (np.nan, "and finite")):
         np.savez(path, values=values, pitch_um=0.4256, centre_x_mm=centre)
         with pytest.raises(InputError, match=message):
             read_centre_um(path)
@@ -71,7 +71,7 @@ def test_where_a_field_lies_must_be_told_in_numbers_and_truth_be_about_the_axis(
     assert "is centred at 0.5, -0.25 mm" in err
 
 
-def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path, data: Path) -> None:
+def test_the_paper_s_way_carries_back_to_a_region_alone(run: Command, tmp_path: Path, data: Path) -> None:
     usual = ("--engine", "eikonal", "--method", "paper", "--iterations", 40, "--refocus-mm=-0.002,0.002")
     assert run(*usual, "-o", tmp_path / "whole")[0] in ENDED
     code, _, err = run(*usual, "--region-mm", REGION, "--truth", data, "-o", tmp_path / "part")
@@ -93,7 +93,7 @@ def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path
     ],
 )
 def test_bad_options_are_one_message_status_two_and_nothing_written(
-    run: Run, tmp_path: Path, options: tuple[object, ...], message: str
+    run: Command, tmp_path: Path, options: tuple[object, ...], message: str
 ) -> None:
     code, out, err = run("--engine", "eikonal", *options, "-o", tmp_path / "out")
     assert (code, out) == (2, "")

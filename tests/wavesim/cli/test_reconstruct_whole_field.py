@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from programs import Command
 from wavesim_command import ENDED, written
 
 from wavesim.cli import runs
@@ -18,11 +19,9 @@ from wavesim.reconstruction import problem
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.scratch import Scratch
 
-Run = Callable[..., tuple[object, str, str]]
-
 
 def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: Path
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: Path
 ) -> None:
     lists: list[Inventory] = []
     files: list[tuple[str, int]] = []
@@ -86,7 +85,7 @@ class Bar:
 
 
 def test_progress_is_told_within_an_iteration(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bar, engines = Bar(), []
 

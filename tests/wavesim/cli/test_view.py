@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,26 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from wavesim_command import run_wavesim
+from programs import Command
 
 from wavesim import Field, Frame, FrameSettings, Grid, write_frame
 from wavesim.fields.files import write_field
 from wavesim.plots import page as zoom_page
 from wavesim.plots.pyramid import write_pyramid
 
-Command = Callable[..., tuple[object, str, str]]
 PITCH_UM, SIDE = 0.4, 300
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run the command in this process: exit status, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[object, str, str]:
-        code, out, err = run_wavesim(monkeypatch, capsys, "view", *arguments)
-        return code or 0, out, err
-
-    return run
+def command(wavesim: Command) -> Command:
+    """The command `wavesim view`."""
+    return partial(wavesim, "view")
 
 
 def put_field(path: Path, phase: float = 0.0, side: int = SIDE) -> None:

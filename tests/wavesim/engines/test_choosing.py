@@ -133,14 +133,7 @@ def test_engine_auto() -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [
-        {"error": 0.0},
-        {"error": 2.0},
-        {"error": np.nan},
-        {"memory_gb": 0.0},
-        {"seconds": np.nan},
-        {"runs": 0},
-    ],
+    [{"error": 0.0}, {"error": 2.0}, {"error": np.nan}, {"memory_gb": 0.0}, {"seconds": np.nan}, {"runs": 0}],
 )
 def test_refused(arguments: dict) -> None:
     with pytest.raises(InputError):

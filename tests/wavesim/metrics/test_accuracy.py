@@ -130,14 +130,8 @@ def test_radius_is_that_of_the_oracle() -> None:
     [
         (lambda: run_analytic_case("no-lense", "beam"), "engine = 'no-lense': .*did you mean no-lens"),
         (lambda: run_analytic_case("no-lens", "cylindre"), "oracle = 'cylindre': .*did you mean cylinder"),
-        (
-            lambda: run_analytic_case("no-lens", "beam", 0.1),
-            r"oracle beam: radius_mm = 0.1",
-        ),
-        (
-            lambda: run_analytic_case("no-lens", "beam", slices=3),
-            "engine no-lens: slices = 3",
-        ),
+        (lambda: run_analytic_case("no-lens", "beam", 0.1), r"oracle beam: radius_mm = 0.1"),
+        (lambda: run_analytic_case("no-lens", "beam", slices=3), "engine no-lens: slices = 3"),
         (lambda: run_analytic_case("no-lens", radius_mm=-1.0), "radius_mm = -1.0"),
         (
             lambda: run_analytic_case("no-lens", "plane", oracle_arguments={"incidence_deg": 89.0}),

@@ -118,9 +118,7 @@ def test_the_image_holds_the_profile_and_turns_with_the_orientation() -> None:
 
 def test_orientations_exchange_with_the_axes_of_the_pupil() -> None:
     pupil = coma(0.6)
-    swapped = with_waves(
-        pupil.waves_on_grid.T.ravel()[GRID.index],
-    )
+    swapped = with_waves(pupil.waves_on_grid.T.ravel()[GRID.index])
     for width in (1.55, 0.775):
         assert line_pair_contrast(pupil, width, "x") == pytest.approx(line_pair_contrast(swapped, width, "y"))
         assert line_pair_contrast(pupil, width, "y") == pytest.approx(line_pair_contrast(swapped, width, "x"))

@@ -132,8 +132,7 @@ def test_in_the_plane_it_is_what_engines_bring_back_through_a_small_twin(
 
 
 @pytest.mark.parametrize(
-    "pose",
-    [Pose(), Pose(tilt_x_deg=0.3), Pose(tilt_x_deg=0.5), Pose(decenter_x_mm=0.03, tilt_y_deg=-0.2)],
+    "pose", [Pose(), Pose(tilt_x_deg=0.3), Pose(tilt_x_deg=0.5), Pose(decenter_x_mm=0.03, tilt_y_deg=-0.2)]
 )
 @pytest.mark.parametrize("orientation", ["x", "y"])
 def test_contrast_is_near_that_of_an_isoplanatic_pupil(

@@ -37,11 +37,7 @@ def scene_of(
     return Scene(lens, *grids, WAVELENGTH_UM, surface_perturbations=perturbed)
 
 
-@given(
-    tilt_deg=st.floats(-8.0, 8.0),
-    x=st.floats(-1.0, 1.0),
-    y=st.floats(-1.0, 1.0),
-)
+@given(tilt_deg=st.floats(-8.0, 8.0), x=st.floats(-1.0, 1.0), y=st.floats(-1.0, 1.0))
 def test_tilted_sphere_is_a_sphere_about_another_centre(tilt_deg: float, x: float, y: float) -> None:
     scene = scene_of(RADIUS_MM, tilt=SurfacePerturbation(tilt_x_deg=tilt_deg))
     centre = RADIUS_MM * scene.system.rotation[0, 0, :, 2]

@@ -8,13 +8,7 @@ from pathlib import Path
 import pytest
 
 from lensdesign.errors import InputError
-from wavesim.runtime.memory import (
-    Memory,
-    MemoryLimitError,
-    MemoryNeed,
-    available_bytes,
-    memory_limit,
-)
+from wavesim.runtime.memory import Memory, MemoryLimitError, MemoryNeed, available_bytes, memory_limit
 
 NEED = MemoryNeed(most_bytes=9_000_000_000, least_bytes=3_000_000_000, file_bytes=1_000_000_000)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dask_cluster import Cluster
-from wavesim_command import run_wavesim
+from programs import Command
 
 from lensdesign import load_design, save_design, scaled
 from lensdesign.common import clusters
@@ -125,7 +125,7 @@ def test_a_run_that_was_cut_off_goes_on(
 
 
 def test_the_command_ends_plainly_where_a_disk_is_full_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    wavesim: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), tmp_path / "twin.toml")
     save, saved = np.save, list[Any]()
@@ -139,22 +139,20 @@ def test_the_command_ends_plainly_where_a_disk_is_full_and_goes_on(
     command = ("image", tmp_path / "twin.toml", *TILES, "-o", tmp_path / "out")
     with monkeypatch.context() as patched:
         patched.setattr(tile_store.np, "save", full)
-        code, _, err = run_wavesim(monkeypatch, capsys, *command)
+        code, _, err = wavesim(*command)
     assert code == 2
     assert "the disk is full. Parts stored so far: 2." in err
-    code, out, err = run_wavesim(monkeypatch, capsys, *command)
+    code, out, err = wavesim(*command)
     assert code == 0
     assert err.startswith("memory: about ")
     assert "hierarchical" in out
     assert not (tmp_path / "out" / PARTS).exists()
 
 
-def test_the_command_takes_no_more_memory_than_it_may(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_takes_no_more_memory_than_it_may(wavesim: Command, tmp_path: Path) -> None:
     save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), tmp_path / "twin.toml")
     command = ("image", tmp_path / "twin.toml", *TILES, "--memory-gb", 0.2, "-o", tmp_path / "out")
-    code, _, err = run_wavesim(monkeypatch, capsys, *command)
+    code, _, err = wavesim(*command)
     assert code == 2
     assert "this picture needs at least 0.3" in err
     assert "--memory-gb 0.4 or more" in err
@@ -190,7 +188,7 @@ def test_the_estimate_is_about_what_a_process_takes() -> None:
 
 
 def test_frames_from_a_cluster_are_those_made_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    wavesim: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
     save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), tmp_path / "twin.toml")
@@ -199,20 +197,18 @@ def test_frames_from_a_cluster_are_those_made_here(
     command = ("image", tmp_path / "twin.toml", *TILES, "--no-noise")
     try:
         cluster.worker()
-        code, _, _ = run_wavesim(
-            monkeypatch, capsys, *command, "--cluster", cluster.address, "-o", tmp_path / "there"
-        )
+        code, _, _ = wavesim(*command, "--cluster", cluster.address, "-o", tmp_path / "there")
     finally:
         cluster.close()
     assert code == 0
-    assert run_wavesim(monkeypatch, capsys, *command, "-o", tmp_path / "here")[0] == 0
+    assert wavesim(*command, "-o", tmp_path / "here")[0] == 0
     here, there = (
         read_frame(tmp_path / place / "frame_1.tif").counts.astype(int) for place in ("here", "there")
     )
     assert np.max(np.abs(here - there)) <= 1
     monkeypatch.setattr(clusters, "CONNECT_SECONDS", 1.0)
-    code, _, err = run_wavesim(
-        monkeypatch, capsys, "image", tmp_path / "twin.toml", "--patch-mm", 0.05, "--engine", "eikonal",
+    code, _, err = wavesim(
+        "image", tmp_path / "twin.toml", "--patch-mm", 0.05, "--engine", "eikonal",
         "--error", 0.5, "--cluster", "tcp://127.0.0.1:1", "-o", tmp_path / "x",
     )  # fmt: skip
     assert code == 2

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensdesign.errors import InputError, SamplingError
-from wavesim.fields.coverage import Rectangle
 from wavesim.fields.field import Grid, relative_error
 from wavesim.fields.propagator import propagate
 from wavesim.fields.sampling_checks import SamplingWarning
@@ -19,7 +18,6 @@ from wavesim.targets.illumination import (
     gaussian_beam,
     measured_field,
     plane_wave,
-    validate_within_stop,
 )
 
 GRID = Grid((120, 140), 1e-3, -1.0, (0.2, -0.1))
@@ -184,13 +182,3 @@ def test_field_stops_that_do_not_fit_are_refused() -> None:
         field_stop(GRID, "square", 0.05, 1e-3)
     with pytest.raises(InputError, match="allowed: disc, square"):
         field_stop(GRID, "oval", 0.05)  # type: ignore[arg-type]
-
-
-def test_an_object_larger_than_the_stop_is_refused() -> None:
-    outline = Rectangle(-0.1, 0.1, -0.1, 0.1)
-    validate_within_stop(outline, "square", 0.2)
-    validate_within_stop(outline, "disc", 0.283)
-    with pytest.raises(InputError, match=r"width_mm = 0\.28: .*must be 0\.2828"):
-        validate_within_stop(outline, "disc", 0.28)
-    with pytest.raises(InputError, match=r"must be 0\.22 or more"):
-        validate_within_stop(outline, "square", 0.2, (0.01, 0.0))

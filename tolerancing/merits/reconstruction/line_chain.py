@@ -15,6 +15,7 @@ import scipy.fft
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from tolerancing.merits.bars import PEAK_FILL, electronics_for
 from tolerancing.merits.reconstruction.matrices import MATRICES
 from tolerancing.merits.reconstruction.objects import LineObject, LineScores, ObjectKind
 from tolerancing.merits.reconstruction.retrieval import (
@@ -285,17 +286,11 @@ class LineChain:
         noise: np.random.SeedSequence | None,
     ) -> list[Measurement]:
         """Return the amplitudes that follow from noisy frames of one exposure."""
-        from wavesim import Electronics
         from wavesim.sensor import recorded_planes
         from wavesim.sensor.exposures import plane_seeds
         from wavesim.sensor.sensor import frames_of_light
 
-        # Signal of the brightest pixel, as a fraction of full well.
-        full_well_fraction = 0.8
-        full_well = electrons / full_well_fraction
-        electronics = Electronics(
-            bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), full_well_electrons=full_well
-        )
+        electronics = electronics_for(electrons, bits)
         frames: list[Frame] = []
         for (_, amplitude), distance, seed in zip(
             planes, self.planes_mm, plane_seeds(noise, len(planes)), strict=True
@@ -303,7 +298,7 @@ class LineChain:
             light = amplitude[:, None] ** 2
             sensor, wavelength = self.lens.sensor, self.wavelength_um
             frames += frames_of_light(
-                light, sensor, distance, wavelength, electronics, seed, (1.0,), full_well_fraction
+                light, sensor, distance, wavelength, electronics, seed, (1.0,), PEAK_FILL
             )
         lines = recorded_planes(frames)
         return [

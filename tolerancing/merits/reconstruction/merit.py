@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, Positive, as_nested_tuple, as_tuple
+from lensdesign.common.frozen_model import Bounded, Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, points_text, refocus_text
@@ -107,9 +107,6 @@ class Reconstruction(Merit):
     levels: ClassVar[tuple[str, ...]] = ("wave",)
     trials_per_chunk: ClassVar[int] = 1
     engine: ClassVar[str] = "whole chain on a line"
-
-    _lists = field_validator("line_widths_um", "field_mm", "planes_mm", mode="before")(as_tuple)
-    _points = field_validator("field_points_mm", mode="before")(as_nested_tuple)
 
     @model_validator(mode="after")
     def _consistent(self) -> Reconstruction:

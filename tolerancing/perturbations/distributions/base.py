@@ -27,12 +27,6 @@ class Distribution(FrozenModel):
     mean
         Systematic deviation from nominal, about which the parts scatter.
 
-    Raises
-    ------
-    pydantic.ValidationError
-        If a value is missing or not allowed. Methods that change an existing object raise DesignError
-        instead.
-
     Examples
     --------
     >>> from tolerancing.perturbations.distributions import Uniform

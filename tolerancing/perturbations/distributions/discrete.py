@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, as_tuple
+from lensdesign.common.frozen_model import Bounded
 from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
 
@@ -25,8 +25,6 @@ class Discrete(Distribution):
     widths = ()
 
     values: Annotated[tuple[Bounded, ...], Field(min_length=2, max_length=1000)]
-
-    _list = field_validator("values", mode="before")(as_tuple)
 
     @model_validator(mode="after")
     def _increasing(self) -> Discrete:

@@ -235,9 +235,7 @@ def _result(
     misfit: list[float],
     pixels: Grid,
 ) -> FreeSpaceField:
-    """Return the result, with z = 0 and x = y = 0 defined by lines through distances and shifts of all
-    planes.
-    """
+    """Return the result, with origins defined by lines through distances and shifts of all planes."""
     amplitudes = forward_model(stack, planes).amplitudes(samples)
     stated = stack.distances_mm
     scale, distance_offset = np.polyfit(stated, planes.distances_mm, 1)

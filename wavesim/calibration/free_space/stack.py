@@ -138,9 +138,7 @@ def stack_of(
 
 
 def _band_and_noise(spectra: Sequence[Array]) -> tuple[float, float]:
-    """Return the cycles per pixel up to which signal exceeds noise, and the variance of the noise in a
-    pixel.
-    """
+    """Return the band (cycles per pixel) in which signal exceeds noise, and the noise variance of a pixel."""
     down, across = (np.arange(n) / (2.0 * n) for n in spectra[0].shape)
     cycles = np.hypot(down[:, None], across)
     power = np.mean([spectrum**2 for spectrum in spectra], axis=0)

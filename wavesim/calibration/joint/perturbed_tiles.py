@@ -86,9 +86,7 @@ def ray_changes(
 
 
 def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPose) -> tuple[Array, Array]:
-    """Return where rays meet the sensor, (y, x) in its frame about the grid's center, and their paths in
-    mm.
-    """
+    """Return where rays meet the sensor, (y, x) in mm about the grid's center, and their paths in mm."""
     if sensor_pose == ON_GRID:
         return rays.sensor_mm, rays.path_mm
     transverse = rays.slopes[:, ::-1] / index

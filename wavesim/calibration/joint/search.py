@@ -221,9 +221,7 @@ class JointSearch:
         slopes: RaySlopes | None,
         reason: str,
     ) -> FitResult:
-        """Return the result: estimates about the final object, and the bench with the parameters that are
-        needed.
-        """
+        """Return the estimates about the final object, and the bench with the parameters that are needed."""
         names = [p.name for p in self.parameters]
         best = self._converged_fit(current.unknowns, verified.transmission)
         # Number of times that estimates are made, each about the object on the bench of the one before.
@@ -301,9 +299,7 @@ class JointSearch:
         return self._fit_bench(current.unknowns, start=current.transmission)
 
     def _is_misled(self, current: _BenchFit, verified: _BenchFit) -> bool:
-        """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the
-        search.
-        """
+        """Return whether a bench's own tiles leave a larger misfit than the perturbed tiles of the search."""
         # Iterations after which an object found with other tiles has adapted to a bench's own tiles.
         adapted_after = 1
         own_misfit = verified.curve[min(adapted_after, len(verified.curve) - 1)]
@@ -387,9 +383,7 @@ class JointSearch:
         return replace(state, stretch=min(max(line_search.best, 1.0), MOST_STRETCH)), best
 
     def _determined_parameters(self, current: _BenchFit, columns: RealArray) -> tuple[Parameter, ...]:
-        """Return all parameters except sensor tilts that the frames would not determine with a known
-        object.
-        """
+        """Return all parameters except sensor tilts that frames of a known object would not determine."""
         flat = columns.reshape(len(columns), -1)
         typical = np.array([p.typical for p in self.parameters])
         information = (
@@ -425,10 +419,7 @@ class JointSearch:
         start: NDArray[Any] | None = None,
         iterations: int | None = None,
     ) -> _BenchFit:
-        """Return a bench with its object, by its own tiles or those of a similar bench.
-
-        The reconstruction starts from even light or from a given object.
-        """
+        """Reconstruct the object from even light or a given object, by tiles of this or a similar bench."""
         model = self.pixels.model(unknowns, reference)
         if self.known is not None:
             linear = LinearModel(model, self.known, self.pixels.scale is None)

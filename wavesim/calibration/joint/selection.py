@@ -40,11 +40,6 @@ def select_parameters(estimates: Array, covariance: Array, pixels: int) -> Selec
         Covariance of the estimates.
     pixels
         Number of data from which they were estimated.
-
-    Returns
-    -------
-    Selection
-        Needed parameters, and values.
     """
     precision = np.linalg.inv(covariance)
     # Multiple of the logarithm of the number of pixels. It exceeds 1 because object and bench are not exactly

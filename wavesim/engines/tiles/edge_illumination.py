@@ -50,13 +50,7 @@ def edge_illumination(scene: Scene, tiles: Sequence[Tile], plane_z_mm: float, li
 
 
 class _Rims:
-    """Direction cosines of the rim as a linear function of the object point, from some tiles far apart.
-
-    Parameters
-    ----------
-    scene, tiles, plane_z_mm
-        As in :func:`edge_illumination`.
-    """
+    """Direction cosines of the rim as a linear function of the object point, from some tiles far apart."""
 
     def __init__(self, scene: Scene, tiles: Sequence[Tile], plane_z_mm: float) -> None:
         centres = np.array([tile.centre_mm for tile in tiles])

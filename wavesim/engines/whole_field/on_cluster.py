@@ -147,17 +147,7 @@ class ClusterExecutor:
         rows: int,
         done: Callable[[int, ClusterResult[Values]], None],
     ) -> Iterator[tuple[slice, ClusterResult[Values]]]:
-        """Return bands of the plane in which all fields are summed in their order.
-
-        Parameters
-        ----------
-        fields
-            Fields of super-tiles, by index.
-        rows
-            The rows of a band are a multiple of this number.
-        done
-            Callback for each computed field.
-        """
+        """Return bands of the plane, multiples of `rows`, in which all fields are summed in their order."""
         bands = self._bands(rows)
         totals: list[ClusterResult[Values] | None] = [None] * len(bands)
         under_way = deque[tuple[list[tuple[int, ClusterResult[Values]]], list[ClusterResult[Values]]]]()

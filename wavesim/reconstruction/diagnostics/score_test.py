@@ -252,9 +252,7 @@ def _free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_
 def _following_change(
     linear: LinearModel, column: RealArray, free_samples: NDArray[np.bool_], is_real: bool
 ) -> NDArray[Any]:
-    """Return the change x of the transmission with the least |column + J x|, by conjugate gradients
-    (CGLS).
-    """
+    """Return the change x of the transmission with the least |column + J x|, by CGLS."""
 
     def gradient(remaining: RealArray) -> NDArray[Any]:
         on_object = linear.adjoint_to_object(remaining)

@@ -213,11 +213,6 @@ class Passes:
             Weight of the mean over planes, and weights of `now` and `previous`, which are subtracted.
         tv_step
             Step t of A4.
-
-        Returns
-        -------
-        AmplitudeMatch
-            Agreement of `now` with the first plane.
         """
         self.propagate()
         sums_of_first: list[Sums] = []
@@ -238,9 +233,7 @@ class Passes:
 
     @property
     def _carried(self) -> list[Plane]:
-        """Planes with carriers. The panels of the first one store the transform at the end of an
-        iteration.
-        """
+        """Planes with carriers; the first one's panels store the transform at the end of an iteration."""
         return [plane for plane in self.planes if plane.carrier is not None]
 
     def _blocks(self, with_neighbours: bool = False) -> list[Block]:

@@ -198,10 +198,7 @@ REFUSED = [
     (HEAD + "CD 1 0,01\nLD 0.3 2\n", r"line 3: CD record has '0,01'; must be a finite number"),
     (HEAD + "CD 1 nan\nLD 0.3 2\n", r"line 3: CD record has 'nan'"),
     (HEAD + "CD\nLD 0.3 2\n", r"line 3: CD record.*X1"),
-    (
-        HEAD + "CD 1 0.01 0 0 0 0 0 7\nLD 0.3 2\n",
-        r"line 3: .* 8 values.*\(Sellmeier 1\).* 6",
-    ),
+    (HEAD + "CD 1 0.01 0 0 0 0 0 7\nLD 0.3 2\n", r"line 3: .* 8 values.*\(Sellmeier 1\).* 6"),
     (HEAD + "CD 1 0.01\nLD 2 0.3\n", r"line 4: LD record.*'2 0.3'"),
     (HEAD + "CD 1 0.01\nLD 0.3\n", r"line 4: LD record"),
     (HEAD + "CD 1 0.01\nLD 0 2\n", r"line 4: LD record"),

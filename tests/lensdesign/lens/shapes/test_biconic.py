@@ -41,13 +41,7 @@ X, Y = (part.ravel() for part in np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linsp
 
 def biconic(radius: float | None, conic: float, radius_x: float | None, conic_x: float) -> Surface:
     return Surface.model_validate(
-        {
-            "shape": "biconic",
-            "radius_mm": radius,
-            "conic": conic,
-            "radius_x_mm": radius_x,
-            "conic_x": conic_x,
-        }
+        {"shape": "biconic", "radius_mm": radius, "conic": conic, "radius_x_mm": radius_x, "conic_x": conic_x}
     )
 
 

@@ -165,10 +165,7 @@ def test_what_the_sheet_says_beside_it_stays(paper_lens: Lens, study: Path) -> N
     [
         ("trials = 3", r"holds no \[\[perturbation\]\] tables"),
         ('[[perturbation]]\ntarget = "lens"', "perturbation 1: parameter: Field required"),
-        (
-            STUDY.replace('"surface 2"', '"surface 3"'),
-            r"'surface 3': .*2 surfaces and 1 element",
-        ),
+        (STUDY.replace('"surface 2"', '"surface 3"'), r"'surface 3': .*2 surfaces and 1 element"),
         (STUDY.replace("0.0012", "-1.0"), "perturbation 7: half_width: "),
     ],
 )

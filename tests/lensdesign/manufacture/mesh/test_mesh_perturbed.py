@@ -220,11 +220,7 @@ def test_figure_that_needs_too_many_triangles_is_named() -> None:
         ({}, SurfacePerturbation(tilt_x_deg=np.zeros(3)), "hold 3 trials"),
         ({"thickness_mm": 1.7}, SurfacePerturbation(tilt_x_deg=-9.0), "does not close"),
         ({"thickness_mm": 1.7}, SurfacePerturbation(thickness_mm=-0.5), "does not close|cross"),
-        (
-            {"radius_mm": 5.01, "thickness_mm": 9.0},
-            SurfacePerturbation(decenter_y_mm=0.1),
-            "inside its rim",
-        ),
+        ({"radius_mm": 5.01, "thickness_mm": 9.0}, SurfacePerturbation(decenter_y_mm=0.1), "inside its rim"),
         (
             {"radius_mm": 4.0, "semi_diameter_mm": 4.0, "thickness_mm": 9.0},
             SurfacePerturbation(tilt_y_deg=0.1),

@@ -16,10 +16,7 @@ ASKED = Specification.model_validate(
         "wavelengths_um": [0.532],
         "object": {"field_diameter_mm": 3.0, "numerical_aperture": 0.4, "working_distance_mm": 13.5},
         "sensor": {"pixel_pitch_um": 2.4, "pixels": [7000, 5472], "plane_distances_mm": [2.0, 8.0]},
-        "surface": [
-            {"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True},
-            {},
-        ],
+        "surface": [{"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True}, {}],
         "optimize": {"goal": "thinnest lens", "start": "plate", "stop": "numerical aperture"},
         "variable": [
             {"surface": 1, "parameter": "radius_mm", "smallest_radius_mm": 5.0},

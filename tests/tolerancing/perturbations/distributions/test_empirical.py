@@ -68,10 +68,7 @@ def test_values_are_read_at_their_first_use(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "radius_m,thickness_mm\n1,2\n",
-            r"no column 'radius_mm'; .*did you mean radius_m",
-        ),
+        ("radius_m,thickness_mm\n1,2\n", r"no column 'radius_mm'; .*did you mean radius_m"),
         ("1.0\n2.0\n", r"there is no column 'radius_mm'.*1.0"),
         ("radius_mm,radius_mm\n1,2\n", r"2 columns are called 'radius_mm'"),
         ("", r"shop.csv: is empty"),

@@ -97,10 +97,7 @@ def test_few_modes_whose_kernels_often_reach_over_the_end_of_the_grid(
 
 
 @given(
-    terms=st.integers(1, 9),
-    rows=st.integers(10, 40),
-    columns=st.integers(10, 40),
-    points=st.integers(9, 600),
+    terms=st.integers(1, 9), rows=st.integers(10, 40), columns=st.integers(10, 40), points=st.integers(9, 600)
 )
 def test_types_are_each_others_conjugate_transpose(terms: int, rows: int, columns: int, points: int) -> None:
     shape = (terms, rows, columns)
@@ -112,10 +109,7 @@ def test_types_are_each_others_conjugate_transpose(terms: int, rows: int, column
 
 
 @given(
-    terms=st.integers(1, 9),
-    rows=st.integers(10, 40),
-    columns=st.integers(10, 40),
-    points=st.integers(9, 600),
+    terms=st.integers(1, 9), rows=st.integers(10, 40), columns=st.integers(10, 40), points=st.integers(9, 600)
 )
 def test_weighted_terms_are_those_apart_added_up(terms: int, rows: int, columns: int, points: int) -> None:
     """In one pass as in several, both ways."""

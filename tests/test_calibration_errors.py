@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wavesim.calibration.normalized_errors import normalized_errors
+from benchmarks.calibration_errors import normalized_errors
 
 PRIOR = np.array([2.0, 0.1, 5.0, 1.0, 0.5])
 

@@ -1,0 +1,19 @@
+"""Arguments and options that the commands of all packages share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.common.outputs import output_file, output_folder
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+
+
+def output_option(text: str, metavar: str | None = None, is_folder: bool = False) -> Any:
+    """Return the option `--output` with its help text; the path is checked before the command computes."""
+    check = output_folder if is_folder else output_file
+    return typer.Option("--output", "-o", callback=check, metavar=metavar, help=text)
