@@ -19,7 +19,6 @@ from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.reconstruction.retrieval.iteration import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
-from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.fourier.panels import bytes_of_panels
 from wavesim.runtime.inventory import ArrayGroup, Inventory, named, need_of, work
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, MemoryNeed
@@ -274,7 +273,6 @@ def _pixel_arrays(sizes: Sizes) -> Inventory:
         ArrayGroup("changes of earlier inner iterations", exit_shape, dtype, Phase.CHANGING_FIELD),
         ArrayGroup("changes of planes", exit_shape, dtype, Phase.CHANGING_FIELD),
         work("rows of bands, and beside them", bytes_of_bands(exit_shape, dtype), Phase.CHANGING_FIELD),
-        work("columns at work", bytes_of_columns(exit_shape[0], dtype), ITERATING | Phase.ENDING),
     )
 
 
