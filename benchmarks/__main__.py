@@ -20,7 +20,6 @@ SCRIPTS = (
     "pupil_trial",
     "eikonal_speed",
     "terms_transform",
-    "plane_transform",
     "full_field",
     "interpolation_limit",
     "field_scaling",

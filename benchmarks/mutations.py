@@ -275,9 +275,9 @@ MUTATIONS = (
     ),
     Mutation(
         "A5: a and b swapped",
-        "wavesim/reconstruction/retrieval/kernel.py",
-        "previous[i, j] = factor * mean[i, j] - a * now[i, j] - b * previous[i, j]",
-        "previous[i, j] = factor * mean[i, j] - b * now[i, j] - a * previous[i, j]",
+        "wavesim/reconstruction/appendix_a.py",
+        "_subtract_feedback(now, previous, a, b)\n    match",
+        "_subtract_feedback(now, previous, b, a)\n    match",
         "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     Mutation(
@@ -289,9 +289,9 @@ MUTATIONS = (
     ),
     Mutation(
         "A4: t in place of t / 2",
-        "wavesim/reconstruction/retrieval/iteration.py",
-        "real(0.5 * tv_step)",
-        "real(tv_step)",
+        "wavesim/reconstruction/appendix_a.py",
+        "step = 0.5 * tv_step * weight",
+        "step = tv_step * weight",
         "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     Mutation(
@@ -308,9 +308,9 @@ MUTATIONS = (
     ),
     Mutation(
         "A6: a correlation about zero",
-        "wavesim/reconstruction/retrieval/iteration.py",
-        "(sxy - sx * sy / count) / math.sqrt(x * y)",
-        "sxy / math.sqrt(x * y)",
+        "wavesim/reconstruction/appendix_a.py",
+        "(sxy - sx * sy / count) / math.sqrt(x_variance * y_variance)",
+        "sxy / math.sqrt(x_variance * y_variance)",
         "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     # Judgement

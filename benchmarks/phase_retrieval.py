@@ -14,7 +14,7 @@ from wavesim.reconstruction import retrieval_bytes
 SIDE, PITCH_MM, WAVELENGTH_UM = 6144, 3.2e-3, 0.532
 ITERATIONS = 8
 PLANES_MM = {"the first plane is the one sought": (0.0, 20.0), "neither plane is": (2.0, 22.0)}
-SECONDS = {"the first plane is the one sought": 0.8, "neither plane is": 2.5}
+SECONDS = {"the first plane is the one sought": 2.2, "neither plane is": 3.5}
 
 
 def main() -> None:

@@ -180,8 +180,8 @@ class TransferFunction:
         Row and column of the factor for each row and column of a spectrum; a line is one row.
     down, across : ndarray
         Factors of the shift for each row and column; 1 without a shift.
-    is_identity : bool
-        Whether the transfer function changes nothing.
+    is_identity, is_shifted : bool
+        Whether the transfer function changes nothing, and whether it has a lateral shift.
     """
 
     __array_ufunc__ = None  # so that `array * transfer_function` calls __rmul__
@@ -201,7 +201,8 @@ class TransferFunction:
         )
         down, across = (np.arange(n // 2 + 1) / (n * grid.pitch_mm) for n in shape)
         all_propagate = math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
-        self.is_identity = distance_mm == 0.0 and not any(shift_mm) and all_propagate
+        self.is_shifted = any(shift_mm)
+        self.is_identity = distance_mm == 0.0 and not self.is_shifted and all_propagate
         orders = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
         self.rows, self.columns = (np.zeros_like(order) if self.is_identity else order for order in orders)
         self.factor: ComplexArray = np.ones((1, 1) if self.is_identity else (len(down), len(across)), dtype)
@@ -225,6 +226,22 @@ class TransferFunction:
         for row, along, values in zip(self.rows, down, np.atleast_2d(spectrum), strict=True):
             values *= along * across * factor[row, self.columns]
         return spectrum
+
+    def times_columns(self, spectrum: ComplexArray, first: int, *, adjoint: bool = False) -> None:
+        """Do the same as :meth:`times` for some columns of a spectrum, from column `first` on."""
+        if self.is_identity:
+            return
+        columns = slice(first, first + spectrum.shape[1])
+        # The mode "clip" is the fastest one; all indices are valid.
+        factor = self.factor.take(self.columns[columns], axis=1, mode="clip")
+        factor = factor.conj() if adjoint else factor
+        # Rows with negative frequencies follow, in falling order of their moduli.
+        half = len(factor)
+        spectrum[:half] *= factor
+        spectrum[half:] *= factor[1 : len(spectrum) - half + 1][::-1]
+        if self.is_shifted:
+            shift = self.down[:, None] * self.across[columns]
+            spectrum *= shift.conj() if adjoint else shift
 
     def forward(self, spectrum: ComplexArray) -> ComplexArray:
         """Return the field on the second plane from its spectrum on the first."""

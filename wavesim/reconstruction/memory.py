@@ -7,7 +7,6 @@ these lists. A new array needs one more line.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Flag, auto
@@ -15,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from wavesim.reconstruction.appendix_a import bytes_at_work
 from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
-from wavesim.reconstruction.retrieval.iteration import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
-from wavesim.runtime.fourier.columns import bytes_of_columns
-from wavesim.runtime.fourier.panels import bytes_of_panels
 from wavesim.runtime.inventory import ArrayGroup, Inventory, named, need_of, work
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, MemoryNeed
 from wavesim.scene.engine import Engine
@@ -274,7 +271,6 @@ def _pixel_arrays(sizes: Sizes) -> Inventory:
         ArrayGroup("changes of earlier inner iterations", exit_shape, dtype, Phase.CHANGING_FIELD),
         ArrayGroup("changes of planes", exit_shape, dtype, Phase.CHANGING_FIELD),
         work("rows of bands, and beside them", bytes_of_bands(exit_shape, dtype), Phase.CHANGING_FIELD),
-        work("columns at work", bytes_of_columns(exit_shape[0], dtype), ITERATING | Phase.ENDING),
     )
 
 
@@ -342,15 +338,12 @@ def retrieval_arrays(sizes: Sizes, masked: bool = True) -> Inventory:
     """
     exit_shape, dtype, passing = sizes.exit_shape, sizes.dtype, Phase.RETRIEVING
     plane = math.prod(exit_shape[:-1]), exit_shape[-1]
-    blocks = plane[0] // rows_of_block(plane, np.dtype(dtype).itemsize, with_neighbours=True)
-    on_plane, transfer = (bytes_of_panels((rows, plane[1]), dtype) for rows in (plane[0], plane[0] // 2 + 1))
     return (
         ArrayGroup("the field sought, and the one before", exit_shape, dtype, passing, 2),
-        work("fields on planes", sizes.remote_planes * on_plane, passing),
-        work("transfer functions to planes", sizes.remote_planes * transfer, passing),
+        ArrayGroup("the field on a plane", exit_shape, dtype, passing),
+        ArrayGroup("transfer functions to planes", sizes.quadrant_shape, dtype, passing, sizes.remote_planes),
         ArrayGroup("pixels that are known", exit_shape, bool, passing, sizes.plane_count * masked),
-        ArrayGroup("rows next to blocks", exit_shape[-1:], dtype, passing, 2 * blocks),
-        work("blocks", (os.cpu_count() or 1) * bytes_at_work(plane, dtype), passing),
+        work("blocks of rows and columns", bytes_at_work(plane, dtype), passing),
     )
 
 

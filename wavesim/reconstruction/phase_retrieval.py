@@ -11,10 +11,7 @@ test.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,12 +19,16 @@ import numpy as np
 
 from lensdesign.errors import InputError, validate_whole_number
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.retrieval.iteration import (
+from wavesim.reconstruction.appendix_a import (
     AmplitudeMatch,
     Array,
     ComplexArray,
-    Passes,
+    Plane,
+    compare,
+    iterate,
     plane_for,
+    propagate,
+    rows_of,
 )
 from wavesim.sensor.measurement import Measurement, amplitude_unit
 
@@ -179,11 +180,11 @@ def retrieve(
         else _copied_state(grid, resume)
     )
     del start, resume  # they have been copied, so that the caller's last reference can be released
-    with passes_for(grid, wavelength_um, recorded, state.now.dtype) as passes:
-        state = run_iterations(passes, state, iterations, feedback, tv_step, progress, keep)
+    planes = [plane_for(grid, wavelength_um, plane, state.now.dtype) for plane in recorded]
+    state = run_iterations(planes, state, iterations, feedback, tv_step, progress, keep)
     field = Field(grid, state.now, wavelength_um)
     correlation, curve = state.correlation, state.residual_curve
-    del state, passes
+    del state, planes
     return Retrieved(
         field,
         correlation,
@@ -220,20 +221,8 @@ def _copied_state(grid: Grid, state: RetrievalState) -> RetrievalState:
     return RetrievalState(now, before, state.correlation, state.residual_curve)
 
 
-@contextmanager
-def passes_for(
-    grid: Grid, wavelength_um: float, recorded: Sequence[Measurement], dtype: Any
-) -> Iterator[Passes]:
-    """Yield the passes of iterations over measured planes, for fields of a complex type, with their
-    threads.
-    """
-    planes = [plane_for(grid, wavelength_um, p.distance_mm, p.amplitude, p.known, dtype) for p in recorded]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        yield Passes(planes, pool)
-
-
 def run_iterations(
-    passes: Passes,
+    planes: Sequence[Plane],
     state: RetrievalState,
     iterations: int,
     feedback: tuple[float, float],
@@ -242,12 +231,10 @@ def run_iterations(
     keep: Callable[[RetrievalState], None] | None,
 ) -> RetrievalState:
     """Iterate up to a number of iterations; the arrays of `state` are overwritten."""
-    a, b = feedback
-    rows = (-1, state.now.shape[-1])
-    passes.start(state.now.reshape(rows))
     for k in range(len(state.correlation), iterations):
-        weights = (1.0, 0.0, 0.0) if k < 2 else (1.0 + a + b, a, b)
-        match = passes.step(state.now.reshape(rows), state.before.reshape(rows), weights, tv_step)
+        match = iterate(
+            planes, rows_of(state.now), rows_of(state.before), None if k < 2 else feedback, tv_step
+        )
         state = RetrievalState(
             state.before,
             state.now,
@@ -281,13 +268,10 @@ def residual_and_map(field: Field, plane: Measurement) -> tuple[float, Array]:
 
 def _match_on_plane(field: Field, plane: Measurement) -> tuple[AmplitudeMatch, ComplexArray]:
     """Return the agreement of a field with a plane, and the field on that plane."""
-    values = np.ascontiguousarray(field.values)
-    now = values.reshape(-1, values.shape[-1])
-    with passes_for(field.grid, field.wavelength_um, [plane], now.dtype) as passes:
-        passes.start(now)
-        passes.propagate()
-        match, field_on_plane = passes.match(now, passes.planes[0])
-    return match, field_on_plane.reshape(values.shape)
+    values = rows_of(field.values)
+    compared_plane = plane_for(field.grid, field.wavelength_um, plane, values.dtype)
+    field_on_plane = propagate(values, compared_plane, np.empty_like(values))
+    return compare(field_on_plane, compared_plane), field_on_plane.reshape(field.values.shape)
 
 
 def stagnation(correlation: Sequence[float]) -> int | None:

@@ -11,9 +11,8 @@ from PIL import Image
 from programs import Command
 from wavesim_command import ENDED, PLANES_MM, frames_and_design
 
-from wavesim.reconstruction import forward_model, resumable
+from wavesim.reconstruction import forward_model, phase_retrieval, resumable
 from wavesim.reconstruction import object_solver as reconstruction
-from wavesim.reconstruction.retrieval import iteration as retrieval_steps
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 
@@ -73,7 +72,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     code, _, err = wavesim("reconstruct", *options, "-o", tmp_path / "whole")
     assert code in ENDED, err
 
-    step = {"object": forward_model.ForwardModel, "paper": retrieval_steps.Passes}[method], "step"
+    step = {"object": (forward_model.ForwardModel, "step"), "paper": (phase_retrieval, "iterate")}[method]
     call: Any = getattr(*step)
     taken: list[int] = []
 

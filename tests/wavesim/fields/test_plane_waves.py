@@ -26,6 +26,28 @@ def test_a_quarter_of_the_factor_is_the_whole(
     assert way.is_identity == bool(np.all(factor == 1.0))
 
 
+@pytest.mark.parametrize("shape", [(6, 5), (5, 6), (1, 8)])
+@pytest.mark.parametrize("pitch_mm", [3.2e-3, 3e-4])
+@pytest.mark.parametrize("distance_mm", [0.0, 0.7])
+@pytest.mark.parametrize("shift_mm", [(0.0, 0.0), (1e-3, -2e-3)])
+@pytest.mark.parametrize("adjoint", [False, True])
+def test_some_columns_are_multiplied_as_all_are(
+    shape: tuple[int, ...],
+    pitch_mm: float,
+    distance_mm: float,
+    shift_mm: tuple[float, float],
+    adjoint: bool,
+) -> None:
+    random = np.random.default_rng(3)
+    spectrum = random.random(shape) + 1j * random.random(shape)
+    grid = Grid(shape, pitch_mm, 1.0)
+    propagator = TransferFunction(grid, 0.532, distance_mm, np.complex128, shift_mm)
+    expected = propagator.times(spectrum.copy(), adjoint=adjoint)
+    for first in range(0, shape[1], 2):
+        propagator.times_columns(spectrum[:, first : first + 2], first, adjoint=adjoint)
+    np.testing.assert_allclose(spectrum, expected, atol=1e-14)
+
+
 def test_no_distance_is_no_way() -> None:
     assert TransferFunction(Grid((6, 5), 3.2e-3, 1.0), 0.532, 0.0, np.complex64).is_identity
     assert not TransferFunction(Grid((6, 5), 2e-4, 1.0), 0.532, 0.0, np.complex64).is_identity

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -46,7 +45,6 @@ from wavesim.reconstruction.recording import bands, exit_field, pixel_means
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
-from wavesim.runtime.fourier.columns import bytes_of_columns, transform_columns
 from wavesim.runtime.inventory import need_during, need_of
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64
 from wavesim.runtime.scratch import Scratch
@@ -149,17 +147,6 @@ def peaks_of_phases(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[Phase, int
         tracemalloc.stop()
 
 
-def each_keeps_rooms_for_columns(count: int) -> None:
-    """Every thread, whichever of them would come to a column first."""
-    together = Barrier(blocks.THREADS)
-
-    def one(start: int, stop: int) -> None:
-        together.wait()
-        transform_columns(np.ones((count, 16), np.complex64), np.empty((count, 16), np.complex64), False)
-
-    blocks.for_blocks(one, blocks.THREADS, 1)
-
-
 @pytest.mark.parametrize(("kind", "fill_factor"), [("amplitude", 1.0), ("amplitude", 0.0), ("complex", 0.0)])
 @pytest.mark.parametrize(
     ("distances_mm", "with_sigma"), [((0.0,), True), ((0.0, 20.0), True), ((5.0, 9.0, 20.0), False)]
@@ -190,13 +177,8 @@ def test_each_phase_holds_what_is_listed(
     first = Nothing(shape)
     reconstruct(first, *arrays_of(first, distances_mm, with_sigma, Scratch()), **settings)
     del first
-    each_keeps_rooms_for_columns(shape[0])
     sizes = Sizes.of(engine, distances_mm)
     arrays = given_arrays(sizes, with_sigma=with_sigma) + descent_arrays(sizes, kind, fill_factor)
-    assert [one.bytes_of_all for one in arrays if one.name == "columns at work"] == [
-        bytes_of_columns(shape[0], np.complex64)
-    ] * (fill_factor > 0.0)
-    arrays = tuple(one for one in arrays if one.name != "columns at work")
     for in_files in (False, True):
         room = Scratch(tmp_path, 0.0) if in_files else Scratch()
         with monkeypatch.context() as patch, peaks_of_phases(patch) as peaks:

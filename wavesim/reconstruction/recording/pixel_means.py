@@ -31,7 +31,6 @@ from wavesim.reconstruction.recording.kernel import (
     multiply_spread,
     propagate_columns,
 )
-from wavesim.runtime.fourier.columns import transform_columns
 from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -273,8 +272,9 @@ def _propagate(spectrum: ComplexArray, propagator: TransferFunction, buffers: Ro
             even,
             odd,
         )
-        transform_columns(even, middles[:, start:stop], True)
-        transform_columns(odd, edges[:, start:stop], True)
+        # The inverse transform is not divided by the number of rows.
+        for samples, part in ((even, middles), (odd, edges)):
+            part[:, start:stop] = scipy.fft.ifft(samples, axis=0, norm="forward", overwrite_x=True)
 
     for_blocks(columns, width, COLUMNS)
     return buffers
@@ -295,9 +295,7 @@ def add_rows_adjoint(
     half = total.real.dtype.type(0.5)
 
     def columns(start: int, stop: int) -> None:
-        even, odd = (np.empty((len(total), stop - start), total.dtype) for _ in rows)
-        for part, columns_of_part in zip(rows, (even, odd), strict=True):
-            transform_columns(part[:, start:stop], columns_of_part, False)
+        even, odd = (scipy.fft.fft(part[:, start:stop], axis=0) for part in rows)
         add_columns_adjoint(
             even,
             odd,

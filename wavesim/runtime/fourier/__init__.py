@@ -1,1 +1,1 @@
-"""Fast Fourier transforms in compiled vector loops, for places where SciPy would take most of the time."""
+"""Nonuniform Fourier transforms, and vectors of numbers in compiled loops."""

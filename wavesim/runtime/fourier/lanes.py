@@ -67,19 +67,19 @@ for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
     _arithmetic(_function, _instruction)
 
 
-def vector_at(context: Any, builder: Any, kind: Any, array: Any, first: Any, count: int = LANES) -> Any:
-    """Return a pointer to a vector of `count` numbers of a contiguous array."""
+def _vector_at(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> Any:
+    """Return a pointer to a vector of a contiguous array."""
     data = context.make_array(kind)(context, builder, array).data
-    vector = ir.VectorType(context.get_value_type(kind.dtype), count)
+    vector = ir.VectorType(context.get_value_type(kind.dtype), LANES)
     return builder.bitcast(builder.gep(data, [first]), vector.as_pointer())
 
 
 def _loaded(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> Any:
-    return builder.load(vector_at(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
+    return builder.load(_vector_at(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
 
 
 def _stored(context: Any, builder: Any, kind: Any, value: Any, array: Any, first: Any) -> None:
-    builder.store(value, vector_at(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
+    builder.store(value, _vector_at(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
 
 
 @intrinsic
@@ -110,7 +110,7 @@ def alike(_: Any, number: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         nothing = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
         one = builder.insert_element(nothing, values[0], ir.Constant(ir.IntType(32), 0))
-        return builder.shuffle_vector(one, nothing, lane_numbers([0] * LANES))
+        return builder.shuffle_vector(one, nothing, _lane_numbers([0] * LANES))
 
     return Lanes(number)(number), codegen
 
@@ -153,7 +153,7 @@ def _shuffle(name: str, places: list[int]) -> Any:
 
     def shuffled(_: Any, one: Any, other: Any) -> Any:
         def codegen(__: Any, builder: Any, ___: Any, values: Any) -> Any:
-            return builder.shuffle_vector(*values, lane_numbers(places))
+            return builder.shuffle_vector(*values, _lane_numbers(places))
 
         return one(one, other), codegen
 
@@ -161,7 +161,7 @@ def _shuffle(name: str, places: list[int]) -> Any:
     return intrinsic(shuffled)
 
 
-def lane_numbers(numbers: Sequence[int]) -> Any:
+def _lane_numbers(numbers: Sequence[int]) -> Any:
     """Return the mask of a shuffle instruction of LLVM."""
     return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
@@ -206,7 +206,7 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
         for i in (i for i in range(LANES) if not i & side):
             pair = rows[i], rows[i + side]
             rows[i], rows[i + side] = (
-                builder.shuffle_vector(*pair, lane_numbers(of)) for of in (upper, lower)
+                builder.shuffle_vector(*pair, _lane_numbers(of)) for of in (upper, lower)
             )
         side *= 2
     return rows

@@ -1,1 +1,0 @@
-"""Steps of Appendix A, and their compiled loops."""
