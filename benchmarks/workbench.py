@@ -17,7 +17,6 @@ from benchmarks.timing import DESIGNS
 from studio.model.document import opened
 from studio.model.editing import with_value
 from studio.model.figures import FigureRequest, patch_of, rays_of, waves_of
-from studio.model.picture import heights_of
 from studio.model.whatif import WhatIf
 
 ROUNDS = 100
@@ -70,7 +69,7 @@ def computing() -> None:
     from studio.model.built import manufacturing_quality
 
     _, editing = opened(DESIGNS / "paper_singlet.toml")
-    made = manufacturing_quality(GRADE, editing.lens, heights_of(editing.lens))
+    made = manufacturing_quality(GRADE, editing.lens)
     stages = {
         "layout, spread, footprint, spots": rays_of,
         "pupils of three fields, yield": waves_of,
