@@ -124,6 +124,12 @@ def show(
     output: Annotated[
         Path | None, output_option("With --trial: picture of the trial to write (png, svg or pdf).")
     ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --trial: file to write the perturbed system to, for `wavesim image --state` (json)."
+        ),
+    ] = None,
     high_fidelity: Annotated[
         bool, typer.Option("--dear", help="With --trial: also score it by the high-fidelity merits.")
     ] = False,
@@ -138,11 +144,11 @@ def show(
     from tolerancing.statistics.summary import summarize
     from tolerancing.store.store import open_store
 
-    if trial is None and (output is not None or high_fidelity):
-        raise InputError("--output and --dear need --trial")
+    if trial is None and (output is not None or state is not None or high_fidelity):
+        raise InputError("--output, --state and --dear need --trial")
     with open_store(store, trust=trust) as opened:
         if trial is not None:
-            _show_trial(opened, trial, output, high_fidelity, as_json)
+            _show_trial(opened, trial, output, state, high_fidelity, as_json)
             return
         summary, predicted = summarize(opened), _predicted(opened)
     if as_json:
@@ -151,20 +157,26 @@ def show(
         _print_summary(summary, predicted)
 
 
-def _show_trial(store: Store, number: int, output: Path | None, high_fidelity: bool, as_json: bool) -> None:
+def _show_trial(
+    store: Store, number: int, output: Path | None, state: Path | None, high_fidelity: bool, as_json: bool
+) -> None:
     from tolerancing.report.figures.one_trial import write_trial_figure
     from tolerancing.statistics.trial import single_trial
+    from wavesim import write_state
 
     with messages_only():
         trial = single_trial(store, number, high_fidelity=high_fidelity)
         if output is not None:
             write_trial_figure(trial, output)
+        if state is not None:
+            write_state(trial.state, state)
     if as_json:
         print_json({"store": str(store.path), **trial.as_dict()})
         return
     _print_trial(trial)
-    if output is not None:
-        print(f"wrote {output}")
+    for path in (output, state):
+        if path is not None:
+            print(f"wrote {path}")
 
 
 @app.command()

@@ -14,6 +14,7 @@ from tolerancing.store.store import Store
 from tolerancing.study.evaluate import context_of, sample_perturbations, score_high_fidelity, score_trials
 from tolerancing.study.results import RANDOM, TrialResults
 from tolerancing.study.study import Study
+from wavesim.scene.system_state import SystemState
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,13 @@ class SingleTrial:
                 (self.stored.scores, self.again.scores),
             )
         )
+
+    @property
+    def state(self) -> SystemState:
+        """System of the trial, at the design's first wavelength: a state for :func:`wavesim.image`."""
+        lens = self.context.lens
+        (state,) = self.batch.states(lens, lens.wavelengths_um[0])
+        return state
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; names carry their units."""

@@ -14,8 +14,10 @@ from stopping import heeding
 from stored_rows import rows
 from typer.testing import CliRunner
 
+from tolerancing import open_store, single_trial
 from tolerancing.budgets import study_budget
 from tolerancing.study.files import load_study
+from wavesim import SystemState, read_state
 
 HEAVY = ("scipy", "pandas", "matplotlib", "jinja2", "numba")
 
@@ -181,9 +183,14 @@ def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
     assert picture.read_text().startswith("<?xml")
     data = json.loads(command("show", store, "--trial", "2", "--json").stdout)
     assert data["same_as_stored"] is True
+    path = tmp_path / "state.json"
+    assert command("show", store, "--trial", "2", "--state", path).returncode == 0
+    with open_store(store) as opened:
+        trial = single_trial(opened, 2)
+    assert read_state(path, trial.context.lens) == trial.state != SystemState()
     for arguments, message in (
         (("--trial", "9"), "error: trial = 9: the study has trials 0 to 3"),
-        (("-o", picture), "error: --output and --dear need --trial"),
+        (("-o", picture), "error: --output, --state and --dear need --trial"),
         (("--trial", "1", "-o", tmp_path / "a.gif"), "error: cannot write "),
     ):
         refused = command("show", store, *arguments)
