@@ -39,7 +39,7 @@ LONG = (
     "tolerancing/run/",
     "test_frozen_results.py",
     "tolerancing/prediction/",
-    "lensdesign/manufacture/drawing/test_scored.py",
+    "lensdesign/manufacture/drawing/test_predicted_yield.py",
     "lensdesign/exploration/",
     "tolerancing/store/test_trust.py",
     "test_examples.py",
