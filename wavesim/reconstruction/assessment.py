@@ -248,27 +248,8 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
     """Return whether residuals exceed the noise, by no more than the engine's predicted error."""
     if excess_of(case, maps) <= 1.0:
         return False
-    return case.predicted_error > misfit_beyond_noise(case, misfit)
-
-
-def misfit_beyond_noise(case: ReconstructionProblem, misfit: float) -> float:
-    """Return the part of a misfit that is not noise, which is independent of it."""
-    return math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
-
-
-def follows_engine_error(before: tuple[float, float], after: tuple[float, float]) -> bool:
-    """Return whether residuals beyond the noise decreased with the error of the engine that was replaced.
-
-    Residuals that an engine causes decrease as its error does; those of a wrong bench stay. The limit is
-    halfway between both, on a logarithmic scale.
-
-    Parameters
-    ----------
-    before, after
-        Predicted error, and misfit beyond the noise, with the replaced engine and with the present one.
-    """
-    (error_before, misfit_before), (error_after, misfit_after) = before, after
-    return misfit_after <= misfit_before * math.sqrt(error_after / error_before)
+    excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
+    return case.predicted_error > excess
 
 
 def may_be_stagnated(
