@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import stat
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
 from lensdesign.errors import InputError
 
@@ -114,6 +116,24 @@ def read_input(
         raise fault(f"{prefix}: {error.strerror or error}") from error
     if len(data) > most_bytes:
         raise fault(f"{prefix}: more than {most_bytes} bytes")
+    return data
+
+
+def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the object of a JSON file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or contains no object.
+    """
+    content = read_input(path, TABLE_BYTES)
+    try:
+        data = json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"cannot read {path}: not a JSON file: {error}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"cannot read {path}: must contain a JSON object")
     return data
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.input_files import read_json
 from lensdesign.errors import InputError
 
 PICTURES = (
@@ -64,7 +63,7 @@ def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     if not summaries:
         raise InputError(f"{folder}: holds none of {', '.join(names)}: give a folder that wavesim wrote")
     report(f"reading {folder}")
-    values = _read(summaries[0])
+    values = read_json(summaries[0])
     verdict: Any = values.get("verdict") or {}
     pictures = tuple(
         (name, path.read_bytes())
@@ -75,18 +74,6 @@ def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     explained = verdict.get("explained") if isinstance(verdict, dict) else None
     words = str(verdict.get("words", "")) if isinstance(verdict, dict) else ""
     return FolderContents(words, explained, tuple(_facts(values)), pictures, _page(folder))
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(read_input(path, TABLE_BYTES))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"cannot read {path}: {error}") from error
-    if not isinstance(found, dict):
-        raise InputError(f"cannot read {path}: not what wavesim writes")
-    return found
 
 
 def _facts(values: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:

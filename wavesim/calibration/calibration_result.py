@@ -13,6 +13,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Finite, FrozenModel
+from lensdesign.common.input_files import read_json
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
@@ -21,7 +22,7 @@ from lensdesign.lens.poses import Pose
 from wavesim.calibration.parameters import Unknowns, all_names
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.scene.settings import StopOrigin
-from wavesim.scene.state_files import STATE, read_json, state_of_file, state_table
+from wavesim.scene.state_files import STATE, state_of_file, state_table
 from wavesim.scene.system_state import SystemState
 
 

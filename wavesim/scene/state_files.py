@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
-from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.input_files import read_json
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.figure import SurfaceFigure
@@ -265,21 +265,3 @@ def state_of_file(data: Mapping[str, Any], path: str | os.PathLike[str], lens: L
             f'the key "{STATE}"'
         )
     return state_from_table(table, path, lens)
-
-
-def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the object of a JSON file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or contains no object.
-    """
-    content = read_input(path, TABLE_BYTES)
-    try:
-        data = json.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a JSON file: {error}") from None
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: must contain a JSON object")
-    return data
