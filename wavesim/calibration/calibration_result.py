@@ -192,7 +192,7 @@ class Calibrated:
         return f"Calibrated({', '.join(f'{name} {value}' for name, value in self._rows())})"
 
     def _repr_html_(self) -> str:
-        return html_table("SystemState as it is", self._rows())
+        return html_table("Bench as it is", self._rows())
 
     def _rows(self) -> list[tuple[str, str]]:
         noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"

@@ -105,7 +105,7 @@ def reconstruct_frames(
         Transmission of the true object on the patch's samples, or its file or folder. The result is compared
         with it.
     calibration
-        SystemState or mounting of the lens, from :func:`wavesim.calibrate_frames`. Default: as designed.
+        State of the system, from :func:`wavesim.calibrate_frames`. Default: as designed.
     folder
         Folder of the checkpoint (`CHECKPOINT`) and of arrays that do not fit in memory. The same call
         continues an interrupted run. The checkpoint is not removed.
