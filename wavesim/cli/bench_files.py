@@ -1,4 +1,4 @@
-"""Further data about a bench: frames without an object, and tolerances of the lens."""
+"""Further data about a bench: its state, frames without an object, and tolerances of the lens."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from wavesim.scene.settings import FrameSetSettings, SettingError
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
+    from wavesim.scene.system_state import SystemState
     from wavesim.sensor.frames import Frame
 
 PRIORS = "wavesim.priors"
@@ -19,6 +20,13 @@ PRIORS = "wavesim.priors"
 
 class PriorsWarning(UserWarning):
     """A tolerance study perturbs parameters that a calibration cannot estimate."""
+
+
+def read_bench_state(path: Path | None, lens: Lens) -> SystemState | None:
+    """Read the state of a calibration or of any file with a state; None if there is no file."""
+    from wavesim.calibration.calibration_result import read_calibration
+
+    return None if path is None else read_calibration(path, lens)
 
 
 def read_empty(

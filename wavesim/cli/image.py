@@ -13,6 +13,7 @@ from lensdesign.common.options import Design, Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
+from wavesim.cli.bench_files import read_bench_state
 from wavesim.cli.options import Output, print_warnings, settings_text
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import ImageSettings
@@ -56,7 +57,7 @@ def image(
 
     remove_unfinished(output)
     lens = load_design(design)
-    true_state = None if state is None else _read_state(state, lens)
+    true_state = read_bench_state(state, lens)
     name, summaries = lens.title or design.stem, list[dict[str, Any]]()
     for folder, chosen in _runs(lens, settings, output, all_wavelengths):
         summaries.append(_recorded(lens, name, object_, chosen, true_state, folder, as_json))
@@ -78,12 +79,6 @@ def _runs(
         (output / f"{wavelength:g}_um", settings.replaced(wavelength_um=wavelength))
         for wavelength in lens.wavelengths_um
     ]
-
-
-def _read_state(path: Path, lens: Lens) -> SystemState:
-    from wavesim.calibration.calibration_result import read_calibration
-
-    return read_calibration(path, lens)
 
 
 def _recorded(

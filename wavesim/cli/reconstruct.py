@@ -17,7 +17,7 @@ from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.bench_files import read_empty, read_priors
+from wavesim.cli.bench_files import read_bench_state, read_empty, read_priors
 from wavesim.cli.free_space import in_free_space
 from wavesim.cli.options import Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from wavesim.fields.field import Field
     from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
-    from wavesim.scene.system_state import SystemState
     from wavesim.sensor.frames import Frame
     from wavesim.targets.usaf import UsafElement
 
@@ -102,7 +101,7 @@ def reconstruct(
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
-        state = None if calibration is None else _calibrated_before(calibration, lens)
+        state = read_bench_state(calibration, lens)
         stop_from, stop_doubt, settings = _stop_of(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
@@ -152,13 +151,6 @@ def reconstruct(
     raise typer.Exit(0 if found.verdict.explained else 1)
 
 
-def _calibrated_before(path: Path, lens: Lens) -> SystemState:
-    """Return the state of an earlier calibration. Its many modules are imported only if needed."""
-    from wavesim.calibration.calibration_result import read_calibration
-
-    return read_calibration(path, lens)
-
-
 def _stop_of(
     calibration: Path | None, settings: ReconstructionSettings
 ) -> tuple[StopOrigin | None, str, ReconstructionSettings]:
@@ -189,7 +181,6 @@ def _calibrated(
     With a state that is calibrated already, the light alone is sought anew.
     """
     from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
-    from wavesim.scene.system_state import SystemState
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     sought = CalibrationSettings(**given | {"kind": settings.kind})
