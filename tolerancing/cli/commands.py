@@ -127,7 +127,8 @@ def show(
     state: Annotated[
         Path | None,
         typer.Option(
-            help="With --trial: file to write the perturbed system to, for `wavesim image --state` (json)."
+            callback=output_file,
+            help="With --trial: file to write the perturbed system to, for `wavesim image --state` (json).",
         ),
     ] = None,
     high_fidelity: Annotated[

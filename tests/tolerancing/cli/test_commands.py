@@ -192,6 +192,7 @@ def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
         (("--trial", "9"), "error: trial = 9: the study has trials 0 to 3"),
         (("-o", picture), "error: --output, --state and --dear need --trial"),
         (("--trial", "1", "-o", tmp_path / "a.gif"), "error: cannot write "),
+        (("--trial", "9", "--state", tmp_path), "error: cannot write "),
     ):
         refused = command("show", store, *arguments)
         assert (refused.returncode, refused.stdout) == (2, "")
