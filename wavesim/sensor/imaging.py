@@ -181,7 +181,7 @@ def image(
     sensor = sensor_window(lens, patch, planes, pixels, true_state)
     check_footprint(lens, patch, sensor, planes, true_state)
     windows = [
-        light_window(lens, patch, sensor, plane, recording.state.at_plane(index))
+        light_window(lens, patch, sensor, plane, true_state.at_plane(index))
         for index, plane in enumerate(planes)
     ]
     light = placed_light(light, true_state)
@@ -277,6 +277,9 @@ def _true_state(
     else:
         true = state_of(state)
     errors_mm, (x_um, y_um) = settings.stage_error_mm, settings.shift_um
+    if len(errors_mm) not in (1, planes):
+        given = ",".join(f"{error:g}" for error in errors_mm)
+        raise SettingError(f"{{stage_error_mm}} = {given!r}: must be 1 or {planes} numbers")
     if any(errors_mm):
         errors_mm = errors_mm * planes if len(errors_mm) == 1 else errors_mm
         distances = (error + true.sensor_pose(n).distance_mm for n, error in enumerate(errors_mm))
@@ -290,10 +293,7 @@ def _true_state(
 
 def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | None) -> Recording:
     """Return the recording model that the settings describe."""
-    planes, errors = settings.planes_mm or lens.sensor.plane_distances_mm, settings.stage_error_mm
-    if len(errors) not in (1, len(planes)):
-        given = ",".join(f"{error:g}" for error in errors)
-        raise SettingError(f"{{stage_error_mm}} = {given!r}: must be 1 or {len(planes)} numbers")
+    planes = settings.planes_mm or lens.sensor.plane_distances_mm
     exposures, exposure_errors = settings.exposures, settings.exposure_error
     if len(exposure_errors) not in (1, len(exposures)):
         given = ",".join(f"{error:g}" for error in exposure_errors)
