@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -67,6 +67,14 @@ residuals that the model does not explain yet carry no detail.
 
 STEP, FRICTION = 1.3, 1.0
 """Length of a step, and a constant that limits the momentum: after j steps it is j / (j + `FRICTION`)."""
+
+LARGEST_BIAS, LEAST_TV_FACTOR = 2.0, 0.125
+"""Misfit over that of noise up to which a converged misfit may be due to the total variation, whose weight is
+then halved (discrepancy principle), and the smallest factor that results.
+
+The total variation reduces the contrast of fine detail, which long exposures measure far more precisely than
+the weight assumes. A larger misfit has other causes, against whose errors the total variation helps.
+"""
 
 INNER_ITERATIONS, INNER_STEP_FACTOR, FAR = 4, 2.0, 1.2
 """Inner iterations of a step, the factor by which they lengthen it and its total variation, and their limit.
@@ -146,7 +154,10 @@ class SolverState:
     scale : float or None
         Measured amplitude per unit of the modelled amplitude; None before it is known.
     stage, began : int
-        Index of the current stage (kind of object that is sought), and number of iterations before it.
+        Index of the current stage (kind of object that is sought), and number of iterations before it, or
+        before the last change of the total variation.
+    tv_factor : float
+        Factor of the automatic weight of the total variation.
     """
 
     transmission: Array
@@ -156,6 +167,7 @@ class SolverState:
     scale: float | None
     stage: int
     began: int
+    tv_factor: float = 1.0
 
 
 def reconstruct(
@@ -201,7 +213,8 @@ def reconstruct(
     tv_weight
         Weight of the total variation, for transmissions of order 1; 0 disables it. With "auto" the weight is
         `TV_PER_NOISE` times the noise of a step, times the ratio of the misfit to that of noise alone. The
-        noise of a step follows from `sigma` of all planes.
+        noise of a step follows from `sigma` of all planes. With `until_noise` the weight is halved, down to
+        an eighth, where the misfit converges above that of noise, but below twice of it.
     iterations
         Largest number of iterations; fewer are made where the misfit converges.
     until_noise
@@ -361,7 +374,17 @@ class _ProximalDescent:
                 now, misfit = state.transmission, state.misfit
                 state = SolverState(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
                 del now
-            while len(state.misfit) < until and self.stop(state) is None:
+            while len(state.misfit) < until:
+                if self.stop(state) is not None:
+                    if stage + 1 < len(stages) or not self._may_be_biased(state):
+                        break
+                    state = replace(
+                        state,
+                        ahead=state.transmission,
+                        momentum=0.0,
+                        began=len(state.misfit),
+                        tv_factor=0.5 * state.tv_factor,
+                    )
                 state = self._next_state(state, kind)
                 if self.progress is not None:
                     self.progress(len(state.misfit) - 1, state.misfit[-1])
@@ -376,7 +399,8 @@ class _ProximalDescent:
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         is_far = self._is_far(state)
         point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)
-        point = prox_tv(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * self._tv_weight(misfit))
+        weight = state.tv_factor * self._tv_weight(misfit)
+        point = prox_tv(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
         step = step_array(self.sizes, kind)
@@ -388,9 +412,21 @@ class _ProximalDescent:
         np.subtract(after, now, out=ahead)
         ahead *= steps / (steps + FRICTION)
         ahead += after
-        return SolverState(
-            after, ahead, steps + 1.0, (*state.misfit, misfit), self.model.scale, state.stage, state.began
+        return replace(
+            state,
+            transmission=after,
+            ahead=ahead,
+            momentum=steps + 1.0,
+            misfit=(*state.misfit, misfit),
+            scale=self.model.scale,
         )
+
+    def _may_be_biased(self, state: SolverState) -> bool:
+        """Return whether an automatic total variation may cause the misfit that a converged search leaves."""
+        if not self.until_noise or self.noise_at_scale_1 is None or self.misfit_of_noise is None:
+            return False
+        over = state.misfit[-1] / self.misfit_of_noise
+        return AT_NOISE < over < LARGEST_BIAS and state.tv_factor > LEAST_TV_FACTOR
 
     def _is_far(self, state: SolverState) -> bool:
         """Return whether the misfit is clearly above that of noise, or the noise is unknown.
