@@ -73,7 +73,8 @@ LARGEST_BIAS, LEAST_TV_FACTOR = 2.0, 0.125
 then halved (discrepancy principle), and the smallest factor that results.
 
 The total variation reduces the contrast of fine detail, which long exposures measure far more precisely than
-the weight assumes. A larger misfit has other causes, against whose errors the total variation helps.
+the weight assumes. A larger misfit has other causes, against whose errors the total variation helps. A complex
+object keeps the weight: its unknowns are so many that with less of it they would fit the errors of a wrong bench.
 """
 
 INNER_ITERATIONS, INNER_STEP_FACTOR, FAR = 4, 2.0, 1.2
@@ -213,8 +214,9 @@ def reconstruct(
     tv_weight
         Weight of the total variation, for transmissions of order 1; 0 disables it. With "auto" the weight is
         `TV_PER_NOISE` times the noise of a step, times the ratio of the misfit to that of noise alone. The
-        noise of a step follows from `sigma` of all planes. With `until_noise` the weight is halved, down to
-        an eighth, where the misfit converges above that of noise, but below twice of it.
+        noise of a step follows from `sigma` of all planes. With `until_noise` and an amplitude object the
+        weight is halved, down to an eighth, where the misfit converges above that of noise, but below twice
+        of it.
     iterations
         Largest number of iterations; fewer are made where the misfit converges.
     until_noise
@@ -376,7 +378,7 @@ class _ProximalDescent:
                 del now
             while len(state.misfit) < until:
                 if self.stop(state) is not None:
-                    if stage + 1 < len(stages) or not self._may_be_biased(state):
+                    if stages[-1][0] == "complex" or not self._may_be_biased(state):
                         break
                     state = replace(
                         state,

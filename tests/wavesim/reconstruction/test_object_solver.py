@@ -367,6 +367,26 @@ def test_a_total_variation_that_hides_detail_is_reduced(
     assert resumed.misfit == found.misfit
 
 
+def test_the_total_variation_of_a_complex_object_stays(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With less of it, so many unknowns would fit the errors of a wrong bench."""
+    monkeypatch.setattr(object_solver, "TV_PER_NOISE", 8.0)
+    recorded, states = noisy(case, 1e5), list[SolverState]()
+    found = reconstruct(
+        case.engine,
+        case.illumination,
+        recorded,
+        tv_weight="auto",
+        iterations=60,
+        until_noise=True,
+        scale=1.0,
+        start="amplitude",
+        keep=states.append,
+    )
+    assert found.stopped_because == "rest"
+    assert 1.0 < found.misfit[-1] / noise_misfit(recorded) < object_solver.LARGEST_BIAS
+    assert {state.tv_factor for state in states} == {1.0}
+
+
 def test_the_total_variation_stays_where_the_misfit_has_another_cause(case: Case) -> None:
     """Noise stated ten times too small is no sign of a total variation that hides detail."""
     recorded = [replace(p, sigma=0.1 * p.sigma) for p in noisy(case, 1e5)]
