@@ -1,4 +1,4 @@
-"""How the packages are built: rooms and their order, no import cycles, tests beside their modules."""
+"""How the packages are built: folders and their order, no import cycles, tests beside their modules."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from places import ROOT
 
 PACKAGES = ("lensdesign", "wavesim", "tolerancing", "studio")
 
-# A room imports only what stands before it; rooms on one line import nothing from each other.
+# A folder imports only what stands before it; folders on one line import nothing from each other.
 ORDER = {
     "lensdesign": (
         "errors",
@@ -35,6 +35,7 @@ ORDER = {
         "pupil",
         "engines",
         "sensor metrics",
+        "forward",
         "reconstruction",
         "calibration",
         "plots",
@@ -54,10 +55,10 @@ ORDER = {
     "studio": ("model", "panes", "page"),
 }
 LEVEL = {
-    f"{package}.{room}": level
+    f"{package}.{folder}": level
     for package, levels in ORDER.items()
-    for level, rooms in enumerate(levels)
-    for room in rooms.split()
+    for level, folders in enumerate(levels)
+    for folder in folders.split()
 }
 # Tests of how the parts behave together, and of what is done to all of them.
 ELSEWHERE = ("attack", "support")
@@ -92,21 +93,21 @@ def _imported(name: str, path: Path) -> set[str]:
     return found
 
 
-def room_of(module: str) -> str:
+def folder_of(module: str) -> str:
     return ".".join(module.split(".")[:2])
 
 
-def test_rooms_are_those_of_the_order() -> None:
-    rooms = {room_of(name) for name in modules() if "." in name} - {f"{p}.__main__" for p in PACKAGES}
-    assert rooms == set(LEVEL)
+def test_folders_are_those_of_the_order() -> None:
+    folders = {folder_of(name) for name in modules() if "." in name} - {f"{p}.__main__" for p in PACKAGES}
+    assert folders == set(LEVEL)
 
 
-def test_packages_and_rooms_import_only_what_stands_before_them() -> None:
+def test_packages_and_folders_import_only_what_stands_before_them() -> None:
     wrong = []
     for name, others in imports().items():
         package = name.split(".")[0]
         for other in others:
-            theirs, (here, there) = other.split(".")[0], (room_of(name), room_of(other))
+            theirs, (here, there) = other.split(".")[0], (folder_of(name), folder_of(other))
             if theirs != package:
                 upward = PACKAGES.index(theirs) > PACKAGES.index(package)
             else:
@@ -123,7 +124,7 @@ def test_no_import_goes_in_a_circle() -> None:
         pytest.fail(" -> ".join(reversed(found.args[1])))
 
 
-def test_no_module_takes_the_name_of_what_its_room_hands_on() -> None:
+def test_no_module_takes_the_name_of_what_its_folder_hands_on() -> None:
     """Importing the module would put it in the place of the function."""
     for name, path in modules().items():
         face = path.with_suffix(".pyi")

@@ -19,11 +19,11 @@ from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import RIGID, parameter_names, validate_parameters
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.linear_model import LinearModel
 from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
 from wavesim.reconstruction.field_stop import StopSearch
-from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.reconstruction.linear_model import LinearModel
 from wavesim.reconstruction.problem import validate_frames
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.light_errors import LightErrors

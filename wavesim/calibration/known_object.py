@@ -33,7 +33,7 @@ from wavesim.calibration.mounting_parameters import (
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import AS_DESIGNED, SystemState

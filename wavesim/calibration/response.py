@@ -15,8 +15,8 @@ from wavesim.calibration.motion import gradient, motion
 from wavesim.calibration.mounting_parameters import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
-from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.pixel_means import PixelMeans
 from wavesim.scene.system_state import SystemState
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]

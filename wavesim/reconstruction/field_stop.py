@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wavesim.fields.field import Field
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.light_errors import LightErrors

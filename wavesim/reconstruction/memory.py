@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from wavesim.forward.bands import bytes_of_bands
 from wavesim.reconstruction.appendix_a import bytes_at_work
-from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.runtime import threads
 from wavesim.runtime.inventory import ArrayGroup, Inventory, named, need_of, work

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.memory import Sizes, step_array
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.total_variation import prox_tv
@@ -73,8 +73,9 @@ LARGEST_BIAS, LEAST_TV_FACTOR = 2.0, 0.125
 then halved (discrepancy principle), and the smallest factor that results.
 
 The total variation reduces the contrast of fine detail, which long exposures measure far more precisely than
-the weight assumes. A larger misfit has other causes, against whose errors the total variation helps. A complex
-object keeps the weight: its unknowns are so many that with less of it they would fit the errors of a wrong bench.
+the weight assumes. A larger misfit has other causes, against whose errors the total variation helps. A
+complex object keeps the weight: its unknowns are so many that with less of it they would fit the errors of a
+wrong bench.
 """
 
 INNER_ITERATIONS, INNER_STEP_FACTOR, FAR = 4, 2.0, 1.2

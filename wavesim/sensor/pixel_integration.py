@@ -1,7 +1,7 @@
 """Mean intensity on the pixels of a sensor, from a field whose rows come band by band.
 
 The integration is exact for light that is sampled adequately. The reconstruction deliberately uses another
-model (:mod:`wavesim.reconstruction.recording.pixel_means`), so that a reconstruction of simulated frames does
+model (:mod:`wavesim.forward.pixel_means`), so that a reconstruction of simulated frames does
 not rely on the model that simulated them.
 """
 

@@ -18,7 +18,7 @@ from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.joint.pixels import SparsePixels
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings

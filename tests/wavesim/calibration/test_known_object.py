@@ -16,7 +16,7 @@ from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import values_of
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState

@@ -11,7 +11,7 @@ from wavesim.calibration.mounting_parameters import parameter_names, values_of, 
 from wavesim.calibration.response import mounting_response
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, placed_planes

@@ -19,10 +19,11 @@ import pytest
 
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
+from wavesim.forward import bands, exit_field, pixel_means
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics import transmitted_band
 from wavesim.metrics.result_quality import truth_metrics
 from wavesim.reconstruction import forward_model, object_solver
-from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.memory import (
     DRAWN_BYTES,
     PICTURE_BYTES,
@@ -41,7 +42,6 @@ from wavesim.reconstruction.memory import (
 )
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.reconstruction.phase_retrieval import retrieve
-from wavesim.reconstruction.recording import bands, exit_field, pixel_means
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks

@@ -14,10 +14,10 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import fft_frequencies, transfer
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.pixel_means import PixelMeans
 from wavesim.reconstruction import object_solver
-from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import AT_NOISE, EARLY_GAIN, STOPPED, SolverState, reconstruct
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -336,9 +336,7 @@ def test_it_ends_at_the_noise(case: Case) -> None:
     assert STOPPED["noise"] in repr(found)
 
 
-def test_a_total_variation_that_hides_detail_is_reduced(
-    case: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_total_variation_that_hides_detail_is_reduced(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """A weight that is eight times too large leaves more than the noise, until it is reduced."""
     recorded = noisy(case, 1e5)
     settings: dict[str, Any] = {"kind": "amplitude", "tv_weight": "auto", "iterations": 60, "scale": 1.0}

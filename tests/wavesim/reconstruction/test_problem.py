@@ -16,10 +16,10 @@ from lensdesign.lens.poses import Pose, SurfacePerturbation
 from wavesim import read_frames
 from wavesim.fields.field import Field
 from wavesim.fields.files import read_field
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.comparison import random_field
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
-from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
 from wavesim.scene.light import Light
 from wavesim.scene.light_errors import LightErrors

@@ -10,7 +10,7 @@ import scipy.fft
 
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.source_width import blur_ratio, coherent_deg, find_source_width
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene

@@ -1,6 +1,6 @@
 """Field, drift, distances and exposures of a stack in free space, found together.
 
-The field takes accelerated steps of :class:`wavesim.reconstruction.forward_model.ForwardModel` within its
+The field takes accelerated steps of :class:`wavesim.forward.forward_model.ForwardModel` within its
 band. From time to time, the unknowns of the planes take a Gauss-Newton step. The derivative of the amplitude
 |v| on a plane with respect to its position or distance is Re(conj(v) dv) / |v|.
 """
@@ -19,7 +19,7 @@ from wavesim.calibration.free_space.stack import Array, ComplexArray, Stack
 from wavesim.engines.free_space import FreeSpace
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import TransferFunction
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 
 SOON, OFTEN, SELDOM = 40, 5, 20
 """Number of first iterations, and intervals of the planes' steps during them and later."""

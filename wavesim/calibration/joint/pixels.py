@@ -32,8 +32,8 @@ from wavesim.calibration.joint.perturbed_tiles import (
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.scene.scene import Scene, placed_light, placed_scene

@@ -32,7 +32,7 @@ from wavesim.calibration.joint.pixels import CalibrationPixels, RaySlopes
 from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
-from wavesim.reconstruction.linear_model import LinearModel, RealArray
+from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind

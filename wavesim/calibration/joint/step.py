@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.reconstruction.linear_model import LinearModel, RealArray
+from wavesim.forward.linear_model import LinearModel, RealArray
 
 DAMPING = 0.03
 """Damping: fraction of the squared misfit that a step by the typical deviation of a parameter costs.

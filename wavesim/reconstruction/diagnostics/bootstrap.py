@@ -31,7 +31,7 @@ from scipy.ndimage import gaussian_filter
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, validate_whole_number
 from wavesim.fields.field import Field
-from wavesim.reconstruction.forward_model import ForwardModel, RealArray
+from wavesim.forward.forward_model import ForwardModel, RealArray
 from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind

@@ -22,6 +22,7 @@ import numpy as np
 from lensdesign.errors import TransferLensError
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.metrics.goodness_of_fit import LEAST_GAIN, Trial
 from wavesim.reconstruction.diagnostics.bench_estimates import (
     BENDS,
@@ -33,7 +34,6 @@ from wavesim.reconstruction.diagnostics.bench_estimates import (
 )
 from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
-from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.source_width import coherent_deg
 from wavesim.scene.engine import Engine, Tiled

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import Reconstructed
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import SettingError

@@ -8,7 +8,7 @@ variances V,
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
 are the estimated errors of the bench, and their significance. Both come from one linear model about the
-result (:class:`wavesim.reconstruction.linear_model.LinearModel`).
+result (:class:`wavesim.forward.linear_model.LinearModel`).
 
 References
 ----------
@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.metrics.goodness_of_fit import Undetected
-from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene

@@ -13,7 +13,7 @@ from wavesim.calibration.joint.pixels import DensePixels, SparsePixels, TilesToP
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.linear_model import LinearModel
+from wavesim.forward.linear_model import LinearModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.sensor.measurement import Measurement, noise_misfit

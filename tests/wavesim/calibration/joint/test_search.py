@@ -19,7 +19,7 @@ from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.sensor.measurement import Measurement, noise_misfit, placed_planes

@@ -11,8 +11,8 @@ from lensdesign.lens.lens import Sensor
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import TransferFunction, fft_frequencies, transfer
 from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
-from wavesim.reconstruction.recording import bands
-from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
+from wavesim.forward import bands
+from wavesim.forward.pixel_means import PixelMeans, tilt_changes
 from wavesim.runtime.threads import for_blocks
 from wavesim.sensor.sensor import light_on_pixels
 

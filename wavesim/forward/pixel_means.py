@@ -23,8 +23,8 @@ from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
 from wavesim.fields.tilted_propagator import PlanePropagator, TiltedPropagator, band_wavenumbers
-from wavesim.reconstruction.recording.bands import Change, Result, Rows, change_in_bands
-from wavesim.reconstruction.recording.kernel import (
+from wavesim.forward.bands import Change, Result, Rows, change_in_bands
+from wavesim.forward.pixel_kernel import (
     add_columns_adjoint,
     means_along_columns,
     means_along_rows,

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
-from wavesim.reconstruction.recording.kernel import (
+from wavesim.forward.pixel_kernel import (
     add_halves,
     halves,
     means_along_columns,

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 from wavesim.fields.tilted_propagator import propagator_to
-from wavesim.reconstruction.recording.exit_field import (
+from wavesim.forward.exit_field import (
     ALL_ROWS,
     ROWS,
     ExitField,
@@ -33,7 +33,7 @@ from wavesim.reconstruction.recording.exit_field import (
     add_fraction,
     sum_of_parts,
 )
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.forward.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.engine import Operator, Tiled

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
 from wavesim.fields.tilted_propagator import PlanePropagator
-from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.recording.kernel import (
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.pixel_kernel import (
     add_halves,
     halves,
     means_along_columns,
     means_along_rows,
     multiply_spread,
 )
-from wavesim.reconstruction.recording.pixel_means import (
+from wavesim.forward.pixel_means import (
     PixelMeans,
     add_rows_adjoint,
     half_sample,

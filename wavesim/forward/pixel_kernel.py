@@ -1,5 +1,5 @@
-"""Compiled loops of :mod:`wavesim.reconstruction.forward_model` and
-:mod:`wavesim.reconstruction.recording.pixel_means`.
+"""Compiled loops of :mod:`wavesim.forward.forward_model` and
+:mod:`wavesim.forward.pixel_means`.
 
 Each loop processes some rows or columns on one thread. All borders are periodic, as those of spectra are.
 "Middle" samples lie in the centers of pixels, "edge" samples half a pixel farther along y.

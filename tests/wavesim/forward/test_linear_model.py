@@ -10,9 +10,9 @@ from small_twins import small_twin
 
 from wavesim.fields.field import Grid
 from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
-from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.forward.forward_model import ForwardModel
+from wavesim.forward.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
+from wavesim.forward.pixel_means import PixelMeans
 from wavesim.sensor.measurement import Measurement
 
 

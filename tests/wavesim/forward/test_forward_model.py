@@ -11,7 +11,7 @@ from small_twins import small_twin
 
 from lensdesign.lens.lens import Sensor
 from wavesim.fields.propagator import propagate
-from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.forward.forward_model import ForwardModel
 from wavesim.runtime import threads
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source

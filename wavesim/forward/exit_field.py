@@ -13,8 +13,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.tilted_propagator import PlanePropagator
-from wavesim.reconstruction.recording.kernel import change_pixels, change_samples, weighted_products
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.forward.pixel_kernel import change_pixels, change_samples, weighted_products
+from wavesim.forward.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.sensor.measurement import Measurement

@@ -1,1 +1,0 @@
-"""Measured planes behind a lens: modelled intensities of their pixels, and the resulting changes."""
