@@ -296,9 +296,9 @@ def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: fl
 
 
 def _free_gb(scene: Scene, limit: float) -> float:
-    """Return the memory (GB) that is left for an engine."""
+    """Return the memory (GB) that is left for an engine. A second one tests the bench."""
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    return 1e-9 * (limit - BASE_BYTES - fields)
+    return 0.5e-9 * (limit - BASE_BYTES - fields)
 
 
 def keeps_engine(settings: ReconstructionSettings) -> bool:
