@@ -53,7 +53,7 @@ def iteration_seconds(distances_mm: tuple[float, ...]) -> tuple[list[float], lis
 
 def told_gb(distances_mm: tuple[float, ...]) -> float:
     """As :func:`wavesim.reconstruction.retrieval_bytes` tells it."""
-    return 1e-9 * retrieval_bytes((SIDE, SIDE), distances_mm, masked=False)
+    return 1e-9 * retrieval_bytes((SIDE, SIDE), len(distances_mm))
 
 
 if __name__ == "__main__":

@@ -8,14 +8,13 @@ cache.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy.fft
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from wavesim.forward.pixel_kernel import (
     add_halves,
@@ -24,7 +23,7 @@ from wavesim.forward.pixel_kernel import (
     means_along_rows,
     multiply_spread,
 )
-from wavesim.runtime.threads import THREADS, for_blocks
+from wavesim.runtime.threads import for_blocks
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -79,15 +78,6 @@ def change_in_bands(
         return list(_Band(rows, neighbours[start // BAND], (start, stop), phase, taps).changes(change))
 
     return [result for one in for_blocks(band, height, BAND) for result in one]
-
-
-def bytes_of_bands(shape: tuple[int, ...], dtype: DTypeLike) -> int:
-    """Return the memory in bytes that :func:`change_in_bands` needs for fields of a shape and type."""
-    rows, width = math.prod(shape[:-1]), shape[-1]
-    bands = -(-rows // BAND)
-    # For each sample of a row the window has four samples, two means along rows and one mean over pixels.
-    held = 2 * 2 * REACH * bands + 5.5 * (NEW_ROWS + WAITING_ROWS) * min(THREADS, bands)
-    return round(held * width * np.dtype(dtype).itemsize)
 
 
 class _Band:

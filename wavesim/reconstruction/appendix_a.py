@@ -27,11 +27,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import scipy.fft
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import TransferFunction
-from wavesim.runtime.threads import THREADS, for_blocks, rows_in
+from wavesim.runtime.threads import for_blocks, rows_in
 from wavesim.sensor.measurement import Measurement
 
 Array = NDArray[np.floating[Any]]
@@ -86,22 +86,6 @@ class AmplitudeMatch:
 def rows_of(values: NDArray[Any]) -> NDArray[Any]:
     """Return samples as rows and columns; those of a line are one row."""
     return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
-
-
-def bytes_at_work(shape: tuple[int, int], dtype: DTypeLike) -> int:
-    """Return the bytes of the blocks of rows and columns that all threads process at a time."""
-    row_bytes, column_bytes = (n * np.dtype(dtype).itemsize for n in reversed(shape))
-    rows, columns = min(rows_in(row_bytes), shape[0]), min(_columns_in(column_bytes), shape[1])
-    # A4 takes about five arrays of the size of a block of rows, which has a row more on either side.
-    of_rows = 5 * row_bytes * min(rows + 2, shape[0]) * min(THREADS, -(-shape[0] // rows))
-    # The columns, their transform, and the transfer function for half of their rows.
-    of_columns = 2.5 * column_bytes * columns * min(THREADS, -(-shape[1] // columns))
-    return round(max(of_rows, of_columns))
-
-
-def _columns_in(column_bytes: int) -> int:
-    """Return the number of columns that are transformed at a time."""
-    return max(COLUMNS, rows_in(column_bytes))
 
 
 def plane_for(grid: Grid, wavelength_um: float, measurement: Measurement, dtype: Any) -> Plane:
@@ -186,7 +170,7 @@ def _carry(
             np.copyto(result, field)
         return result
     _for_rows(transform_rows, field)
-    for_blocks(carry_columns, field.shape[1], _columns_in(field[:, 0].nbytes))
+    for_blocks(carry_columns, field.shape[1], max(COLUMNS, rows_in(field[:, 0].nbytes)))
     _for_rows(transform_rows_back, field)
     return result
 

@@ -35,7 +35,6 @@ from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.memory import Sizes, step_array
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
@@ -307,8 +306,6 @@ def reconstruct(
         rows,
     )
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
-    distances = tuple(plane.distance_mm for plane in recorded)
-    sizes = Sizes(engine.scene.object_grid.shape, engine.scene.exit_grid.shape, distances, dtype=model.dtype)
     descent = _ProximalDescent(
         model,
         weight,
@@ -318,7 +315,6 @@ def reconstruct(
         scale is None,
         progress,
         keep,
-        sizes,
         scratch,
         inner_iterations,
         bounded,
@@ -361,7 +357,6 @@ class _ProximalDescent:
     fits_scale: bool
     progress: Callable[[int, float], None] | None
     keep: Callable[[SolverState], None] | None
-    sizes: Sizes
     scratch: Scratch
     inner_iterations: int
     bounded: bool
@@ -406,12 +401,12 @@ class _ProximalDescent:
         point = prox_tv(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * weight)
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
-        step = step_array(self.sizes, kind)
-        after = self.scratch.make(step)
+        dtype = self.model.real if kind == "amplitude" else self.model.dtype
+        after = self.scratch.array(point.shape, dtype, "a step")
         np.multiply(point, self.model.lit, out=after)
         del point
         steps = 0.0 if _leads_uphill(now, state.ahead, after) else state.momentum
-        ahead = self.scratch.make(step)
+        ahead = self.scratch.array(after.shape, dtype, "a step")
         np.subtract(after, now, out=ahead)
         ahead *= steps / (steps + FRICTION)
         ahead += after

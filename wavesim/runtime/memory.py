@@ -51,6 +51,16 @@ class MemoryNeed:
         )
 
 
+def in_memory(count: int) -> MemoryNeed:
+    """Return the need for arrays that stay in memory; `count` is their size in bytes."""
+    return MemoryNeed(count, count)
+
+
+def movable(count: int) -> MemoryNeed:
+    """Return the need for arrays that can lie in files; `count` is their size in bytes."""
+    return MemoryNeed(count, 0)
+
+
 def memory_limit(memory_gb: float | None) -> float:
     """Return the bytes that a run may use: the given limit, or a fraction of the free memory.
 

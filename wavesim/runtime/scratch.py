@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.errors import InputError
-from wavesim.runtime.inventory import ArrayGroup
 
 WRITTEN = 2**20
 """Bytes that are written at a time where a system cannot reserve the space of a file at once."""
@@ -76,16 +75,6 @@ class Scratch:
         self._count(in_file, size)
         weakref.finalize(flat, self._count, in_file, -size).atexit = False
         return flat.view(dtype).reshape(shape)
-
-    def make(self, one: ArrayGroup) -> NDArray[Any]:
-        """Return an array of zeros for an entry of the inventory.
-
-        Raises
-        ------
-        InputError
-            As :meth:`array`.
-        """
-        return self.array(one.shape, one.dtype, one.name)
 
     def moved(self, values: NDArray[Any], what: str = "an array") -> NDArray[Any]:
         """Return a copy of an array; the memory of the original is freed where it is no longer used.

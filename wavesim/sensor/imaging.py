@@ -15,7 +15,6 @@ from lensdesign.lens.poses import Pose
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field
-from wavesim.runtime.inventory import need_of
 from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
 from wavesim.scene.engine import Engine
@@ -26,9 +25,15 @@ from wavesim.scene.settings import ImageSettings, SettingError
 from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.exposures import Electronics
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.memory import imaging_arrays
 from wavesim.sensor.pixels.non_uniformity import PixelErrors
-from wavesim.sensor.recording import PARTS, Progress, Recording, image_patch, recorded_scene
+from wavesim.sensor.recording import (
+    PARTS,
+    Progress,
+    Recording,
+    image_patch,
+    imaging_bytes,
+    recorded_scene,
+)
 from wavesim.sensor.windows import (
     check_footprint,
     diversity,
@@ -197,7 +202,7 @@ def image(
             return hand_over_tiles(WithGhost(engine, settings.ghost) if settings.ghost else engine)
 
         engine = make(recorded_scene(lens, patch, windows[0], recording))
-        memory = Memory(need_of(imaging_arrays(engine, sensor, windows, recording)), limit)
+        memory = Memory(imaging_bytes(engine, sensor, windows, recording), limit)
         predicted_error = engine.predicted_error(Light(behind_object))
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
         if on_estimate is not None:

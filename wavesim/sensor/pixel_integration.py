@@ -7,7 +7,6 @@ not rely on the model that simulated them.
 
 from __future__ import annotations
 
-from enum import Flag, auto
 from typing import Any
 
 import numpy as np
@@ -16,16 +15,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Sensor
-from wavesim.runtime.inventory import ArrayGroup
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import row_blocks
-
-
-class Phase(Flag):
-    """Phase of a simulated imaging run: illumination of the object, or propagation and recording."""
-
-    LIGHTING = auto()
-    CARRYING = auto()
 
 
 class PixelLight:
@@ -63,9 +54,10 @@ class PixelLight:
         self._oversampling, self._fill_factor = oversampling, fill_factor
         across, down = sensor.pixels
         self._shape = (down, across)
-        light = light_across(sensor, dtype, oversampling)
-        self._dtype = light.dtype
-        self._across = (scratch or Scratch()).make(light)
+        self._dtype = np.float32 if np.dtype(dtype) == np.complex64 else np.float64
+        self._across = (scratch or Scratch()).array(
+            (down * oversampling, across), self._dtype, "light on rows of pixels"
+        )
         self.caught = 0.0
 
     def add(self, rows: slice, values: NDArray[np.complexfloating[Any, Any]]) -> None:
@@ -92,13 +84,6 @@ class PixelLight:
             means[:, columns] = means_over_pixels(lines, self._oversampling, self._fill_factor).T
         # Rounding and clipped edges can make means of a non-negative function slightly negative.
         return np.maximum(means, 0.0, out=means)
-
-
-def light_across(sensor: Sensor, dtype: DTypeLike, oversampling: int) -> ArrayGroup:
-    """Return the array for light that is integrated along rows only, for a field of this type."""
-    (across, down), single = sensor.pixels, np.dtype(dtype) == np.complex64
-    shape, stored = (down * oversampling, across), np.float32 if single else np.float64
-    return ArrayGroup("light on rows of pixels", shape, stored, Phase.CARRYING, lies="scratch")
 
 
 def means_over_pixels(fine: Array, oversampling: int, fill_factor: float) -> Array:

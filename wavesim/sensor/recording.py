@@ -26,6 +26,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.runtime.checkpoint import digest_of, key_of
+from wavesim.runtime.memory import MemoryNeed, in_memory, movable
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.scene import Scene, placed_scene
@@ -44,7 +45,7 @@ from wavesim.sensor.sensor import (
     warn_of_footprint,
 )
 from wavesim.sensor.windows import OVERSAMPLING
-from wavesim.targets.patch import Patch
+from wavesim.targets.patch import LIGHT_BYTES, Patch
 
 BAND_ROWS = 1024
 """Rows of samples of a plane that are computed at a time."""
@@ -186,6 +187,38 @@ def image_patch(
             exposure_errors=recording.exposure_errors,
         )
     return tuple(frames), fraction_beyond
+
+
+def imaging_bytes(
+    engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording
+) -> MemoryNeed:
+    """Return the memory of :func:`image_patch` and of the writing of its results, with the process itself.
+
+    The bytes per sample are measured; the estimate is within 30 % of the peak of a process.
+
+    Parameters
+    ----------
+    engine
+        Engine for the first plane.
+    sensor, windows, recording
+        See :func:`image_patch`.
+    """
+    (across, down), planes = sensor.pixels, len(windows)
+    modes = len(recording.state.source.modes(engine.scene.wavelength_um))
+    # Counts of all frames, and for an extended source the intensities of modes and their sums.
+    frame_bytes = 2 * len(recording.exposures) + (16 if modes > 1 else 0)
+    held = 300_000_000 + engine.cost().peak_bytes_in_single + frame_bytes * planes * across * down
+    held += LIGHT_BYTES * engine.scene.object_grid.size
+    if not isinstance(engine, Tiled):
+        # With several planes: two fields and the work arrays of the free-space propagation between them.
+        fields = 1 if planes == 1 else 4
+        window = max(math.prod(window.pixels) for window in windows) * OVERSAMPLING**2
+        return in_memory(held + 16 * fields * window)
+    row = max(window.pixels[0] for window in windows) * OVERSAMPLING
+    bands = 4 * 8 * row * min(BAND_ROWS, down * OVERSAMPLING)
+    light_on_rows, light_on_pixels = 4 * OVERSAMPLING * across * down, 8 * across * down
+    files = MemoryNeed(0, 0, engine.sums_bytes * planes * modes)
+    return in_memory(held + bands + light_on_pixels) + movable(light_on_rows) + files
 
 
 def _with_background(intensity: Array, fraction: float) -> Array:

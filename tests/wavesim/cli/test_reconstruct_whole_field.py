@@ -16,41 +16,47 @@ from wavesim_command import ENDED, written
 
 from wavesim.cli import runs
 from wavesim.reconstruction import problem
-from wavesim.runtime.inventory import Inventory, need_of
+from wavesim.runtime.memory import MemoryNeed
 from wavesim.runtime.scratch import Scratch
 
 
 def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: Path
 ) -> None:
-    lists: list[Inventory] = []
-    files: list[tuple[str, int]] = []
-    tell, make = problem.run_arrays, Scratch._mapped
+    needs: list[MemoryNeed] = []
+    files: set[str] = set()
+    predict, make = problem.run_bytes, Scratch._mapped
 
-    def predicted(*arguments: Any, **settings: Any) -> Inventory:
-        lists.append(tell(*arguments, **settings))
-        return lists[-1]
+    def predicted(*arguments: Any, **settings: Any) -> MemoryNeed:
+        needs.append(predict(*arguments, **settings))
+        return needs[-1]
 
     def made(self: Scratch, size: int, what: str) -> Any:
-        files.append((what, size))
+        files.add(what)
         return make(self, size, what)
 
-    monkeypatch.setattr(problem, "run_arrays", predicted)
+    monkeypatch.setattr(problem, "run_bytes", predicted)
     monkeypatch.setattr(Scratch, "_mapped", made)
     options = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 3, "--truth", data)
     code, out, err = run(*options, "--json", "-o", tmp_path / "free")
     assert code in ENDED, err
-    assert files == []
+    assert files == set()
     assert "memory:" not in err
     free, whole = written(tmp_path / "free")
-    need = need_of(lists[0])
+    need = needs[0]
     assert json.loads(out)["memory"]["predicted_bytes"] == need.most_bytes
     limit_gb = 1e-9 * need.least_bytes + 1e-6
     code, _, err = run(*options, "--memory-gb", limit_gb, "-o", tmp_path / "bound")
     assert code in ENDED, err
     assert f" GB of {limit_gb:.3g} GB allowed" in err
-    listed = [one for one in lists[0] if one.lies == "scratch"]
-    assert set(files) == {(one.name, one.bytes_of_all // one.count) for one in listed if one.count}
+    assert files == {
+        "the illumination",
+        "the recorded amplitudes",
+        "the standard deviations",
+        "the true object",
+        "a step",
+        "a field within the lens's band",
+    }
     bound, same = written(tmp_path / "bound")
     np.testing.assert_allclose(same["values"], whole["values"], atol=1e-6)
     assert bound["truth"] == pytest.approx(free["truth"], rel=1e-4)

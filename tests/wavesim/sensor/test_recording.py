@@ -19,15 +19,13 @@ from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import executors, tile_store
 from wavesim.fields.field import relative_error
-from wavesim.runtime.inventory import need_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor import recording as image_recording
 from wavesim.sensor.exposures import Electronics, estimate_intensity
 from wavesim.sensor.frames import Frame, read_frame
-from wavesim.sensor.memory import imaging_arrays
-from wavesim.sensor.recording import PARTS, Recording, drop_parts, image_patch
+from wavesim.sensor.recording import PARTS, Recording, drop_parts, image_patch, imaging_bytes
 from wavesim.sensor.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
 from wavesim.targets.patch import make_illumination, make_target, object_patch
 
@@ -163,15 +161,13 @@ MEASURE = """
 import sys
 sys.path[:0] = ["tests/support", "tests/wavesim/sensor"]
 from test_recording import CAMERA, PLANES_MM, Scenery
-from wavesim.sensor.memory import imaging_arrays
-from wavesim.sensor.recording import Recording, image_patch
-from wavesim.runtime.inventory import need_of
+from wavesim.sensor.recording import Recording, image_patch, imaging_bytes
 from pathlib import Path
 import tempfile
 scenery = Scenery()
 recording = Recording(PLANES_MM, CAMERA, 1)
 engine = scenery.engine("hierarchical", scenery.scene)
-need = need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
+need = imaging_bytes(engine, scenery.sensor, scenery.windows, recording)
 with tempfile.TemporaryDirectory() as folder:
     make = lambda scene: scenery.engine("hierarchical", scene)
     image_patch(engine, scenery.behind, scenery.sensor, scenery.windows, recording, make, folder=Path(folder))
@@ -218,10 +214,7 @@ def test_frames_from_a_cluster_are_those_made_here(
 def test_the_need_grows_with_what_is_recorded(scenery: Scenery) -> None:
     engine = scenery.engine("hierarchical", scenery.scene)
     recordings = (Recording(PLANES_MM, CAMERA, exposures=times) for times in ((1.0,), (1.0, 30.0, 1000.0)))
-    needs = [
-        need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
-        for recording in recordings
-    ]
+    needs = [imaging_bytes(engine, scenery.sensor, scenery.windows, one) for one in recordings]
     pixels = scenery.sensor.pixels[0] * scenery.sensor.pixels[1]
     assert needs[1].most_bytes - needs[0].most_bytes == 2 * 2 * 2 * pixels
     assert needs[0].least_bytes < needs[0].most_bytes
