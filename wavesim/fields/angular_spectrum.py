@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
@@ -23,7 +24,6 @@ from wavesim.fields.plane_waves import (
     windows,
 )
 from wavesim.fields.sampling_checks import Pad, check_propagation, check_sample_count
-from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 FACTOR_BYTES = 64
@@ -88,9 +88,9 @@ class AngularSpectrum:
     def _propagated(self, values: Any, adjoint: bool) -> Any:
         kind = np.result_type(values.dtype, np.complex64)
         factor = self.factor(kind)
-        spectrum = fftn(values, self.counts)
+        spectrum = scipy.fft.fftn(values, self.counts, workers=-1)
         spectrum *= np.conj(factor) if adjoint else factor
-        result = ifftn(spectrum, overwrite=True)
+        result = scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True)
         return result[tuple(slice(0, n) for n in self.source.shape)]
 
     @property

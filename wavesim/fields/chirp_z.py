@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from lensdesign.errors import InputError
 from wavesim.fields.angular_spectrum import FACTOR_BYTES
@@ -28,7 +29,6 @@ from wavesim.fields.plane_waves import (
     windows,
 )
 from wavesim.fields.sampling_checks import check_propagation, check_sample_count
-from wavesim.runtime.arrays import fft, ifft
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 
@@ -76,11 +76,11 @@ def chirp_z_transform(
     size = fast_count(source.count + target.count - 1)
     lag = np.arange(size, dtype=np.float64)
     lag = np.where(lag < target.count, lag, lag - size) - 0.5 * (target.count - source.count)
-    chirp = fft(wave(-rate * lag**2), axis=axis)
+    chirp = scipy.fft.fft(wave(-rate * lag**2), axis=axis, workers=-1)
 
     spread = values * wave(rate * order_x**2 + two_pi * target.centre * x)
-    spectrum = fft(spread, size, axis, overwrite=True)
-    summed = ifft(spectrum * chirp, axis, overwrite=True)
+    spectrum = scipy.fft.fft(spread, size, axis, workers=-1, overwrite_x=True)
+    summed = scipy.fft.ifft(spectrum * chirp, axis=axis, workers=-1, overwrite_x=True)
     cropped = summed[(slice(None),) * axis + (slice(0, target.count), ...)]
     return cropped * wave(rate * order_f**2 + two_pi * source.centre * (f + target.centre))
 

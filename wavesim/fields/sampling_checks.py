@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy.fft
 
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Field, Grid
@@ -27,7 +28,6 @@ from wavesim.fields.plane_waves import (
     period_counts,
     windows,
 )
-from wavesim.runtime.arrays import fftn
 
 Pad = Literal["auto"] | tuple[int, ...]
 
@@ -137,7 +137,7 @@ def measure_propagation(
     """
     target = field.grid.target_grid(to)
     distance_mm = target.z_mm - field.grid.z_mm
-    power = abs(fftn(field.values)) ** 2
+    power = abs(scipy.fft.fftn(field.values, workers=-1)) ** 2
     total = float(np.sum(power))
     if not math.isfinite(total):
         raise InputError("the field has values that are not finite")

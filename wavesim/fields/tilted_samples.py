@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -33,7 +34,6 @@ from wavesim.fields.plane_waves import (
     phasor_of,
 )
 from wavesim.fields.sampling_checks import EDGE, check_sample_count, report_loss
-from wavesim.runtime.arrays import fftn
 
 WIDEST = 4.0
 """Width on the tilted plane, in half-widths of the input window, within which light is followed."""
@@ -207,7 +207,7 @@ class TiltedSamples:
         for axis, (n, carrier) in enumerate(zip(self.source.shape, self.carrier, strict=True)):
             x = Samples(0.0, self.source.pitch_mm, n).offsets()
             values = values * along(phasor_of(-TURN * carrier * x), axis, dimensions)
-        power = abs(fftn(values)) ** 2
+        power = abs(scipy.fft.fftn(values, workers=-1)) ** 2
         total = float(np.sum(power))
         if not math.isfinite(total):
             raise InputError("the field has values that are not finite")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import scipy.fft
 
 from lensdesign.common.array_files import array_names, read_arrays
 from lensdesign.common.arrays import Array
@@ -28,7 +29,6 @@ from wavesim.fields.field import Field, Grid
 from wavesim.fields.files import stored_number
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.fields.sampling_checks import report_loss
-from wavesim.runtime.arrays import fftn
 from wavesim.targets.patterns import ComplexArray
 
 StopShape = Literal["disc", "square"]
@@ -306,7 +306,7 @@ def _check_frequencies(values: ComplexArray, source: Grid, grid: Grid) -> None:
     """Warn of, or refuse, frequencies that the interpolation or the grid would lose."""
     # A window keeps the borders of the measurement from looking like detail.
     window = np.outer(*(np.hanning(n + 2)[1:-1] for n in values.shape))
-    power = abs(fftn(values * window)) ** 2
+    power = abs(scipy.fft.fftn(values * window, workers=-1)) ** 2
     total = float(np.sum(power))
     if total == 0.0:
         raise InputError("the measured field is dark: all values are 0")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
@@ -38,7 +39,6 @@ from wavesim.fields.coverage import (
 from wavesim.fields.field import Grid, Orientation
 from wavesim.fields.picture_files import COUNT_MODES, PictureFile
 from wavesim.fields.plane_waves import fft_frequencies
-from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.threads import row_blocks
 
 ComplexArray = NDArray[np.complex128]
@@ -409,7 +409,9 @@ def band_limit(
             f"less at {wavelength_um:g} um; the grid's pitch is {1e3 * grid.pitch_mm:.4g} um"
         )
     squared = sum(across**2 for across in fft_frequencies(grid.shape, grid.pitch_mm))
-    return np.asarray(ifftn(np.where(squared <= limit**2, fftn(values), 0.0)))
+    return np.asarray(
+        scipy.fft.ifftn(np.where(squared <= limit**2, scipy.fft.fftn(values, workers=-1), 0.0), workers=-1)
+    )
 
 
 def _overlaps(count: int, grid: Grid, pixel_mm: float, pixels: int) -> Array:

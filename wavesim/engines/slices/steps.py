@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from wavesim.engines.slices.samples import SlicedSurface
 from wavesim.engines.slices.windows import Waves, block, transferred
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import BandLimit, axial_wavenumbers, lateral_shift_mm, phasor_of
-from wavesim.runtime.arrays import fft, ifft
 from wavesim.runtime.threads import for_blocks
 
 Sides = tuple[Waves, Waves]
@@ -175,7 +175,7 @@ class _Slice:
                 full = np.zeros((b - a, self.shape[1]), dtype=part.dtype)
                 full[:, : order + 1] = part[:, order:]
                 full[:, self.shape[1] - order :] = part[:, :order]
-                part = ifft(full, 1, overwrite=True, workers=1)[:, columns]
+                part = scipy.fft.ifft(full, axis=1, overwrite_x=True, workers=1)[:, columns]
             between[a:b, :width] = part
 
         _in_blocks(work, arriving.shape[0], self.shape[1])
@@ -189,7 +189,7 @@ class _Slice:
             full = np.zeros((count, b - a), dtype=between.dtype)
             full[: order + 1] = between[order:source_rows, a:b]
             full[count - order :] = between[:order, a:b]
-            wave = ifft(full, 0, overwrite=True, workers=1)
+            wave = scipy.fft.ifft(full, axis=0, overwrite_x=True, workers=1)
             columns = slice(box.columns.start + a, box.columns.start + b)
             factor = np.asarray(surface.factors[box.rows, columns], dtype=between.dtype)
             is_own = np.asarray(surface.indices[box.rows, columns]) == surface.labels[self.which]
@@ -197,7 +197,7 @@ class _Slice:
             wave[: rows.start] = 0.0
             wave[rows.stop :] = 0.0
             wave[rows] = np.where(is_own, kept, np.zeros_like(kept))
-            sums = fft(wave, axis=0, overwrite=True, workers=1)
+            sums = scipy.fft.fft(wave, axis=0, overwrite_x=True, workers=1)
             between[other:target_rows, a:b] = sums[: other + 1]
             between[:other, a:b] = sums[count - other :]
 
@@ -216,7 +216,7 @@ class _Slice:
                 return
             full = np.zeros((b - a, self.shape[1]), dtype=total.dtype)
             full[:, columns] = between[a:b, :width]
-            waves = fft(full, axis=1, overwrite=True, workers=1)
+            waves = scipy.fft.fft(full, axis=1, overwrite_x=True, workers=1)
             sums[:, order:] += waves[:, : order + 1]
             sums[:, :order] += waves[:, self.shape[1] - order :]
 
