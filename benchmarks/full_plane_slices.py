@@ -23,7 +23,7 @@ from lensdesign import load_design, scaled
 from wavesim import Field, Scene, engine_for, patch_scene
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.fields.field import Grid, correlation, relative_error
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, phasor_of
+from wavesim.fields.plane_waves import PlaneWaves, phasor_of
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.resolving import bars_field
 from wavesim.scene.engine import Engine
@@ -140,7 +140,7 @@ def brought_back(truth: Engine, found: Field, exact: Field) -> tuple[float, floa
     """Contrast of the bars where they are sharpest, and how far from the object that is (um)."""
     grid = truth.scene.object_grid
     target, seen = (scipy.fft.fftn(np.asarray(truth.adjoint(f).values, complex)) for f in (exact, found))
-    kz, _ = axial_wavenumbers(fft_frequencies(grid.shape, grid.pitch_mm), found.wavelength_um, 1.0)
+    kz = PlaneWaves.of(grid, found.wavelength_um).kz
     moved = [scipy.fft.ifftn(seen * target.conj() * phasor_of(kz * z)) for z in REFOCUS_MM]
     best = int(np.argmax([np.abs(one).max() for one in moved]))
     shift = np.unravel_index(int(np.argmax(np.abs(moved[best]))), grid.shape)

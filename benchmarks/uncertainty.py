@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from wavesim import Engine, Field, Grid, Measurement, Scene, engine_for
-from wavesim.fields.plane_waves import fft_frequencies, transfer
+from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.reconstruction import UndeterminedError, reconstruct, uncertainty
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import recorded_intensity
@@ -92,7 +92,7 @@ def record(
     field = engine.forward(light.with_values((values * light.values).astype(np.complex64)))
     random, planes = np.random.default_rng(seed), []
     for distance in distances_mm:
-        propagator = transfer(fft_frequencies(field.grid.shape, PIXEL_MM), WAVELENGTH_UM, 1.0, distance)
+        propagator = PlaneWaves.of(field.grid, WAVELENGTH_UM).transfer_function(distance)
         intensity = np.abs(np.fft.ifft2(np.fft.fft2(field.values) * propagator)) ** 2
         gain = electrons / intensity.max()
         counts = random.poisson(gain * intensity) + READ_NOISE * random.standard_normal(intensity.shape)

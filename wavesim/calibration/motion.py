@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.calibration.mounting_parameters import DECENTERS, TILTS
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.scene.system_state import SystemState
 
 ComplexArray = NDArray[np.complexfloating]
@@ -63,13 +63,10 @@ def motion(field: Field, mounting: SystemState, parameter: str) -> ComplexArray:
 
 def gradient(field: Field) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return the derivatives of a field along x, y and z (for waves towards +z), per mm."""
-    grid = field.grid
     spectrum = scipy.fft.fft2(np.asarray(field.values), workers=-1)
-    cycles = fft_frequencies(grid.shape, grid.pitch_mm)
-    rows, columns = (2j * np.pi * f for f in cycles)
-    along_z, _ = axial_wavenumbers(cycles, field.wavelength_um, field.index)
-    factors = (columns, rows, 1j * along_z)
+    waves = PlaneWaves.of(field.grid, field.wavelength_um, field.index)
+    ky, kx = waves.transverse
     return tuple(  # type: ignore[return-value]
-        scipy.fft.ifft2(spectrum * factor.astype(spectrum.dtype), workers=-1, overwrite_x=True)
-        for factor in factors
+        scipy.fft.ifft2(spectrum * (1j * k).astype(spectrum.dtype), workers=-1, overwrite_x=True)
+        for k in (kx, ky, waves.kz)
     )

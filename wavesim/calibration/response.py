@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 from wavesim.calibration.motion import gradient, motion
 from wavesim.calibration.mounting_parameters import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.scene.system_state import SystemState
@@ -88,8 +88,7 @@ def mounting_response(
         for name in parameters
         if plane_of(name) is None
     }
-    cycles = fft_frequencies(exit_field.grid.shape, exit_field.grid.pitch_mm)
-    kz, _ = axial_wavenumbers(cycles, exit_field.wavelength_um, exit_field.index)
+    kz = PlaneWaves.of(exit_field.grid, exit_field.wavelength_um, exit_field.index).kz
     along_z = 1j * kz.astype(model.illumination.values.real.dtype)
     measured, modelled, changes = [], [], []
     for plane_index, (plane, weight) in enumerate(zip(model.recorded, model.weights, strict=True)):

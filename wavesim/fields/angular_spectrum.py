@@ -17,10 +17,10 @@ from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import (
     BandLimit,
+    PlaneWaves,
     fast_count,
     fft_frequencies,
     period_counts,
-    transfer,
     windows,
 )
 from wavesim.fields.sampling_checks import Pad, check_propagation, check_sample_count
@@ -83,7 +83,8 @@ class AngularSpectrum:
         if not self.band_limit:
             bands = [BandLimit(pair.shift_mm, math.inf, math.inf) for pair in pairs]
         cycles = fft_frequencies(self.counts, self.source.pitch_mm)
-        return transfer(cycles, self.wavelength_um, self.index, self.distance_mm, bands, dtype=dtype)
+        waves = PlaneWaves(cycles, self.wavelength_um, self.index)
+        return waves.transfer_function(self.distance_mm, bands, dtype=dtype)
 
     def _propagated(self, values: Any, adjoint: bool) -> Any:
         kind = np.result_type(values.dtype, np.complex64)

@@ -19,13 +19,13 @@ from wavesim.fields.angular_spectrum import FACTOR_BYTES
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import (
     BandLimit,
+    PlaneWaves,
     Samples,
     along,
     centres_mm,
     fast_count,
     period_counts,
     phasor_of,
-    transfer,
     windows,
 )
 from wavesim.fields.sampling_checks import check_propagation, check_sample_count
@@ -124,9 +124,8 @@ class ChirpZ:
         cell *= math.prod(f.step for f in self.frequencies)
         dimensions = len(self.frequencies)
         cycles = [along(f.points(), axis, dimensions) for axis, f in enumerate(self.frequencies)]
-        factor = cell * transfer(
-            cycles, self.wavelength_um, self.index, self.distance_mm, self.bands, dtype=kind
-        )
+        waves = PlaneWaves(cycles, self.wavelength_um, self.index)
+        factor = cell * waves.transfer_function(self.distance_mm, self.bands, dtype=kind)
         for axis, (x, f) in enumerate(zip(points, self.frequencies, strict=True)):
             values = chirp_z_transform(values, x, f, sign=-1, axis=axis)
         values = values * (np.conj(factor) if adjoint else factor)

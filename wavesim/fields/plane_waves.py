@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,25 +68,6 @@ def fft_frequencies(shape: tuple[int, ...], pitch_mm: float) -> list[Any]:
     return result
 
 
-def axial_wavenumbers(
-    cycles_per_mm: Sequence[Any],
-    wavelength_um: float,
-    index: float,
-) -> tuple[Any, Any]:
-    """Return kz (1/mm, 0 for evanescent plane waves) and a mask of the propagating ones."""
-    squared = np.asarray((2e3 * math.pi * index / wavelength_um) ** 2)
-    for cycles in cycles_per_mm:
-        squared = squared - (2.0 * math.pi * cycles) ** 2
-    propagating = squared > 0.0
-    return np.sqrt(np.where(propagating, squared, np.zeros_like(squared))), propagating
-
-
-def lateral_shift_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float) -> list[Any]:
-    """Return the lateral shift of plane waves along each axis over a distance; meaningless where kz is 0."""
-    safe = np.where(kz > 0.0, kz, np.ones_like(kz))
-    return [2.0 * math.pi * distance_mm * cycles / safe for cycles in cycles_per_mm]
-
-
 @dataclass(frozen=True)
 class BandLimit:
     """Lateral shifts along one axis that a transfer function transmits.
@@ -103,9 +85,9 @@ class BandLimit:
     passed_mm: float
     stopped_mm: float
 
-    def weight(self, walk_mm: Any) -> Any:
+    def weight(self, lateral_shift_mm: Any) -> Any:
         """Return the transmission (0 to 1) for each lateral shift."""
-        away = abs(walk_mm - self.shift_mm)
+        away = abs(lateral_shift_mm - self.shift_mm)
         if self.stopped_mm <= self.passed_mm:
             return np.asarray(away <= self.passed_mm, dtype=np.float64)
         inner = (self.stopped_mm - away) / (self.stopped_mm - self.passed_mm)
@@ -127,30 +109,73 @@ def phasor_of(phase: Any, dtype: Any = None) -> Any:
     return result
 
 
-def transfer(
-    cycles_per_mm: Sequence[Any],
-    wavelength_um: float,
-    index: float,
-    distance_mm: float,
-    bands: Sequence[BandLimit] | None = None,
-    *,
-    dtype: Any = None,
-) -> Any:
-    """Return the transfer factor of each plane wave over a distance, 0 for evanescent waves.
+@dataclass(frozen=True, eq=False)
+class PlaneWaves:
+    """Plane waves in a homogeneous medium, and their transfer function.
 
-    With `bands` the factor refers to the shifted output window, and waves outside the bands are blocked. The
-    result is complex128, or complex64 if that is the `dtype`.
+    Attributes
+    ----------
+    cycles_per_mm : sequence of ndarray
+        Frequencies along each axis (y, then x), shaped so that they broadcast.
+    wavelength_um, index : float
+        Vacuum wavelength in um, and refractive index.
+    smallest_kz_per_mm : float
+        Axial wavenumber up to which waves are omitted; 0 omits evanescent waves only.
     """
-    kz, propagating = axial_wavenumbers(cycles_per_mm, wavelength_um, index)
-    phase = kz * distance_mm
-    weight = np.asarray(propagating, dtype=np.float64)
-    if bands is not None:
-        walks = lateral_shift_mm(cycles_per_mm, kz, distance_mm)
-        for cycles, walk, band in zip(cycles_per_mm, walks, bands, strict=True):
-            weight = weight * band.weight(walk)
-            phase = phase + TURN * band.shift_mm * cycles
-    factor = phasor_of(phase, dtype)
-    return factor * np.asarray(weight, dtype=np.float32 if factor.dtype == np.complex64 else np.float64)
+
+    cycles_per_mm: Sequence[Any]
+    wavelength_um: float
+    index: float = 1.0
+    smallest_kz_per_mm: float = 0.0
+
+    @classmethod
+    def of(
+        cls, grid: Grid, wavelength_um: float, index: float = 1.0, smallest_kz_per_mm: float = 0.0
+    ) -> PlaneWaves:
+        """Return the plane waves that a grid samples, in FFT order."""
+        return cls(fft_frequencies(grid.shape, grid.pitch_mm), wavelength_um, index, smallest_kz_per_mm)
+
+    @cached_property
+    def kz(self) -> Any:
+        """Axial wavenumbers (1/mm); omitted waves have the smallest one."""
+        squared = np.asarray((2e3 * math.pi * self.index / self.wavelength_um) ** 2)
+        for cycles in self.cycles_per_mm:
+            squared = squared - (2.0 * math.pi * cycles) ** 2
+        propagating = np.sqrt(np.where(squared > 0.0, squared, np.zeros_like(squared)))
+        return np.maximum(propagating, self.smallest_kz_per_mm)
+
+    @property
+    def propagating(self) -> NDArray[np.bool_]:
+        """Mask of the waves that are not omitted."""
+        return np.asarray(self.kz > self.smallest_kz_per_mm)
+
+    @property
+    def transverse(self) -> list[Any]:
+        """Transverse wavenumbers (1/mm) along each axis (y, then x)."""
+        return [2.0 * math.pi * cycles for cycles in self.cycles_per_mm]
+
+    def lateral_shift_mm(self, distance_mm: float) -> list[Any]:
+        """Return the lateral shift along each axis over a distance; meaningless where kz is 0."""
+        safe = np.where(self.kz > 0.0, self.kz, np.ones_like(self.kz))
+        return [2.0 * math.pi * distance_mm * cycles / safe for cycles in self.cycles_per_mm]
+
+    def transfer_function(
+        self, distance_mm: float, bands: Sequence[BandLimit] | None = None, *, dtype: Any = None
+    ) -> Any:
+        """Return the factor exp(i kz z) of each wave over a distance, 0 for omitted waves.
+
+        With `bands` the factor refers to the shifted output window, and waves outside the bands are blocked.
+        The result is complex128, or complex64 if that is the `dtype`.
+        """
+        phase, weight = self.kz * distance_mm, self.propagating
+        if bands is not None:
+            shifts_mm = self.lateral_shift_mm(distance_mm)
+            for cycles, shift_mm, band in zip(self.cycles_per_mm, shifts_mm, bands, strict=True):
+                weight = weight * band.weight(shift_mm)
+                phase = phase + TURN * band.shift_mm * cycles
+        factor = phasor_of(phase, dtype)
+        factor *= np.asarray(weight, factor.real.dtype)
+        return factor
 
 
 class TransferFunction:
@@ -210,8 +235,8 @@ class TransferFunction:
         factor_rows = 16
         for first in range(0, 0 if self.is_identity else len(down), factor_rows):
             rows = slice(first, first + factor_rows)
-            cycles = [down[rows, None], across]
-            self.factor[rows] = transfer(cycles, wavelength_um, 1.0, distance_mm, dtype=np.dtype(dtype))
+            waves = PlaneWaves([down[rows, None], across], wavelength_um)
+            self.factor[rows] = waves.transfer_function(distance_mm, dtype=np.dtype(dtype))
 
     def __rmul__(self, spectrum: ComplexArray) -> ComplexArray:
         return self.times(spectrum.copy())
@@ -261,12 +286,14 @@ def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, dis
     return abs(distance_mm) * sine / math.sqrt(cosine_squared) if cosine_squared > 0.0 else math.inf
 
 
-def fresnel_length_mm(wavelength_um: float, index: float, distance_mm: float, walk_mm: float) -> float:
+def fresnel_length_mm(
+    wavelength_um: float, index: float, distance_mm: float, lateral_shift_mm: float
+) -> float:
     """Return the diffraction width of a wave's arrival point: sqrt(wavelength distance / cos^3)."""
     distance = abs(distance_mm)
     # Least cosine in the Fresnel length: steeper waves carry too little light to widen the period.
     steepest_cosine = 0.3
-    cosine = max(distance / math.hypot(distance, walk_mm), steepest_cosine) if distance else 1.0
+    cosine = max(distance / math.hypot(distance, lateral_shift_mm), steepest_cosine) if distance else 1.0
     return math.sqrt(1e-3 * wavelength_um / index * distance / cosine**3)
 
 

@@ -20,11 +20,9 @@ import scipy.fft
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import (
+    PlaneWaves,
     Samples,
-    axial_wavenumbers,
-    fft_frequencies,
     largest_lateral_shift_mm,
-    lateral_shift_mm,
     period_counts,
     windows,
 )
@@ -112,8 +110,8 @@ def critical_distance_mm(
     >>> round(critical_distance_mm(Grid((1024, 1024), 3.2e-3, 0.0), 0.532), 1)
     19.6
     """
-    walk = largest_lateral_shift_mm(grid, wavelength_um, index, 1.0)
-    return 0.5 * min(pad or grid.shape) * grid.pitch_mm / walk
+    slope = largest_lateral_shift_mm(grid, wavelength_um, index, 1.0)
+    return 0.5 * min(pad or grid.shape) * grid.pitch_mm / slope
 
 
 def measure_propagation(
@@ -143,9 +141,12 @@ def measure_propagation(
         raise InputError("the field has values that are not finite")
     if total == 0.0:
         return PropagationCheck(0.0, 0.0, 0.0, 0.0, 0.0)
-    cycles = fft_frequencies(field.grid.shape, field.grid.pitch_mm)
-    kz, propagating = axial_wavenumbers(cycles, field.wavelength_um, field.index)
-    walks = lateral_shift_mm(cycles, kz, distance_mm)
+    waves = PlaneWaves.of(field.grid, field.wavelength_um, field.index)
+    cycles, propagating, shifts_mm = (
+        waves.cycles_per_mm,
+        waves.propagating,
+        waves.lateral_shift_mm(distance_mm),
+    )
 
     none = propagating & ~propagating
     edge, fine, lands = none, none, propagating
@@ -155,15 +156,16 @@ def measure_propagation(
     counts = pad
     if counts == "auto":
         counts = period_counts(field.grid, target, field.wavelength_um, field.index, distance_mm)
-    for axis, (across, walk, pair) in enumerate(zip(cycles, walks, windows(field.grid, target), strict=True)):
+    pairs = windows(field.grid, target)
+    for axis, (across, shift_mm, pair) in enumerate(zip(cycles, shifts_mm, pairs, strict=True)):
         edge = edge | (abs(across) > EDGE * 0.5 / field.grid.pitch_mm)
         fine = fine | (abs(across) > 0.5 / target.pitch_mm * (1.0 + 1e-9))
         centre, half = _extent_mm(field, axis)
-        arrival = abs(walk + centre - pair.shift_mm)
+        arrival = abs(shift_mm + centre - pair.shift_mm)
         inside = arrival < pair.half_out_mm + half
         strays = arrival > counts[axis] * pair.pitch_mm - pair.half_out_mm - half - 0.5 * blur
-        passed = pair.pass_band(counts[axis]).weight(walk) if band_limit else np.ones_like(walk)
-        wrong = np.where(strays, passed**2, 0.0 * walk) + np.where(inside, (1.0 - passed) ** 2, 0.0 * walk)
+        passed = pair.pass_band(counts[axis]).weight(shift_mm) if band_limit else np.ones_like(shift_mm)
+        wrong = np.where(strays, passed**2, 0.0) + np.where(inside, (1.0 - passed) ** 2, 0.0)
         lands, astray = lands & inside, astray + wrong
     squared = sum((2.0 * math.pi * across) ** 2 for across in cycles)
     decay = np.exp(

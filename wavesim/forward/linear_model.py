@@ -16,7 +16,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
+from wavesim.fields.plane_waves import PlaneWaves, TransferFunction
 from wavesim.fields.tilted_propagator import PlanePropagator
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.pixel_kernel import (
@@ -171,14 +171,12 @@ class FreeSpaceMeasurement:
 
     def by_distance(self, plane: int) -> RealArray:
         """Return the products per mm of a plane's distance."""
-        grid = self.pixels.grid
-        kz, _ = axial_wavenumbers(fft_frequencies(grid.shape, grid.pitch_mm), self._wavelength_um, 1.0)
-        return self._moved(plane, 1j * kz)
+        return self._moved(plane, 1j * PlaneWaves.of(self.pixels.grid, self._wavelength_um).kz)
 
     def by_shift(self, plane: int, axis: int) -> RealArray:
         """Return the products per um of a plane's shift along x (axis 0) or y (axis 1)."""
-        grid = self.pixels.grid
-        return self._moved(plane, 2e-3j * np.pi * fft_frequencies(grid.shape, grid.pitch_mm)[1 - axis])
+        waves = PlaneWaves.of(self.pixels.grid, self._wavelength_um)
+        return self._moved(plane, 2e-3j * np.pi * waves.cycles_per_mm[1 - axis])
 
     def by_tilt(self, axis: int) -> list[RealArray]:
         """Return the products per degree of the sensor's tilt about x (axis 0) or y (axis 1), plane by

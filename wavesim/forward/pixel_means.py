@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
+from wavesim.fields.plane_waves import PlaneWaves, TransferFunction
 from wavesim.fields.tilted_propagator import PlanePropagator, TiltedPropagator, band_wavenumbers
 from wavesim.forward.bands import Change, Result, Rows, change_in_bands
 from wavesim.forward.pixel_kernel import (
@@ -218,9 +218,9 @@ def tilt_changes(
         Vacuum wavelength in um.
     """
     grid = pixels.grid
-    down, across = fft_frequencies(grid.shape, grid.pitch_mm)
-    kz, _ = axial_wavenumbers([down, across], wavelength_um, 1.0)
-    waves = (2.0 * np.pi * across, 2.0 * np.pi * down, kz - band_wavenumbers(grid, wavelength_um)[0])
+    waves = PlaneWaves.of(grid, wavelength_um)
+    ky, kx = waves.transverse
+    wave_vector = (kx, ky, waves.kz - band_wavenumbers(grid, wavelength_um)[0])
     tilt = np.deg2rad(propagator.tilt_deg if isinstance(propagator, TiltedPropagator) else (0.0, 0.0))
 
     def change(axis: int) -> Rows:
@@ -231,7 +231,11 @@ def tilt_changes(
         for column in (0, 1):
             direction = derivative[:, column] * (np.abs(derivative[:, column]) > 1e-12)
             if direction.any():
-                along = 1j * np.deg2rad(1.0) * sum(k * part for k, part in zip(waves, direction, strict=True))
+                along = (
+                    1j
+                    * np.deg2rad(1.0)
+                    * sum(k * part for k, part in zip(wave_vector, direction, strict=True))
+                )
                 rows = pixels.propagate(spectrum * along.astype(spectrum.dtype), propagator)
                 _add_times_position(rows, grid, column, total)
         return total

@@ -20,7 +20,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.fields.plane_waves import axial_wavenumbers, phasor_of
+from wavesim.fields.plane_waves import PlaneWaves, phasor_of
 from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Engine
@@ -363,7 +363,7 @@ def register(
     # Padding keeps what is shifted over an end from coming back at the other.
     count = scipy.fft.next_fast_len(2 * len(values))
     cycles = scipy.fft.fftfreq(count, grid.pitch_mm)
-    kz = axial_wavenumbers([cycles], wavelength_um, 1.0)[0] - 2e3 * np.pi / wavelength_um
+    kz = PlaneWaves([cycles], wavelength_um).kz - 2e3 * np.pi / wavelength_um
     spectrum = scipy.fft.fft(values, count)
     product = spectrum * np.conj(scipy.fft.fft(target, count))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import TransferFunction, fft_frequencies, transfer
+from wavesim.fields.plane_waves import PlaneWaves, TransferFunction
 
 
 @pytest.mark.parametrize("shape", [(6, 5), (1, 8), (7,), (8,)])
@@ -18,8 +18,9 @@ def test_a_quarter_of_the_factor_is_the_whole(
     """Also where the grid holds waves that decay."""
     random = np.random.default_rng(3)
     spectrum = random.random(shape) + 1j * random.random(shape)
-    factor = transfer(fft_frequencies(shape, pitch_mm), 0.532, 1.0, distance_mm)
-    way = TransferFunction(Grid(shape, pitch_mm, 1.0), 0.532, distance_mm, np.complex128)
+    grid = Grid(shape, pitch_mm, 1.0)
+    factor = PlaneWaves.of(grid, 0.532).transfer_function(distance_mm)
+    way = TransferFunction(grid, 0.532, distance_mm, np.complex128)
     np.testing.assert_allclose(spectrum * way, spectrum * factor, atol=1e-12)
     np.testing.assert_allclose(way.times(spectrum.copy(), adjoint=True), spectrum * factor.conj(), atol=1e-12)
     assert way.factor.size <= (1 + shape[0] // 2) * (1 + shape[-1] // 2)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lensdesign.lens.lens import Sensor
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.plane_waves import TransferFunction, fft_frequencies, transfer
+from wavesim.fields.plane_waves import PlaneWaves, TransferFunction
 from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
 from wavesim.forward import bands
 from wavesim.forward.pixel_means import PixelMeans, tilt_changes
@@ -111,7 +111,7 @@ def test_means_in_blocks_are_those_of_all_fine_samples(
         TransferFunction(grid, 0.532, distance_mm, np.complex128),
     )
     spectrum, _ = speckle(shape, 2)
-    factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm)
+    factor = PlaneWaves.of(grid, 0.532).transfer_function(distance_mm)
     fine = densely(spectrum * factor)
     found = pixels.intensity(pixels.propagate(spectrum, propagator))
     means = np.maximum(means_of(pixels, np.abs(fine) ** 2), 0.0)
@@ -133,7 +133,7 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
     pixels.add_adjoint(
         pixels.propagate(there, propagator), change.astype(total.real.dtype), propagator, total
     )
-    factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, 0.4)
+    factor = PlaneWaves.of(grid, 0.532).transfer_function(0.4)
     fine = densely(spectrum * factor) * spread(pixels, change)
     expected = 1.0 + coarsely(fine, shape) * factor.conj()
     np.testing.assert_allclose(total, expected, atol=20.0 * np.finfo(dtype).eps * np.abs(expected).max())

@@ -13,7 +13,7 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.fields.plane_waves import fft_frequencies, transfer
+from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.reconstruction import object_solver
@@ -54,7 +54,7 @@ def case() -> Case:
     at_exit = engine.forward(lit.with_values((transmission * stop).astype(np.complex64))).values
     planes = []
     for distance in (0.0, 0.6):
-        way = transfer(fft_frequencies(exit_grid.shape, 3.2e-3), 0.532, 1.0, distance)
+        way = PlaneWaves.of(exit_grid, 0.532).transfer_function(distance)
         planes.append(
             Measurement(distance, np.abs(np.fft.ifft2(np.fft.fft2(at_exit) * way)).astype(np.float32))
         )

@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.fields.plane_waves import fft_frequencies, transfer
+from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.fields.propagator import propagate
 from wavesim.reconstruction import appendix_a
 from wavesim.reconstruction.appendix_a import replace_amplitude
@@ -215,8 +215,7 @@ def plainly(
         mean = np.zeros_like(now)
         for plane in planes:
             known = np.ones(grid.shape, bool) if plane.known is None else plane.known
-            cycles = fft_frequencies(grid.shape, grid.pitch_mm)
-            way = transfer(cycles, WAVELENGTH, 1.0, plane.distance_mm)
+            way = PlaneWaves.of(grid, WAVELENGTH).transfer_function(plane.distance_mm)
             there = np.fft.ifftn(np.fft.fftn(now) * way)
             seen, wanted = np.abs(there)[known], plane.amplitude[known]
             if plane is planes[0]:

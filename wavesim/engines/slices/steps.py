@@ -17,7 +17,7 @@ import scipy.fft
 from wavesim.engines.slices.samples import SlicedSurface
 from wavesim.engines.slices.windows import Waves, block, transferred
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import BandLimit, axial_wavenumbers, lateral_shift_mm, phasor_of
+from wavesim.fields.plane_waves import BandLimit, PlaneWaves
 from wavesim.runtime.threads import for_blocks
 
 Sides = tuple[Waves, Waves]
@@ -284,12 +284,12 @@ def step_factor(
 
     def work(a: int, b: int) -> None:
         cycles = [np.reshape(down[a:b], (-1, 1)), np.reshape(across, (1, -1))]
-        kz, _ = axial_wavenumbers(cycles, medium.wavelength_um, medium.index)
-        factor = phasor_of(kz * distance_mm, dtype) * (kz > medium.smallest_kz_per_mm)
+        plane_waves = PlaneWaves(cycles, medium.wavelength_um, medium.index, medium.smallest_kz_per_mm)
+        factor = plane_waves.transfer_function(distance_mm, dtype=dtype)
         if limit is not None:
-            walks = lateral_shift_mm(cycles, kz, distance_mm)
-            weight = limit.weight(np.sqrt(walks[0] ** 2 + walks[1] ** 2))
-            factor = factor * np.asarray(weight, dtype=np.float32 if dtype == np.complex64 else np.float64)
+            y_mm, x_mm = plane_waves.lateral_shift_mm(distance_mm)
+            weight = limit.weight(np.sqrt(y_mm**2 + x_mm**2))
+            factor *= np.asarray(weight, factor.real.dtype)
         result[a:b] = factor
 
     _in_blocks(work, result.shape[0], result.shape[1])

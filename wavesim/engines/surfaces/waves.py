@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.engines.surfaces.samples import SurfaceSamples
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, phasor_of
+from wavesim.fields.plane_waves import PlaneWaves
 
 ComplexArray = NDArray[np.complex128]
 
@@ -68,26 +68,9 @@ class Medium:
         return (self.largest_kz_per_mm - self.smallest_kz_per_mm) * step_mm
 
     @cached_property
-    def kz(self) -> Array:
-        """Axial wavenumbers in FFT order; waves outside the band have the value at its edge."""
-        cycles = fft_frequencies(self.grid.shape, self.grid.pitch_mm)
-        kz, _ = axial_wavenumbers(cycles, self.wavelength_um, self.index)
-        return np.asarray(np.maximum(kz, self.smallest_kz_per_mm))
-
-    @cached_property
-    def inside(self) -> NDArray[np.bool_]:
-        """Mask of the plane waves within the band, in FFT order."""
-        return np.asarray(self.kz > self.smallest_kz_per_mm)
-
-    def transverse(self, axis: int) -> Array:
-        """Return the wavenumbers along one axis of the grid, shaped to broadcast."""
-        return np.asarray(2.0 * np.pi * fft_frequencies(self.grid.shape, self.grid.pitch_mm)[axis])
-
-    def over(self, distance_mm: float) -> ComplexArray:
-        """Return the factor of each plane wave over a distance."""
-        factor = phasor_of(self.kz * distance_mm)
-        factor[~self.inside] = 0.0
-        return np.asarray(factor)
+    def waves(self) -> PlaneWaves:
+        """Plane waves of the grid; those outside the band are omitted."""
+        return PlaneWaves.of(self.grid, self.wavelength_um, self.index, self.smallest_kz_per_mm)
 
 
 def interpolation_error(phase_across: float) -> float:
@@ -127,7 +110,7 @@ class SurfaceWaves:
         """Return the values on the surface of the waves with a spectrum at the first plane."""
         size = self.medium.grid.size
         wave = spectrum * self._unfiltered
-        step = self.medium.over(self.step_mm)
+        step = self.medium.waves.transfer_function(self.step_mm)
         values = np.zeros(len(self.samples.pixels), complex)
         for plane in range(self.planes):
             part, weight = self._samples_near(plane)
@@ -141,7 +124,7 @@ class SurfaceWaves:
     def collect(self, values: ComplexArray) -> ComplexArray:
         """Apply the exact adjoint of :meth:`evaluate` to values on the surface."""
         shape = self.medium.grid.shape
-        step_back = self.medium.over(-self.step_mm)
+        step_back = self.medium.waves.transfer_function(-self.step_mm)
         spectrum = np.zeros(shape, complex)
         for plane in reversed(range(self.planes)):
             spectrum *= step_back
@@ -160,8 +143,8 @@ class SurfaceWaves:
         if not self.flat:
             for axis, slope in enumerate(self.samples.slopes):
                 tilted = self.collect(slope * values)
-                tilted *= self.medium.transverse(axis)
-                tilted /= self.medium.kz
+                tilted *= self.medium.waves.transverse[axis]
+                tilted /= self.medium.waves.kz
                 spectrum -= tilted
                 del tilted
         return spectrum
@@ -171,8 +154,8 @@ class SurfaceWaves:
         values = self.evaluate(spectrum)
         if not self.flat:
             for axis, slope in enumerate(self.samples.slopes):
-                tilted = spectrum * self.medium.transverse(axis)
-                tilted /= self.medium.kz
+                tilted = spectrum * self.medium.waves.transverse[axis]
+                tilted /= self.medium.waves.kz
                 values -= slope * self.evaluate(tilted)
                 del tilted
         return values
@@ -181,9 +164,9 @@ class SurfaceWaves:
     def _unfiltered(self) -> Array:
         """Inverse of the spline's frequency response within the band, 0 outside it."""
         if self.flat:
-            return self.medium.inside.astype(float)
-        phase = (self.medium.kz - self._carrier) * self.step_mm
-        return np.asarray(self.medium.inside / np.sinc(phase / (2.0 * np.pi)) ** 4)
+            return self.medium.waves.propagating.astype(float)
+        phase = (self.medium.waves.kz - self._carrier) * self.step_mm
+        return np.asarray(self.medium.waves.propagating / np.sinc(phase / (2.0 * np.pi)) ** 4)
 
     def _samples_near(self, plane: int) -> tuple[slice, ComplexArray]:
         """Return the samples that a plane interpolates, and their weights."""

@@ -279,13 +279,13 @@ class Substep:
         del field
         z_mm = self.start_mm
         for before, behind in self.sides:
-            spectrum *= before.medium.over(before.first_z_mm - z_mm)
+            spectrum *= before.medium.waves.transfer_function(before.first_z_mm - z_mm)
             values = before.evaluate(spectrum)
             values *= before.samples.transmission
             del spectrum  # frees its memory before the next one is computed
             spectrum = behind.radiate(values)
             z_mm = behind.first_z_mm
-        spectrum *= self.media[-1].over(self.end_mm - z_mm)
+        spectrum *= self.media[-1].waves.transfer_function(self.end_mm - z_mm)
         return np.asarray(scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True))
 
     def adjoint(self, field: ComplexArray) -> ComplexArray:
@@ -294,11 +294,11 @@ class Substep:
         del field
         z_mm = self.end_mm
         for before, behind in reversed(self.sides):
-            spectrum *= behind.medium.over(behind.first_z_mm - z_mm)
+            spectrum *= behind.medium.waves.transfer_function(behind.first_z_mm - z_mm)
             values = behind.radiate_adjoint(spectrum)
             values *= before.samples.transmission
             del spectrum
             spectrum = before.collect(values)
             z_mm = before.first_z_mm
-        spectrum *= self.media[0].over(self.start_mm - z_mm)
+        spectrum *= self.media[0].waves.transfer_function(self.start_mm - z_mm)
         return np.asarray(scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True))

@@ -64,7 +64,7 @@ class Staircase:
             spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1)
             field = np.zeros_like(spectrum)
             for m in np.unique(medium):
-                wave = spectrum * self.media[m].over(length)
+                wave = spectrum * self.media[m].waves.transfer_function(length)
                 wave = scipy.fft.ifftn(wave, norm="ortho", workers=-1, overwrite_x=True)
                 np.copyto(field, wave, where=medium == m)
             field *= factor
@@ -86,7 +86,7 @@ class Staircase:
             for m in np.unique(medium):
                 wave = np.where(medium == m, field, 0.0)
                 wave = scipy.fft.fftn(wave, norm="ortho", workers=-1, overwrite_x=True)
-                wave *= self.media[m].over(-length)
+                wave *= self.media[m].waves.transfer_function(-length)
                 spectrum += wave
             field = scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
         self._validate_energy(energy_in, _energy(field))

@@ -49,7 +49,7 @@ def test_a_step_is_that_of_free_space(kind: Any, same: float) -> None:
     known = waves()
     medium, (down, across) = known.medium, known.orders
     places = np.ix_(*(np.arange(-m, m + 1) % n for m, n in zip(known.orders, (30, 28), strict=True)))
-    whole = medium.over(123.4)[places]
+    whole = medium.waves.transfer_function(123.4)[places]
     assert 0.5 < np.mean(whole != 0.0) < 0.9
     factor = step_factor(known, 123.4, np.dtype(kind))
     assert factor.dtype == kind

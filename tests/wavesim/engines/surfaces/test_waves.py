@@ -40,9 +40,9 @@ def noise(shape: tuple[int, ...], seed: int) -> ComplexArray:
 
 def direct(waves: SurfaceWaves, spectrum: ComplexArray) -> ComplexArray:
     """On a line, every plane wave at every sample."""
-    kz, kept = waves.medium.kz, waves.medium.inside
+    kz, kept = waves.medium.waves.kz, waves.medium.waves.propagating
     order = waves.samples.pixels
-    across = np.exp(1j * waves.medium.transverse(0) * GRID.pitch_mm * order[:, None])
+    across = np.exp(1j * waves.medium.waves.transverse[0] * GRID.pitch_mm * order[:, None])
     along = np.exp(1j * kz * (waves.samples.z_mm[:, None] - waves.first_z_mm))
     return np.asarray((across * along) @ (spectrum * kept) / math.sqrt(GRID.size))
 
@@ -82,5 +82,5 @@ def test_a_surface_radiates_the_wave_that_it_carries() -> None:
     """A beam's values on a surface within its medium give back the beam."""
     waves = SurfaceWaves(medium(GRID), bowl(GRID), 3e-4)
     beam = np.exp(-0.5 * (GRID.y_mm / 2e-3) ** 2) + 0j
-    spectrum = np.fft.fft(beam, norm="ortho") * waves.medium.over(waves.first_z_mm)
+    spectrum = np.fft.fft(beam, norm="ortho") * waves.medium.waves.transfer_function(waves.first_z_mm)
     assert relative_error(waves.radiate(waves.evaluate(spectrum)), spectrum) < 2e-3
