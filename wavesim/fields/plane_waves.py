@@ -17,11 +17,9 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
-
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 TURN = 2.0 * math.pi
 FADE_ZONES = 6.0
@@ -176,105 +174,6 @@ class PlaneWaves:
         factor = phasor_of(phase, dtype)
         factor *= np.asarray(weight, factor.real.dtype)
         return factor
-
-
-class TransferFunction:
-    """Transfer function of free space between parallel planes: `spectrum * transfer_function`.
-
-    The factor is equal for a frequency and its negative along each axis. Only a quarter of it is stored, with
-    the factors of a lateral shift along each axis.
-
-    Parameters
-    ----------
-    grid
-        Grid of the field on either plane.
-    wavelength_um
-        Vacuum wavelength.
-    distance_mm
-        Distance from the first plane to the second.
-    dtype
-        Data type of the factor.
-    shift_mm : (x, y)
-        Offset of the second plane's samples from the first's.
-
-    Attributes
-    ----------
-    factor : ndarray
-        Factors for non-negative frequencies; a single 1 for the identity.
-    rows, columns : ndarray of int
-        Row and column of the factor for each row and column of a spectrum; a line is one row.
-    down, across : ndarray
-        Factors of the shift for each row and column; 1 without a shift.
-    is_identity, is_shifted : bool
-        Whether the transfer function changes nothing, and whether it has a lateral shift.
-    """
-
-    __array_ufunc__ = None  # so that `array * transfer_function` calls __rmul__
-
-    def __init__(
-        self,
-        grid: Grid,
-        wavelength_um: float,
-        distance_mm: float,
-        dtype: DTypeLike,
-        shift_mm: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        shape = (1, *grid.shape)[-2:]
-        self.down, self.across = (
-            np.exp(2j * np.pi / grid.pitch_mm * shift * scipy.fft.fftfreq(n)).astype(dtype)
-            for n, shift in zip(shape, reversed(shift_mm), strict=True)
-        )
-        down, across = (np.arange(n // 2 + 1) / (n * grid.pitch_mm) for n in shape)
-        all_propagate = math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
-        self.is_shifted = any(shift_mm)
-        self.is_identity = distance_mm == 0.0 and not self.is_shifted and all_propagate
-        orders = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
-        self.rows, self.columns = (np.zeros_like(order) if self.is_identity else order for order in orders)
-        self.factor: ComplexArray = np.ones((1, 1) if self.is_identity else (len(down), len(across)), dtype)
-        # Rows of a stored transfer function that are computed at a time.
-        factor_rows = 16
-        for first in range(0, 0 if self.is_identity else len(down), factor_rows):
-            rows = slice(first, first + factor_rows)
-            waves = PlaneWaves([down[rows, None], across], wavelength_um)
-            self.factor[rows] = waves.transfer_function(distance_mm, dtype=np.dtype(dtype))
-
-    def __rmul__(self, spectrum: ComplexArray) -> ComplexArray:
-        return self.times(spectrum.copy())
-
-    def times(self, spectrum: ComplexArray, *, adjoint: bool = False) -> ComplexArray:
-        """Propagate a spectrum to the second plane, in place; with `adjoint`, back to the first."""
-        if self.is_identity:
-            return spectrum
-        factor, down, across = self.factor, self.down, self.across
-        if adjoint:
-            factor, down, across = factor.conj(), down.conj(), across.conj()
-        for row, along, values in zip(self.rows, down, np.atleast_2d(spectrum), strict=True):
-            values *= along * across * factor[row, self.columns]
-        return spectrum
-
-    def times_columns(self, spectrum: ComplexArray, first: int, *, adjoint: bool = False) -> None:
-        """Do the same as :meth:`times` for some columns of a spectrum, from column `first` on."""
-        if self.is_identity:
-            return
-        columns = slice(first, first + spectrum.shape[1])
-        # The mode "clip" is the fastest one; all indices are valid.
-        factor = self.factor.take(self.columns[columns], axis=1, mode="clip")
-        factor = factor.conj() if adjoint else factor
-        # Rows with negative frequencies follow, in falling order of their moduli.
-        half = len(factor)
-        spectrum[:half] *= factor
-        spectrum[half:] *= factor[1 : len(spectrum) - half + 1][::-1]
-        if self.is_shifted:
-            shift = self.down[:, None] * self.across[columns]
-            spectrum *= shift.conj() if adjoint else shift
-
-    def forward(self, spectrum: ComplexArray) -> ComplexArray:
-        """Return the field on the second plane from its spectrum on the first."""
-        return np.asarray(scipy.fft.ifftn(self.times(spectrum.copy()), workers=-1, overwrite_x=True))
-
-    def adjoint(self, values: ComplexArray) -> ComplexArray:
-        """Return the spectrum on the first plane from the field on the second, whose array is overwritten."""
-        return self.times(np.asarray(scipy.fft.fftn(values, workers=-1, overwrite_x=True)), adjoint=True)
 
 
 def largest_lateral_shift_mm(grid: Grid, wavelength_um: float, index: float, distance_mm: float) -> float:

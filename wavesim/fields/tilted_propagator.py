@@ -23,8 +23,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
+from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import TransferFunction
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 

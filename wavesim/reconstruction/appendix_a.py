@@ -8,7 +8,7 @@ Symbol              Code
 u^k, u^(k-1)        `now`, `previous`: the field sought, and that of the iteration before
 sqrt(I_n), H_n      `plane.amplitude`, and the distance within `plane.propagator`
 C_n, then g_n       `field`, which every equation changes in place
-P_H, P_-H           :func:`propagate`, :func:`propagate_back`
+P_H, P_-H           `plane.propagator.propagate`, and its adjoint
 a, b, t             `feedback`, `tv_step`
 CC                  `AmplitudeMatch.correlation`
 ==================  =====================================================================
@@ -26,20 +26,16 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
+from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import TransferFunction
 from wavesim.runtime.threads import for_blocks, rows_in
 from wavesim.sensor.measurement import Measurement
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 T = TypeVar("T")
-
-COLUMNS = 32
-"""Least number of columns that are transformed at a time."""
 
 FAINTEST = 1e-30
 """Modulus below which an amplitude is not divided by it, since the quotient might overflow."""
@@ -125,54 +121,14 @@ def iterate(
     _subtract_feedback(now, previous, a, b)
     match, field = None, np.empty_like(now)
     for plane in planes:
-        propagate(now, plane, field)  # A1
+        plane.propagator.propagate(now, field)  # A1
         if match is None:
             match = compare(field, plane)  # A6
         replace_amplitude(field, plane.amplitude, plane.known)  # A2
-        propagate_back(field, plane)  # A3
+        plane.propagator.propagate(field, field, adjoint=True)  # A3
         _add_smoothed(field, tv_step, (1.0 + a + b) / len(planes), previous)  # A4
     assert match is not None
     return match
-
-
-def propagate(field: ComplexArray, plane: Plane, result: ComplexArray) -> ComplexArray:
-    """Write C_n = P_H u, a field carried to a plane, to the array `result`, and return that (A1)."""
-    return _carry(field, plane.propagator, result, backwards=False)
-
-
-def propagate_back(field: ComplexArray, plane: Plane) -> ComplexArray:
-    """Carry the field on a plane back, g_n = P_-H C_n, in place, and return it (A3)."""
-    return _carry(field, plane.propagator, field, backwards=True)
-
-
-def _carry(
-    field: ComplexArray, propagator: TransferFunction, result: ComplexArray, *, backwards: bool
-) -> ComplexArray:
-    """Multiply the spectrum of a field by a transfer function or its conjugate.
-
-    Everything along columns is done on a few columns at a time, because strided access to whole columns of
-    the field would take longer than the transforms.
-    """
-
-    def transform_rows(rows: slice) -> None:
-        result[rows] = scipy.fft.fft(field[rows], axis=1)
-
-    def carry_columns(start: int, stop: int) -> None:
-        spectrum = scipy.fft.fft(result[:, start:stop], axis=0)
-        propagator.times_columns(spectrum, start, adjoint=backwards)
-        result[:, start:stop] = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True)
-
-    def transform_rows_back(rows: slice) -> None:
-        result[rows] = scipy.fft.ifft(result[rows], axis=1)
-
-    if propagator.is_identity:
-        if result is not field:
-            np.copyto(result, field)
-        return result
-    _for_rows(transform_rows, field)
-    for_blocks(carry_columns, field.shape[1], max(COLUMNS, rows_in(field[:, 0].nbytes)))
-    _for_rows(transform_rows_back, field)
-    return result
 
 
 def replace_amplitude(field: ComplexArray, amplitude: Array, known: NDArray[np.bool_] | None = None) -> None:

@@ -27,7 +27,6 @@ from wavesim.reconstruction.appendix_a import (
     compare,
     iterate,
     plane_for,
-    propagate,
     rows_of,
 )
 from wavesim.sensor.measurement import Measurement, amplitude_unit
@@ -270,7 +269,7 @@ def _match_on_plane(field: Field, plane: Measurement) -> tuple[AmplitudeMatch, C
     """Return the agreement of a field with a plane, and the field on that plane."""
     values = rows_of(field.values)
     compared_plane = plane_for(field.grid, field.wavelength_um, plane, values.dtype)
-    field_on_plane = propagate(values, compared_plane, np.empty_like(values))
+    field_on_plane = compared_plane.propagator.propagate(values, np.empty_like(values))
     return compare(field_on_plane, compared_plane), field_on_plane.reshape(field.values.shape)
 
 

@@ -189,8 +189,7 @@ def _propagator_of(field: Field) -> Callable[[float], NDArray[np.complexfloating
     def propagated(distance_mm: float) -> NDArray[np.complexfloating]:
         target = wide.at(grid.z_mm + distance_mm)
         propagator = AngularSpectrum(wide, target, field.wavelength_um, field.index, padded, band_limit=True)
-        values = scipy.fft.ifftn(spectrum * propagator.factor(spectrum.dtype), workers=-1, overwrite_x=True)
-        return np.asarray(values[: shape[0], : shape[1]])
+        return np.asarray(propagator.from_spectrum(spectrum)[: shape[0], : shape[1]])
 
     return propagated
 

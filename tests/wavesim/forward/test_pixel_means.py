@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensdesign.lens.lens import Sensor
+from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.plane_waves import PlaneWaves, TransferFunction
+from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
 from wavesim.forward import bands
 from wavesim.forward.pixel_means import PixelMeans, tilt_changes

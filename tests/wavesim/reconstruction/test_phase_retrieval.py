@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
+from wavesim.fields import angular_spectrum
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.fields.propagator import propagate
@@ -248,8 +249,9 @@ def test_blocks_do_what_whole_arrays_do(
     step: float,
 ) -> None:
     """Whatever the numbers of samples, planes and blocks; pixels that are not known; the plane sought."""
-    monkeypatch.setattr(appendix_a, "rows_in", lambda bytes_of_row: 1)
-    monkeypatch.setattr(appendix_a, "COLUMNS", 5)
+    for module in (appendix_a, angular_spectrum):
+        monkeypatch.setattr(module, "rows_in", lambda bytes_of_row: 1)
+    monkeypatch.setattr(angular_spectrum, "COLUMNS", 5)
     rng, grid = np.random.default_rng(9), Grid(shape, 4e-3, 0.0)
     start = 64.0 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     planes = [

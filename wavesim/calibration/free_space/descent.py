@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from wavesim.calibration.free_space.stack import Array, ComplexArray, Stack
 from wavesim.engines.free_space import FreeSpace
+from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import TransferFunction
 from wavesim.forward.forward_model import ForwardModel
 
 SOON, OFTEN, SELDOM = 40, 5, 20

@@ -22,8 +22,8 @@ from wavesim.calibration.free_space.descent import (
     forward_model,
 )
 from wavesim.calibration.free_space.stack import Array, ComplexArray, Stack, stack_of
+from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.plane_waves import TransferFunction
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.sensor.frames import Frame
