@@ -17,16 +17,16 @@ import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.errors import InputError
-from wavesim.fields.field import Field, Grid
+from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import (
     BandLimit,
+    Pad,
     PlaneWaves,
     fast_count,
     fft_frequencies,
     period_counts,
     windows,
 )
-from wavesim.fields.sampling_checks import Pad, check_propagation, check_sample_count
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import for_blocks, rows_in
 
@@ -65,19 +65,6 @@ class AngularSpectrum:
         else:
             raise InputError(f"pad = {pad}: must be 'auto' or at least {source.shape} samples")
         self.samples = math.prod(self.counts)
-
-    def check(self, values: Any, coarse_output: bool) -> None:
-        """Warn, or raise SamplingError, where the samples cannot represent the field."""
-        far = f"{abs(self.distance_mm):.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} um"
-        check_sample_count(self.counts, far)
-        field = Field(self.source, values, self.wavelength_um, self.index)
-        check_propagation(
-            field,
-            self.target,
-            pad=self.pad,
-            band_limit=self.band_limit,
-            coarse_output=coarse_output,
-        )
 
     def forward(self, values: Any) -> Any:
         return self._propagated(values, adjoint=False)

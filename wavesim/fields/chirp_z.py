@@ -16,19 +16,17 @@ import scipy.fft
 
 from lensdesign.errors import InputError
 from wavesim.fields.angular_spectrum import FACTOR_BYTES
-from wavesim.fields.field import Field, Grid
+from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import (
     BandLimit,
     PlaneWaves,
     Samples,
     along,
-    centres_mm,
     fast_count,
     period_counts,
     phasor_of,
     windows,
 )
-from wavesim.fields.sampling_checks import check_propagation, check_sample_count
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 
@@ -101,15 +99,8 @@ class ChirpZ:
         counts = period_counts(source, target, wavelength_um, index, self.distance_mm)
         self.bands = [pair.pass_band(n) for pair, n in zip(windows(source, target), counts, strict=True)]
         self.frequencies = self._arriving(source, counts)
-        self.samples = math.prod(f.count for f in self.frequencies)
-
-    def check(self, values: Any, coarse_output: bool) -> None:
-        """Warn, or raise SamplingError, where the samples cannot represent the field."""
-        places = f"{centres_mm(self.source)} to {centres_mm(self.target)} mm"
-        counts = [f.count for f in self.frequencies]
-        check_sample_count(counts, f"{abs(self.distance_mm):.4g} mm from {places}")
-        field = Field(self.source, values, self.wavelength_um, self.index)
-        check_propagation(field, self.target, coarse_output=coarse_output)
+        self.counts = tuple(f.count for f in self.frequencies)
+        self.samples = math.prod(self.counts)
 
     def forward(self, values: Any) -> Any:
         return self._propagated(values, self.inputs, self.outputs, self.source.cell, adjoint=False)

@@ -13,13 +13,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
+
+Pad = Literal["auto"] | tuple[int, ...]
 
 TURN = 2.0 * math.pi
 FADE_ZONES = 6.0

@@ -1,18 +1,39 @@
-"""Free space between two grids: one linear operator with its adjoint and cost, and its checked use."""
+"""Free space: the choice of a propagator, and its checked use.
+
+Each propagator is linear, and has `forward` and an exact `adjoint`. There are two choices:
+
+- :class:`FreeSpacePropagator` leads from any window to any other. It chooses the padded angular spectrum
+  (:mod:`wavesim.fields.angular_spectrum`), chirp-z transforms (:mod:`wavesim.fields.chirp_z`), or the rotated
+  spectrum for a tilted plane (:mod:`wavesim.fields.tilted_planes`), by grids, distance and tilt.
+- :func:`propagator_to` leads from the spectrum of one field to planes with the same samples, as a sensor's.
+  It chooses a transfer function, or a sum over a few parallel planes for a slightly tilted sensor.
+
+Plane waves, their transfer function, the band limit and the padding are in :mod:`wavesim.fields.plane_waves`,
+and all checks are in :mod:`wavesim.fields.sampling_checks`.
+"""
 
 from __future__ import annotations
 
-import warnings
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+from numpy.typing import DTypeLike
+
 from lensdesign.errors import InputError
-from wavesim.fields.angular_spectrum import AngularSpectrum
+from wavesim.fields.angular_spectrum import AngularSpectrum, TransferFunction
 from wavesim.fields.chirp_z import ChirpZ
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.sampling_checks import WARNED, Pad, SamplingWarning
-from wavesim.fields.tilted_samples import TiltedSamples
+from wavesim.fields.plane_waves import Pad, centres_mm
+from wavesim.fields.sampling_checks import (
+    check_propagation,
+    check_sample_count,
+    check_tilted_propagation,
+    warn_of_escape,
+)
+from wavesim.fields.tilted_planes import RotatedSpectrum, TiltedPropagator, band_wavenumbers
 
 Tilt = tuple[float, float]
 
@@ -33,7 +54,7 @@ class FreeSpacePropagator:
         Vacuum wavelength in um, and refractive index between the grids.
     source_tilt_deg, target_tilt_deg : (about x, about y), optional
         Tilt of one of the planes about the centre of the other plane's grid, in degrees. The tilted grid is
-        defined in its own frame, at z = 0 (:mod:`wavesim.fields.tilted_samples`).
+        defined in its own frame, at z = 0 (:mod:`wavesim.fields.tilted_planes`).
     pad
         Padded number of samples along each axis, at least the grid's, or "auto": as many as keep every copy
         of the field away from the target. Only for grids of the same shape and pitch.
@@ -80,7 +101,20 @@ class FreeSpacePropagator:
 
     def check(self, values: Any, *, coarse_output: bool = False) -> None:
         """Warn of a small sampling error of :meth:`forward`, or refuse a large one, as :func:`propagate`."""
-        self._method.check(values, coarse_output)
+        method = self._method
+        if isinstance(method, RotatedSpectrum):
+            check_tilted_propagation(method, values, coarse_output)
+            return
+        distance_mm = abs(self.target.z_mm - self.source.z_mm)
+        check_sample_count(
+            method.counts,
+            f"propagation from {centres_mm(self.source)} to {centres_mm(self.target)} mm over "
+            f"{distance_mm:.4g} mm at a pitch of {1e3 * self.source.pitch_mm:.4g} um",
+        )
+        field = Field(self.source, values, self.wavelength_um, self.index)
+        check_propagation(
+            field, self.target, pad=self.pad, band_limit=self.band_limit, coarse_output=coarse_output
+        )
 
     @property
     def samples(self) -> int:
@@ -98,7 +132,7 @@ class FreeSpacePropagator:
         return self._method.peak_bytes
 
     @cached_property
-    def _method(self) -> AngularSpectrum | ChirpZ | TiltedSamples:
+    def _method(self) -> AngularSpectrum | ChirpZ | RotatedSpectrum:
         if self.source.is_line != self.target.is_line:
             raise InputError("input grid and output grid: both must be lines, or both planes")
         ends = (self.source, self.target, self.wavelength_um, self.index)
@@ -110,7 +144,9 @@ class FreeSpacePropagator:
                     "source_tilt_deg, target_tilt_deg: only one plane can be tilted, and pad and band_limit "
                     "must keep their defaults"
                 )
-            return TiltedSamples(*ends, tilt, straight=self.source_tilt_deg is None)
+            rotated = RotatedSpectrum(*ends, tilt, straight=self.source_tilt_deg is None)
+            check_sample_count(rotated.counts, "propagation to the tilted plane")
+            return rotated
         if is_padding_set:
             return AngularSpectrum(*ends, self.pad, self.band_limit)
         chirped = ChirpZ(*ends)
@@ -192,18 +228,26 @@ def propagate(
         operator.check(field.values, coarse_output=coarse_output)
     result = Field(grid, operator.forward(field.values), field.wavelength_um, field.index)
     if check and to is not grid:
-        _warn_of_escape(field, result)
+        warn_of_escape(field, result)
     return result
 
 
-def _warn_of_escape(field: Field, result: Field) -> None:
-    before = field.energy
-    lost = 1.0 - result.energy / before if before > 0.0 else 0.0
-    if lost > WARNED:
-        warnings.warn(
-            f"{100.0 * lost:.2g} % of the field's energy leaves the window over a distance of "
-            f"{abs(result.grid.z_mm - field.grid.z_mm):.4g} mm: the samples inside it are correct; use a "
-            "larger window to include all light",
-            SamplingWarning,
-            stacklevel=3,
-        )
+PlanePropagator = TransferFunction | TiltedPropagator
+
+
+def propagator_to(
+    grid: Grid,
+    wavelength_um: float,
+    distance_mm: float,
+    dtype: DTypeLike,
+    shift_mm: tuple[float, float],
+    tilt_deg: tuple[float, float],
+) -> PlanePropagator:
+    """Return the propagator to a parallel plane, or to a tilted one where the tilt is not negligible."""
+    rim_mm = math.hypot(*grid.half_widths_mm) * math.hypot(*np.deg2rad(tilt_deg))
+    _, differing = band_wavenumbers(grid, wavelength_um)
+    # Largest phase difference of waves at the rim, in radians, at which a plane counts as not tilted.
+    level_rad = 1e-4
+    if rim_mm * differing > level_rad:
+        return TiltedPropagator(grid, wavelength_um, distance_mm, dtype, tilt_deg, shift_mm)
+    return TransferFunction(grid, wavelength_um, distance_mm, dtype, shift_mm)

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -20,14 +20,18 @@ import scipy.fft
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import (
+    TURN,
+    Pad,
     PlaneWaves,
     Samples,
+    along,
+    fft_frequencies,
     largest_lateral_shift_mm,
     period_counts,
+    phasor_of,
     windows,
 )
-
-Pad = Literal["auto"] | tuple[int, ...]
+from wavesim.fields.tilted_planes import WIDEST, RotatedSpectrum
 
 WARNED = 1e-5
 """Fraction of the energy above which a loss causes a warning: an error of about 0.4 % of the field."""
@@ -270,6 +274,63 @@ def check_propagation(
     return found
 
 
+def measure_tilted_propagation(method: RotatedSpectrum, values: Any) -> dict[str, float]:
+    """Return the fractions of the field's energy that the samples cannot represent, by name."""
+    dimensions = len(method.source.shape)
+    for axis, (n, carrier) in enumerate(zip(method.source.shape, method.carrier, strict=True)):
+        x = Samples(0.0, method.source.pitch_mm, n).offsets()
+        values = values * along(phasor_of(-TURN * carrier * x), axis, dimensions)
+    power = abs(scipy.fft.fftn(values, workers=-1)) ** 2
+    total = float(np.sum(power))
+    if not math.isfinite(total):
+        raise InputError("the field has values that are not finite")
+    base = fft_frequencies(method.source.shape, method.source.pitch_mm)
+    cycles = [f + carrier for f, carrier in zip(base, method.carrier, strict=True)]
+    turned, axial, forwards = method.directions(cycles, method.rotation.T)
+    lost = (axial <= 0.0) | (forwards <= 0.0)
+    edge, fine, wide = lost & ~lost, lost & ~lost, lost & ~lost
+    cosine = float(method.rotation[2, 2])
+    half_in = max(w + abs(c) for w, c in zip(method.source.half_widths_mm, method.centre_in, strict=True))
+    for axis, (across, out) in enumerate(zip(base, turned, strict=True)):
+        edge = edge | (abs(across) > EDGE * 0.5 / method.source.pitch_mm)
+        fine = fine | (abs(out) > 0.5 / method.target.pitch_mm * (1.0 + 1e-9))
+        slope = abs(out) / np.where(lost, np.ones_like(forwards), forwards)
+        reach = half_in * (1.0 + slope * math.sqrt(1.0 - cosine**2))
+        wide = wide | (reach > method.half_field_mm(axis))
+
+    masks = {"edge": edge, "lost": lost, "wide": wide & ~lost, "fine": fine & ~lost}
+    none = np.zeros_like(power)
+    return {
+        name: float(np.sum(np.where(mask, power, none))) / max(total, 1e-300) for name, mask in masks.items()
+    }
+
+
+def check_tilted_propagation(method: RotatedSpectrum, values: Any, coarse_output: bool) -> None:
+    """Warn, or raise SamplingError, where the samples cannot represent the field."""
+    parts = measure_tilted_propagation(method, values)
+    pitch_in, pitch_out = 1e3 * method.source.pitch_mm, 1e3 * method.target.pitch_mm
+    report_loss(
+        parts["edge"],
+        f"lies at the edge of the Nyquist band of a pitch of {pitch_in:.4g} um",
+        "sample the field more finely, or smooth its edges",
+    )
+    report_loss(
+        parts["lost"], "is evanescent, or does not cross the tilted plane forwards", "use a smaller tilt"
+    )
+    report_loss(
+        parts["wide"],
+        f"reaches the tilted plane more than {WIDEST / 2:g} half-widths away",
+        "use a smaller tilt or a narrower field",
+    )
+    if not coarse_output:
+        report_loss(
+            parts["fine"],
+            f"has frequencies above the Nyquist limit of the output pitch of {pitch_out:.4g} um",
+            f"give a pitch of {1e3 * method.finest_pitch_mm:.4g} um or less, or accept coarse samples "
+            "(coarse_output=True)",
+        )
+
+
 def check_sample_count(counts: Sequence[int], what: str) -> None:
     """Raise SamplingError if a spectrum has more than `MOST_SAMPLES` samples."""
     if math.prod(counts) > MOST_SAMPLES:
@@ -338,6 +399,20 @@ def _outside(half: float, radius: float) -> float:
 
 def _sides(counts: Pad) -> str:
     return counts if isinstance(counts, str) else " x ".join(str(n) for n in counts)
+
+
+def warn_of_escape(field: Field, result: Field) -> None:
+    """Warn if a noticeable fraction of the energy of a field leaves its window."""
+    before = field.energy
+    lost = 1.0 - result.energy / before if before > 0.0 else 0.0
+    if lost > WARNED:
+        warnings.warn(
+            f"{100.0 * lost:.2g} % of the field's energy leaves the window over a distance of "
+            f"{abs(result.grid.z_mm - field.grid.z_mm):.4g} mm: the samples inside it are correct; use a "
+            "larger window to include all light",
+            SamplingWarning,
+            stacklevel=3,
+        )
 
 
 def report_loss(fraction: float, what: str, remedy: str) -> None:

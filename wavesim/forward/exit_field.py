@@ -12,7 +12,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.fields.tilted_propagator import PlanePropagator
+from wavesim.fields.propagator import PlanePropagator
 from wavesim.forward.pixel_kernel import change_pixels, change_samples, weighted_products
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.fields.tilted_propagator import propagator_to
+from wavesim.fields.propagator import propagator_to
 from wavesim.forward.exit_field import (
     ALL_ROWS,
     ROWS,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import PlaneWaves
-from wavesim.fields.tilted_propagator import PlanePropagator
+from wavesim.fields.propagator import PlanePropagator
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.pixel_kernel import (
     add_halves,

@@ -23,7 +23,8 @@ from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWaves
-from wavesim.fields.tilted_propagator import PlanePropagator, TiltedPropagator, band_wavenumbers
+from wavesim.fields.propagator import PlanePropagator
+from wavesim.fields.tilted_planes import TiltedPropagator, band_wavenumbers
 from wavesim.forward.bands import Change, Result, Rows, change_in_bands
 from wavesim.forward.pixel_kernel import (
     add_columns_adjoint,

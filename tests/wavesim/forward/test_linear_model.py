@@ -9,7 +9,8 @@ import pytest
 from small_twins import small_twin
 
 from wavesim.fields.field import Grid
-from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
+from wavesim.fields.propagator import propagator_to
+from wavesim.fields.tilted_planes import TiltedPropagator
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
 from wavesim.forward.pixel_means import PixelMeans

@@ -11,7 +11,8 @@ from lensdesign.lens.lens import Sensor
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import PlaneWaves
-from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
+from wavesim.fields.propagator import propagator_to
+from wavesim.fields.tilted_planes import TiltedPropagator
 from wavesim.forward import bands
 from wavesim.forward.pixel_means import PixelMeans, tilt_changes
 from wavesim.runtime.threads import for_blocks

@@ -7,8 +7,8 @@ import pytest
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.propagator import propagate
-from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
+from wavesim.fields.propagator import propagate, propagator_to
+from wavesim.fields.tilted_planes import TiltedPropagator
 
 GRID = Grid((96, 80), 3.2e-3, 1.0)
 
