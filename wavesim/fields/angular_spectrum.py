@@ -22,10 +22,9 @@ from wavesim.fields.plane_waves import (
     BandLimit,
     Pad,
     PlaneWaves,
-    fast_count,
     fft_frequencies,
-    period_counts,
-    windows,
+    padded_shape,
+    sampling_windows,
 )
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import for_blocks, rows_in
@@ -58,8 +57,8 @@ class AngularSpectrum:
         self.distance_mm = target.z_mm - source.z_mm
         self.pad, self.band_limit = pad, band_limit
         if pad == "auto":
-            counts = period_counts(source, target, wavelength_um, index, self.distance_mm)
-            self.counts = tuple(fast_count(n) for n in counts)
+            counts = padded_shape(source, target, wavelength_um, index, self.distance_mm)
+            self.counts = tuple(scipy.fft.next_fast_len(n) for n in counts)
         elif len(pad) == len(source.shape) and all(n >= m for n, m in zip(pad, source.shape, strict=True)):
             self.counts = pad
         else:
@@ -78,8 +77,8 @@ class AngularSpectrum:
 
     def factor(self, dtype: Any = None) -> Any:
         """Return the factor of each plane wave, in FFT order."""
-        pairs = windows(self.source, self.target)
-        bands = [pair.pass_band(n) for pair, n in zip(pairs, self.counts, strict=True)]
+        pairs = sampling_windows(self.source, self.target)
+        bands = [pair.band_limit(n) for pair, n in zip(pairs, self.counts, strict=True)]
         if not self.band_limit:
             bands = [BandLimit(pair.shift_mm, math.inf, math.inf) for pair in pairs]
         cycles = fft_frequencies(self.counts, self.source.pitch_mm)

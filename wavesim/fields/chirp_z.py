@@ -22,10 +22,9 @@ from wavesim.fields.plane_waves import (
     PlaneWaves,
     Samples,
     along,
-    fast_count,
-    period_counts,
+    padded_shape,
     phasor_of,
-    windows,
+    sampling_windows,
 )
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
@@ -71,7 +70,7 @@ def chirp_z_transform(
     rate = 0.5 * two_pi * source.step * target.step
     order_x = np.arange(source.count, dtype=np.float64) - 0.5 * (source.count - 1)
     order_f = np.arange(target.count, dtype=np.float64) - 0.5 * (target.count - 1)
-    size = fast_count(source.count + target.count - 1)
+    size = scipy.fft.next_fast_len(source.count + target.count - 1)
     lag = np.arange(size, dtype=np.float64)
     lag = np.where(lag < target.count, lag, lag - size) - 0.5 * (target.count - source.count)
     chirp = scipy.fft.fft(wave(-rate * lag**2), axis=axis, workers=-1)
@@ -96,8 +95,10 @@ class ChirpZ:
         self.distance_mm = target.z_mm - source.z_mm
         self.inputs = [Samples(0.0, source.pitch_mm, n) for n in source.shape]
         self.outputs = [Samples(0.0, target.pitch_mm, n) for n in target.shape]
-        counts = period_counts(source, target, wavelength_um, index, self.distance_mm)
-        self.bands = [pair.pass_band(n) for pair, n in zip(windows(source, target), counts, strict=True)]
+        counts = padded_shape(source, target, wavelength_um, index, self.distance_mm)
+        self.bands = [
+            pair.band_limit(n) for pair, n in zip(sampling_windows(source, target), counts, strict=True)
+        ]
         self.frequencies = self._arriving(source, counts)
         self.counts = tuple(f.count for f in self.frequencies)
         self.samples = math.prod(self.counts)
@@ -191,5 +192,5 @@ class ChirpZ:
         for counts in ([f.count for f in self.frequencies], self.target.shape):
             for axis, result in enumerate(counts):
                 given = shape[axis]
-                yield given, fast_count(given + result - 1), result, math.prod(shape) // given
+                yield given, scipy.fft.next_fast_len(given + result - 1), result, math.prod(shape) // given
                 shape[axis] = result

@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
@@ -222,7 +221,7 @@ class SamplingWindow:
         """Half the sum of the widths: the largest difference from the shift at which light ends inside."""
         return self.half_in_mm + self.half_out_mm
 
-    def pass_band(self, count: int) -> BandLimit:
+    def band_limit(self, count: int) -> BandLimit:
         """Return the shifts to transmit if a period of the field has `count` samples."""
         period = count * self.pitch_mm
         if period >= 2.0 * self.reach_mm:
@@ -230,7 +229,7 @@ class SamplingWindow:
         return BandLimit(self.shift_mm, 0.5 * period, 0.5 * period)
 
 
-def windows(source: Grid, target: Grid) -> list[SamplingWindow]:
+def sampling_windows(source: Grid, target: Grid) -> list[SamplingWindow]:
     """Return the sampling windows of all axes."""
     return [
         SamplingWindow(source.pitch_mm, target_centre - source_centre, half_in, half_out)
@@ -245,20 +244,15 @@ def centres_mm(grid: Grid) -> tuple[float, ...]:
     return grid.centre_mm[::-1][: len(grid.shape)]
 
 
-def period_counts(
+def padded_shape(
     source: Grid, target: Grid, wavelength_um: float, index: float, distance_mm: float
 ) -> tuple[int, ...]:
     """Return the samples of a period along each axis for which no copy of the field reaches the output."""
     counts = []
     steepest = largest_lateral_shift_mm(source, wavelength_um, index, distance_mm)
-    for axis, pair in enumerate(windows(source, target)):
+    for axis, pair in enumerate(sampling_windows(source, target)):
         farthest = min(pair.reach_mm + abs(pair.shift_mm), steepest)
         fade = FADE_ZONES * fresnel_length_mm(wavelength_um, index, distance_mm, farthest)
         period = min(2.0 * pair.reach_mm, pair.reach_mm + abs(pair.shift_mm) + steepest) + fade
         counts.append(max(math.ceil(period / pair.pitch_mm - 1e-9), source.shape[axis]))
     return tuple(counts)
-
-
-def fast_count(count: int) -> int:
-    """Return the next larger size at which Fourier transforms are fast."""
-    return int(scipy.fft.next_fast_len(count))

@@ -27,9 +27,9 @@ from wavesim.fields.plane_waves import (
     along,
     fft_frequencies,
     largest_lateral_shift_mm,
-    period_counts,
+    padded_shape,
     phasor_of,
-    windows,
+    sampling_windows,
 )
 from wavesim.fields.tilted_planes import WIDEST, RotatedSpectrum
 
@@ -159,8 +159,8 @@ def measure_propagation(
     blur = math.sqrt(1e-3 * field.wavelength_um / field.index * abs(distance_mm))
     counts = pad
     if counts == "auto":
-        counts = period_counts(field.grid, target, field.wavelength_um, field.index, distance_mm)
-    pairs = windows(field.grid, target)
+        counts = padded_shape(field.grid, target, field.wavelength_um, field.index, distance_mm)
+    pairs = sampling_windows(field.grid, target)
     for axis, (across, shift_mm, pair) in enumerate(zip(cycles, shifts_mm, pairs, strict=True)):
         edge = edge | (abs(across) > EDGE * 0.5 / field.grid.pitch_mm)
         fine = fine | (abs(across) > 0.5 / target.pitch_mm * (1.0 + 1e-9))
@@ -168,7 +168,7 @@ def measure_propagation(
         arrival = abs(shift_mm + centre - pair.shift_mm)
         inside = arrival < pair.half_out_mm + half
         strays = arrival > counts[axis] * pair.pitch_mm - pair.half_out_mm - half - 0.5 * blur
-        passed = pair.pass_band(counts[axis]).weight(shift_mm) if band_limit else np.ones_like(shift_mm)
+        passed = pair.band_limit(counts[axis]).weight(shift_mm) if band_limit else np.ones_like(shift_mm)
         wrong = np.where(strays, passed**2, 0.0) + np.where(inside, (1.0 - passed) ** 2, 0.0)
         lands, astray = lands & inside, astray + wrong
     squared = sum((2.0 * math.pi * across) ** 2 for across in cycles)
@@ -251,7 +251,7 @@ def check_propagation(
         f"is in evanescent waves that have not decayed over {abs(distance_mm):.4g} mm and are omitted",
         "smooth the field to features above half a wavelength, or propagate it farther",
     )
-    counts = period_counts(source, target, field.wavelength_um, field.index, distance_mm)
+    counts = padded_shape(source, target, field.wavelength_um, field.index, distance_mm)
     critical = critical_distance_mm(source, field.wavelength_um, field.index, None if pad == "auto" else pad)
     report_loss(
         found.wrapped,
@@ -380,7 +380,7 @@ def predicted_relative_error(
 
     counts = pad
     if counts == "auto":
-        counts = period_counts(grid, grid, wavelength_um, 1.0, distance_mm)
+        counts = padded_shape(grid, grid, wavelength_um, 1.0, distance_mm)
     lost = 0.0
     for count, half in zip(counts, grid.half_widths_mm, strict=True):
         lost += 2.0 * _outside(0.5 / grid.pitch_mm, spread) + _outside(1e3 / wavelength_um, spread)

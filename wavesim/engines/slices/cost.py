@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+import scipy.fft
+
 from wavesim.engines.slices.samples import BLOCK, index_type
 from wavesim.engines.slices.windows import BLOCK_BYTES, TRANSFER_FINENESS, Waves
 from wavesim.engines.surfaces.grids import LightExtent
-from wavesim.fields.plane_waves import fast_count
 from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import THREADS
@@ -79,7 +80,7 @@ def _ends(scene: Scene, sides: Sequence[tuple[Waves, Waves]], unit: int) -> tupl
     """Return seconds and bytes of the propagation from the object and to the exit."""
     seconds, most = 0.0, 0
     for waves, grid in ((sides[0][0], scene.object_grid), (sides[-1][1], scene.exit_grid)):
-        length = fast_count(waves.shape[0] + grid.shape[0])
+        length = scipy.fft.next_fast_len(waves.shape[0] + grid.shape[0])
         others = max(waves.shape[0], grid.shape[0]) + min(waves.shape[0], grid.shape[0])
         lines = 1 if grid.is_line else others
         seconds += 2.0 * fft_seconds(length * lines, True) + 4.0 * exponential_seconds(waves.size)
