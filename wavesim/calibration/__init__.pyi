@@ -1,6 +1,6 @@
 from .calibration_result import Calibrated, read_calibration
 from .frame_calibration import calibrate_empty, calibrate_frames
-from .free_space.field import FreeSpaceField, reconstruct_free_space
+from .free_space import FreeSpaceField, reconstruct_free_space
 from .known_object import calibrate
 from .planning import Plan, Plans, plan_frames
 

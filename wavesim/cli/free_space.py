@@ -13,7 +13,7 @@ from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import FrameSetSettings, FreeSpaceSettings, ReconstructionSettings, SettingError
 
 if TYPE_CHECKING:
-    from wavesim.calibration.free_space.field import FreeSpaceField
+    from wavesim.calibration.free_space import FreeSpaceField
 
 
 def in_free_space(
@@ -26,7 +26,7 @@ def in_free_space(
     as_json: bool,
 ) -> None:
     """Reconstruct the field on z = 0 and write it, with the requested parameters of the planes."""
-    from wavesim.calibration.free_space.field import (
+    from wavesim.calibration.free_space import (
         DEFAULT_FRAME_SETTINGS,
         ITERATIONS,
         reconstruct_free_space,

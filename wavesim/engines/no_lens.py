@@ -1,17 +1,21 @@
-"""No lens: free space from the object to the exit grid.
+"""No lens: free space from the object to the exit grid, or to recording planes right behind the object.
 
-It gives what a sensor in the same position would record of the object without the lens (the paper's Fig. 5e).
+They give what a sensor in the same position would record of the object without the lens (the paper's
+Fig. 5e).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from lensdesign.errors import InputError
 from wavesim.engines.surfaces.grids import check_grid_size
+from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
@@ -59,3 +63,45 @@ class NoLens(Engine):
 
     def settings(self) -> dict[str, Any]:
         return {}
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Identity operator on the samples of the object plane, for recording planes behind it.
+
+    It describes in-line holograms and lensless cameras. It needs no scene, so it is not in the registry; it
+    has the interface that a reconstruction needs from an engine.
+
+    Attributes
+    ----------
+    object_grid : Grid
+        Grid of the object.
+    """
+
+    object_grid: Grid
+
+    @property
+    def exit_grid(self) -> Grid:
+        """The grid of the object."""
+        return self.object_grid
+
+    @property
+    def scene(self) -> FreeSpace:
+        """The object itself, which holds both grids."""
+        return self
+
+    def forward(self, field: Field) -> Field:
+        """Return the field unchanged.
+
+        Raises
+        ------
+        InputError
+            If the field does not lie on the grid.
+        """
+        if field.grid != self.object_grid:
+            raise InputError(f"the field's grid {field.grid} is not that of free space, {self.object_grid}")
+        return field
+
+    def adjoint(self, field: Field) -> Field:
+        """Return the field unchanged, as :meth:`forward`."""
+        return self.forward(field)

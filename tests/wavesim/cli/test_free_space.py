@@ -11,7 +11,7 @@ from PIL import Image
 from places import GOLDEN
 from programs import Command
 
-from wavesim.calibration.free_space import descent
+from wavesim.calibration import free_space
 
 SERIES = GOLDEN / "through_focus"
 FRAMES = tuple(SERIES / f"z_+0{z}_um.png" for z in (10, 30, 80))
@@ -22,7 +22,7 @@ AT = ("--plane-distance-mm", "0.01,0.03,0.08")
 def test_planes_are_predicted_and_written(
     wavesim: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(descent, "SCALE_ITERATIONS", 5)
+    monkeypatch.setattr(free_space, "SCALE_ITERATIONS", 5)
     more = ("--calibrate", "--iterations", 20, "--predict-mm", "0.05,0", "-o", tmp_path / "out", "--json")
     code, out, err = wavesim("reconstruct", *FRAMES, *LIGHT, *AT, *more)
     assert code == 0, err

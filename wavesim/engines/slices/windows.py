@@ -124,8 +124,8 @@ def surface_grids(
     ends = ((0, 0, scene.object_grid, farthest_z_mm), (last, last + 1, scene.exit_grid, nearest_z_mm))
     for i, medium, grid, z_mm in ends:
         # No periodic copy of light that leaves the window reaches the grid.
-        walk = abs(grid.z_mm - z_mm) * light.tangents[medium]
-        halves[i] = max(halves[i], 0.5 * (_farthest_mm(grid, light.middle_mm) + light.reach_mm[i] + walk))
+        shift_mm = abs(grid.z_mm - z_mm) * light.tangents[medium]
+        halves[i] = max(halves[i], 0.5 * (_farthest_mm(grid, light.middle_mm) + light.reach_mm[i] + shift_mm))
     return tuple(
         sampled(scene, light, coarsest, half, pitch_mm, half_width_mm)
         for coarsest, half in zip(light.coarsest_mm, halves, strict=True)

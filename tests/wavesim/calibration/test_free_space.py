@@ -10,8 +10,8 @@ from PIL import Image
 from places import GOLDEN
 
 from lensdesign.errors import InputError
-from wavesim.calibration.free_space import descent
-from wavesim.calibration.free_space.field import (
+from wavesim.calibration import free_space
+from wavesim.calibration.free_space import (
     DEFAULT_FRAME_SETTINGS,
     FreeSpaceField,
     NotExplainedWarning,
@@ -59,7 +59,7 @@ def alike(found: FreeSpaceField, z_um: float) -> float:
     return float(np.corrcoef(modelled.flat, true.flat)[0, 1])
 
 
-@pytest.mark.filterwarnings("ignore::wavesim.calibration.free_space.field.NotExplainedWarning")
+@pytest.mark.filterwarnings("ignore::wavesim.calibration.free_space.NotExplainedWarning")
 def test_a_stack_tells_its_drift_its_scale_and_its_exposures_and_predicts_other_planes() -> None:
     frames = [frame(z, 1.0 / gain) for z, gain in zip(PLANES_UM, GAINS, strict=True)]
     found = reconstruct_free_space(frames, calibrates=True, iterations=60)
@@ -82,9 +82,9 @@ def real_frames(*planes_um: int) -> list[Frame]:
     return [read_frame(folder / f"z_{z:+04d}_um.png", plane_distance_mm=1e-3 * z, **given) for z in planes_um]
 
 
-@pytest.mark.filterwarnings("ignore::wavesim.calibration.free_space.field.NotExplainedWarning")
+@pytest.mark.filterwarnings("ignore::wavesim.calibration.free_space.NotExplainedWarning")
 def test_a_real_series_predicts_a_plane_that_it_was_not_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(descent, "SCALES", (0.94, 1.07))
+    monkeypatch.setattr(free_space, "SCALES", (0.94, 1.07))
     found = reconstruct_free_space(real_frames(10, 30, 80), calibrates=True, iterations=100)
     assert found.distance_scale == pytest.approx(1.0, abs=0.03)
     assert found.drift == pytest.approx((0.003, -0.006), abs=0.002)

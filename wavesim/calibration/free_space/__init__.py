@@ -1,1 +1,0 @@
-"""Frames in free space without a lens: their stack, the descent, and the resulting field."""
