@@ -76,3 +76,14 @@ def test_files_that_pages_show_are_valid(tmp_path: Path) -> None:
     assert whole.high_fidelity_merits
     (sheet,) = blocks(ROOT / "docs" / "making.md", "toml")
     validate(DrawingOptions, tomllib.loads(sheet), "docs/making.md")
+
+
+def test_classes_in_the_figure_of_the_forward_model_exist() -> None:
+    page = (ROOT / "docs" / "chain.md").read_text(encoding="utf-8")
+    named = {
+        name for words in re.findall(r'class="class">([^<]+)<', page) for name in words.split(", ")
+    } | set(re.findall(r">(\w+Model)<", page))
+    assert len(named) > 8
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "wavesim").rglob("*.py")]
+    defined = {name for text in sources for name in re.findall(r"^(?:class|def) (\w+)", text, re.MULTILINE)}
+    assert named <= defined
