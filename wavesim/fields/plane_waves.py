@@ -10,7 +10,7 @@ over a few Fresnel zones, since a sharp cut would cause ripples.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -140,8 +140,10 @@ class PlaneWaves:
         squared = np.asarray((2e3 * math.pi * self.index / self.wavelength_um) ** 2)
         for cycles in self.cycles_per_mm:
             squared = squared - (2.0 * math.pi * cycles) ** 2
-        propagating = np.sqrt(np.where(squared > 0.0, squared, np.zeros_like(squared)))
-        return np.maximum(propagating, self.smallest_kz_per_mm)
+        # In place, because these arrays are the largest of some engines.
+        np.maximum(squared, 0.0, out=squared)
+        np.sqrt(squared, out=squared)
+        return np.maximum(squared, self.smallest_kz_per_mm, out=squared)
 
     @property
     def propagating(self) -> NDArray[np.bool_]:
@@ -153,10 +155,11 @@ class PlaneWaves:
         """Transverse wavenumbers (1/mm) along each axis (y, then x)."""
         return [2.0 * math.pi * cycles for cycles in self.cycles_per_mm]
 
-    def lateral_shift_mm(self, distance_mm: float) -> list[Any]:
-        """Return the lateral shift along each axis over a distance; meaningless where kz is 0."""
+    def lateral_shift_mm(self, distance_mm: float) -> Iterator[Any]:
+        """Yield the lateral shift along each axis over a distance; meaningless where kz is 0."""
         safe = np.where(self.kz > 0.0, self.kz, np.ones_like(self.kz))
-        return [2.0 * math.pi * distance_mm * cycles / safe for cycles in self.cycles_per_mm]
+        for cycles in self.cycles_per_mm:
+            yield 2.0 * math.pi * distance_mm * cycles / safe
 
     def transfer_function(
         self, distance_mm: float, bands: Sequence[BandLimit] | None = None, *, dtype: Any = None
@@ -166,13 +169,18 @@ class PlaneWaves:
         With `bands` the factor refers to the shifted output window, and waves outside the bands are blocked.
         The result is complex128, or complex64 if that is the `dtype`.
         """
-        phase, weight = self.kz * distance_mm, self.propagating
-        if bands is not None:
-            shifts_mm = self.lateral_shift_mm(distance_mm)
-            for cycles, shift_mm, band in zip(self.cycles_per_mm, shifts_mm, bands, strict=True):
-                weight = weight * band.weight(shift_mm)
-                phase = phase + TURN * band.shift_mm * cycles
+        if bands is None:
+            factor = phasor_of(self.kz * distance_mm, dtype)
+            factor[~self.propagating] = 0.0
+            return factor
+        phase, weight = self.kz * distance_mm, self.propagating.astype(float)
+        for cycles, shift_mm, band in zip(
+            self.cycles_per_mm, self.lateral_shift_mm(distance_mm), bands, strict=True
+        ):
+            weight *= band.weight(shift_mm)
+            phase += TURN * band.shift_mm * cycles
         factor = phasor_of(phase, dtype)
+        del phase
         factor *= np.asarray(weight, factor.real.dtype)
         return factor
 
