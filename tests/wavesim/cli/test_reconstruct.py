@@ -11,8 +11,9 @@ from PIL import Image
 from programs import Command
 from wavesim_command import ENDED, PLANES_MM, frames_and_design
 
-from wavesim.reconstruction import forward_model, phase_retrieval, resumable
+from wavesim.forward import forward_model
 from wavesim.reconstruction import object_solver as reconstruction
+from wavesim.reconstruction import phase_retrieval, resumable
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 
