@@ -126,11 +126,12 @@ def stoppable() -> Iterator[None]:
 def _interrupt_in(error: BaseException) -> KeyboardInterrupt | None:
     """Return the interrupt that caused an error, or None.
 
-    Before version 3.12, Python converts an exception in `__set_name__` to a RuntimeError.
+    Before version 3.12, Python converts an exception in `__set_name__` to a RuntimeError. Libraries
+    that catch everything, as some do while they import their parts, raise other errors in its place.
     """
     found: BaseException | None = error
     while found is not None and not isinstance(found, KeyboardInterrupt):
-        found = found.__cause__
+        found = found.__cause__ or found.__context__
     return found
 
 

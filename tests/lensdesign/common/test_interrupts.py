@@ -169,8 +169,13 @@ DESCRIPTOR = (
     "class Own: a = Named()"
 )
 
+LIBRARY = (
+    "import signal\ntry: signal.raise_signal({})\n"
+    "except BaseException: raise ImportError('a part of the library is missing')"
+)
 
-@pytest.mark.parametrize("code", [STRING, DESCRIPTOR])
+
+@pytest.mark.parametrize("code", [STRING, DESCRIPTOR, LIBRARY])
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
 def test_what_python_makes_of_an_interrupt(
     tmp_path: Path, code: str, number: signal.Signals, status: int
