@@ -22,6 +22,15 @@ def dot_product_mismatch(engine: Engine, seed: int = 5) -> float:
     return float(abs(there - back) / abs(there))
 
 
+def engine_peak_bytes(engine: Engine, field: Field, way: str = "forward") -> int:
+    """Most memory at one time in the first use of an engine.
+
+    Another engine runs before, because loops that have to be compiled take memory too.
+    """
+    getattr(type(engine)(engine.scene, **engine.settings()), way)(field)
+    return peak_bytes(lambda: getattr(engine, way)(field))
+
+
 def peak_bytes(run: Callable[[], object]) -> int:
     """Most memory at one time, as NumPy and Python tell it."""
     tracemalloc.start()

@@ -50,9 +50,11 @@ def run(scene, way):
     return taken, engine.cost().peak_bytes_in_single
 
 
-run(scene_of(1 / 128, 0.004), "forward")  # libraries, compiled loops
+ways = "forward", "adjoint"
+for way in ways:
+    run(scene_of(1 / 128, 0.004), way)  # libraries, compiled loops
 scene = scene_of(scale, patch_mm, side)
-print(json.dumps([run(scene, way) for way in ("forward", "adjoint")]))
+print(json.dumps([run(scene, way) for way in ways]))
 """
 
 

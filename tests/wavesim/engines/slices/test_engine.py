@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from engine_checks import dot_product_mismatch, peak_bytes
+from engine_checks import dot_product_mismatch, engine_peak_bytes
 from numpy.typing import NDArray
 from places import DESIGNS
 from scipy.interpolate import CubicSpline
@@ -355,7 +355,7 @@ def test_predicts_its_memory(paper_line: Scene, where: str) -> None:
     source = spot(scene.object_grid, 0.003)
     engine = AnnularSlices(scene, 3, "oblique")
     cost = engine.cost()
-    peak = peak_bytes(lambda: engine.forward(source))
+    peak = engine_peak_bytes(engine, source)
     assert cost.peak_bytes == pytest.approx(peak, rel=0.3)
 
 
