@@ -80,12 +80,12 @@ def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> Noise
     is_bright = amplitude >= 2.0 * dark_ratio * sigma
     deviation = np.where(is_bright, 2.0 * amplitude, 4.0 * dark_ratio * sigma) * sigma
     floor = float(np.quantile(deviation, 0.02))
-    ratio = _ratio(error, sigma, np.ones(len(sigma), bool))
-    dark = _ratio(error, sigma, deviation <= DARK * floor)
-    bright = _ratio(error, sigma, deviation >= BRIGHT * floor)
+    ratio, effective_pixels = _ratio(error, sigma, np.ones(len(sigma), bool))
+    dark, _ = _ratio(error, sigma, deviation <= DARK * floor)
+    bright, _ = _ratio(error, sigma, deviation >= BRIGHT * floor)
     assert ratio is not None
     # The ratio must be smaller than 1 by four of its standard deviations.
-    sure = 4.0 / math.sqrt(2.0 * len(sigma))
+    sure = 4.0 / math.sqrt(2.0 * effective_pixels)
     if rounding > 0.5:
         overstated = ratio < ROUNDED
     else:
@@ -96,11 +96,20 @@ def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> Noise
     )
 
 
-def _ratio(error: np.ndarray, sigma: np.ndarray, chosen: np.ndarray) -> float | None:
-    """Return the root mean square of residuals over that of the stated noise, for the chosen pixels."""
+def _ratio(error: np.ndarray, sigma: np.ndarray, chosen: np.ndarray) -> tuple[float | None, float]:
+    """Return the root mean square of residuals over that of the stated noise, and its number of pixels.
+
+    With several exposures a few pixels, which only the shortest one does not saturate, have nearly all of the
+    noise. If they are effectively fewer than `LEAST_PIXELS`, each pixel's residual counts relative to its own
+    noise. The ratio is None if too few pixels are chosen.
+    """
     if np.count_nonzero(chosen) < LEAST_PIXELS:
-        return None
-    return math.sqrt(float(np.sum(error[chosen] ** 2)) / float(np.sum(sigma[chosen] ** 2)))
+        return None, 0.0
+    squared, variance = error[chosen] ** 2, sigma[chosen] ** 2
+    effective = float(np.sum(variance)) ** 2 / float(np.sum(variance**2))
+    if effective >= LEAST_PIXELS:
+        return math.sqrt(float(np.sum(squared)) / float(np.sum(variance))), effective
+    return math.sqrt(float(np.mean(squared / variance))), float(len(variance))
 
 
 def _explanation(ratio: float, dark: float | None, bright: float | None) -> str:

@@ -66,6 +66,35 @@ def test_the_gain_that_would_explain_it_is_stated() -> None:
     assert found.bright_ratio**-2 == pytest.approx(30.0, rel=0.2)
 
 
+def several_exposures(gain: float, seed: int) -> PlaneResidual:
+    """Residuals of a perfect model; a few pixels are only known from an exposure a thousand times shorter."""
+    random = np.random.default_rng(seed)
+    electrons = np.full(SHAPE, 1e5)
+    exposures = np.full(SHAPE, 1e3)
+    bright = np.unravel_index(np.arange(0, electrons.size, 2000), SHAPE)
+    electrons[bright], exposures[bright] = 1e8, 1.0
+    seen = random.poisson(electrons * exposures * 1e-3) / gain
+    recorded = recorded_intensity(1.0, seen / exposures, seen / exposures**2)
+    assert recorded.sigma is not None
+    held = np.arange(0, electrons.size, 20)
+    error = np.sqrt(1e-3 * electrons / gain) - recorded.amplitude
+    return PlaneResidual(1.0, recorded.amplitude, recorded.sigma, error, held, recorded.sigma.ravel()[held])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_few_bright_pixels_do_not_decide_alone(seed: int) -> None:
+    """Fifteen held-out pixels have nearly all of the noise of the others together."""
+    found = noise_check([several_exposures(1.0, seed)])
+    assert found is not None
+    assert not found.is_too_small
+
+
+def test_a_wrong_gain_shows_in_several_exposures() -> None:
+    found = noise_check([several_exposures(30.0, 0)])
+    assert found is not None
+    assert found.is_too_small
+
+
 def test_few_pixels_say_nothing() -> None:
     some = plane()
     assert noise_check([some._replace(held=some.held[:20], held_sigma=some.held_sigma[:20])]) is None
