@@ -437,6 +437,28 @@ PERFECT = (
         ),
     ),
     Case(
+        "letters, 1/48, bandwidth of 20 nm stated",
+        "perfect",
+        Bench(
+            1 / 48,
+            "letters",
+            patch_mm=0.03,
+            imaged=(("bandwidth_nm", 20.0),),
+            reconstructed=(("bandwidth_nm", 20.0),),
+        ),
+    ),
+    Case(
+        "star, 1/48, bandwidth of 30 nm to be found",
+        "perfect",
+        Bench(
+            1 / 48,
+            "star",
+            patch_mm=0.03,
+            imaged=(("bandwidth_nm", 30.0),),
+            reconstructed=(("bandwidth_nm", "find"),),
+        ),
+    ),
+    Case(
         "tissue, 1/48, source of 0.1 deg stated",
         "perfect",
         Bench(

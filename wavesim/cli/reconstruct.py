@@ -343,6 +343,8 @@ def _figures(summary: dict[str, Any]) -> list[str]:
         lines.append(summary["engine_replaced"]["words"])
     if "source_deg" in summary:
         lines.append(f"diameter of the light source {summary['source_deg']:.3g} deg")
+    if "bandwidth_nm" in summary:
+        lines.append(f"bandwidth of the light {summary['bandwidth_nm']:.3g} nm")
     if summary["region_mm"] is not None:
         x, y, width, height = summary["region_mm"]
         lines.append(

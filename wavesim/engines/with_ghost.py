@@ -45,6 +45,9 @@ class WithGhost(Engine):
             )
         self.straight, self.reflectance = straight, reflectance
 
+    def at_wavelength(self, wavelength_um: float) -> Engine:
+        return WithGhost(self.straight.at_wavelength(wavelength_um), self.reflectance)
+
     @cached_property
     def ghost(self) -> EikonalTiles:
         """Engine of the ghost, with both reflectances set to 1."""

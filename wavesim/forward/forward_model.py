@@ -7,15 +7,16 @@ A pixel measures the mean of |u|^2 over its square. The step follows the gradien
 ratio of measured to modelled amplitude is spread over its square. Planes are processed one after the other,
 so that only one plane's fields are in memory.
 
-Light of an extended source consists of a few modes. Each has its own direction, and they do not interfere. A
-pixel measures the sum of their intensities, and each mode is changed by the ratio of the measured amplitude
-to that of the sum.
+Light of an extended or polychromatic source consists of a few modes. Each has its own direction and
+wavelength, and they do not interfere. A pixel measures the sum of their intensities, and each mode is changed
+by the ratio of the measured amplitude to that of the sum.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.fields.propagator import propagator_to
+from wavesim.fields.propagator import PlanePropagator, propagator_to
 from wavesim.forward.exit_field import (
     ALL_ROWS,
     ROWS,
@@ -36,7 +37,7 @@ from wavesim.forward.exit_field import (
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
-from wavesim.scene.engine import Operator, Tiled
+from wavesim.scene.engine import Engine, Operator, Tiled
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, full_weight_sigma, weights_of
@@ -59,7 +60,8 @@ class ForwardModel:
     scratch
         Storage of arrays that persist; default: memory.
     modes
-        Modes of the light of an extended source, all of one wavelength; default: a single mode.
+        Modes of the light of an extended or polychromatic source; default: a single mode. Other wavelengths
+        than the illumination's have their own engines (:meth:`wavesim.scene.engine.Engine.at_wavelength`).
     rows
         For each plane, the rows of the exit grid in which the engine gives the field on its pixels. The
         pixels are then points, and planes lie at distance 0. Default: planes are reached through free space
@@ -78,7 +80,7 @@ class ForwardModel:
         rows: Sequence[slice] = (),
     ) -> None:
         self.engine, self.illumination, self.recorded, self.rows = engine, illumination, recorded, rows
-        self.modes = modes if len(modes) > 1 else ()
+        self.fill_factor, self.modes = fill_factor, modes if len(modes) > 1 else ()
         power = np.abs(illumination.values)
         power *= power
         self.peak_power = float(power.max())
@@ -87,10 +89,14 @@ class ForwardModel:
         del power
         grid = engine.scene.exit_grid
         self.pixels = PixelMeans(grid, fill_factor) if fill_factor > 0.0 or self.modes else None
-        self.propagators = [
-            propagator_to(grid, illumination.wavelength_um, p.distance_mm, self.dtype, p.shift_mm, p.tilt_deg)
-            for p in recorded
-        ]
+        self.propagators = self._propagators(illumination.wavelength_um)
+        self._propagators_of = {illumination.wavelength_um: self.propagators}
+        self._engines: dict[float, Operator] = {illumination.wavelength_um: engine}
+        for mode in self.modes:
+            if mode.wavelength_um not in self._engines:
+                assert isinstance(engine, Engine)
+                self._propagators_of[mode.wavelength_um] = self._propagators(mode.wavelength_um)
+                self._engines[mode.wavelength_um] = engine.at_wavelength(mode.wavelength_um)
         largest_sigma = full_weight_sigma(recorded)
         self._planes = [
             PlaneRecord.of(
@@ -102,6 +108,14 @@ class ForwardModel:
         ]
         self.size = math.sqrt(sum(plane.energy for plane in self._planes))
         self.scale, self.knows_scale, self.fits_scale = scale or 1.0, scale is not None, False
+
+    def _propagators(self, wavelength_um: float) -> list[PlanePropagator]:
+        """Return the propagators from the exit grid to all planes for one wavelength."""
+        grid = self.engine.scene.exit_grid
+        return [
+            propagator_to(grid, wavelength_um, p.distance_mm, self.dtype, p.shift_mm, p.tilt_deg)
+            for p in self.recorded
+        ]
 
     @property
     def weights(self) -> list[RealArray | None]:
@@ -224,14 +238,14 @@ class ForwardModel:
 
     def _at_exit(self, transmission: NDArray[Any], light: Field) -> ComplexArray:
         """Return the field on the exit grid."""
-        lit = self.illumination.with_values(np.multiply(transmission, light.values))
-        return np.asarray(self.engine.forward(lit).values, self.dtype)
+        lit = light.with_values(np.multiply(transmission, light.values))
+        return np.asarray(self._engines[light.wavelength_um].forward(lit).values, self.dtype)
 
     def _adjoint_to_object(self, change: ComplexArray, light: Field) -> ComplexArray:
         """Return the change of the transmission due to a change on the exit grid, which is overwritten."""
         scene, values = self.engine.scene, light.values
         field = Field(scene.exit_grid, change.reshape(scene.exit_grid.shape), light.wavelength_um)
-        result = np.require(self.engine.adjoint(field).values, self.dtype, ["W"])
+        result = np.require(self._engines[light.wavelength_um].adjoint(field).values, self.dtype, ["W"])
         fraction = 1.0 / (self.peak_power * len(self.recorded))
 
         def rows(start: int, stop: int) -> None:
@@ -250,16 +264,18 @@ class ForwardModel:
         ]
 
     def _light(self, mode: SourceMode) -> Field:
-        return LightErrors(mode.tilt_deg).on(self.illumination)
+        light = LightErrors(mode.tilt_deg).on(self.illumination)
+        return replace(light, wavelength_um=mode.wavelength_um)
 
     def _intensities(self, spectra: Sequence[ComplexArray]) -> list[RealArray]:
         """Return the total intensity of all modes on each plane."""
         assert self.pixels is not None
         found, rows = [], None
-        for plane in self._planes:
+        for index, plane in enumerate(self._planes):
             total = np.zeros(plane.amplitude.shape, self.real)
             for mode, spectrum in zip(self.modes, spectra, strict=True):
-                rows = self.pixels.propagate(spectrum, plane.propagator, rows)
+                propagator = self._propagators_of[mode.wavelength_um][index]
+                rows = self.pixels.propagate(spectrum, propagator, rows)
                 total += self.real.type(mode.weight) * self.pixels.intensity(rows)
             found.append(total)
         return found
@@ -278,8 +294,8 @@ class ForwardModel:
                 for plane, ratio in zip(self._planes, ratios, strict=True)
             )
             squared_misfit = squared_misfit if iteration else misfit_of_planes
-            for spectrum, total in zip(spectra, totals, strict=True):
-                change = self._change_of_mode(spectrum, ratios)
+            for mode, spectrum, total in zip(self.modes, spectra, totals, strict=True):
+                change = self._change_of_mode(mode, spectrum, ratios)
                 add_fraction(spectrum, change, length / len(self.recorded))
                 total += change
         del spectra
@@ -289,12 +305,14 @@ class ForwardModel:
             result += self.real.type(mode.weight) * self._adjoint_to_object(exit_field, self._light(mode))
         return result, self.scale * math.sqrt(squared_misfit) / self.size
 
-    def _change_of_mode(self, spectrum: ComplexArray, ratios: Sequence[RealArray]) -> ComplexArray:
+    def _change_of_mode(
+        self, mode: SourceMode, spectrum: ComplexArray, ratios: Sequence[RealArray]
+    ) -> ComplexArray:
         assert self.pixels is not None
         change, rows = np.zeros_like(spectrum), None
-        for plane, ratio in zip(self._planes, ratios, strict=True):
-            rows = self.pixels.propagate(spectrum, plane.propagator, rows)
-            self.pixels.add_adjoint(rows, ratio, plane.propagator, change)
+        for propagator, ratio in zip(self._propagators_of[mode.wavelength_um], ratios, strict=True):
+            rows = self.pixels.propagate(spectrum, propagator, rows)
+            self.pixels.add_adjoint(rows, ratio, propagator, change)
         return change
 
     def _fit_scale(self, products: Iterable[tuple[float, float]]) -> None:

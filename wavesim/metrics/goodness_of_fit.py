@@ -60,14 +60,15 @@ ADVICE = {
     "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",
     "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
+    "bandwidth": "state the bandwidth (--bandwidth-nm), let it be found (--bandwidth-nm find), or "
+    "narrow it with a filter",
     "vibration": "mount the camera more firmly, or expose for a shorter time",
     "iterations": "give more --iterations",
     "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
     "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
     "object, tilted light and a shifted plane give the same frames",
-    "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted, and the "
-    "light's bandwidth with its data sheet (a filter narrows it)",
+    "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted",
 }
 
 
@@ -391,25 +392,22 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
     best = min(
         trials, key=lambda trial: trial.misfit_ratio * factor_of_cause.get(trial.cause, 1.0), default=None
     )
-    # Causes that no trial can show: the model of a reconstruction has one wavelength.
-    not_tried = "bandwidth of the light"
     if best is not None and best.gain > LEAST_GAIN:
         evidence = f"tried: {best.explanation}, which multiplies the misfit by {best.misfit_ratio:.2g}"
-        # Causes that wash pictures out, as a broad band of wavelengths does.
-        blurs = ("source", "vibration")
+        # Causes that wash pictures out.
+        blurs = ("source", "bandwidth", "vibration")
         if best.cause in blurs:
             others = [
                 t.explanation
                 for t in trials
                 if t.cause in blurs and t.cause != best.cause and t.gain > LEAST_GAIN
             ]
-            also = f"also helps: {others[0]}; " if others else ""
-            evidence = f"{evidence}; {also}not tried: {not_tried}"
+            evidence = f"{evidence}; also helps: {others[0]}" if others else evidence
         return best.cause, evidence
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
     evidence = "nothing else that was tried explains it" if trials else "nothing was tried"
-    return "lens or light", f"{evidence}; not tried: {not_tried}"
+    return "lens or light", evidence
 
 
 def _judged(plane: PlaneResidual, model_error: float) -> PlaneFit:

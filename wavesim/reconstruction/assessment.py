@@ -164,7 +164,7 @@ def judge_result(
                 scale=settings.scale,
                 fill_factor=settings.fill_factor,
                 diversity=case.diversity,
-                modes=case.modes,
+                source=case.source,
                 stops=stop_search(case, settings, engine, progress),
                 stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
             ).trials()

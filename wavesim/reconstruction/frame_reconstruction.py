@@ -54,13 +54,12 @@ from wavesim.reconstruction.problem import (
 )
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
-from wavesim.reconstruction.source_width import find_source_width
+from wavesim.reconstruction.source_search import find_source
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import SAFETY, Engine, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.settings import ReconstructionSettings, SettingError
-from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement
@@ -263,10 +262,10 @@ def _run(
         )
 
     start = None
-    if settings.source_deg == "find":
+    if "find" in (settings.source_deg, settings.bandwidth_nm):
         with engine_on(case.light.grid) as engine:
-            width_deg, start = find_source_width(engine, case.light, case.given, settings, reporter.step)
-        case = case._replace(source=Source(width_deg))
+            source, start = find_source(engine, case.light, case.given, settings, reporter.step)
+        case = case._replace(source=source)
     if settings.method == "paper":
         found = _retrieve(case, settings, engine_on, reporter)
     else:
@@ -409,6 +408,8 @@ def _find_object(
         of_method["engine_replaced"] = replaced
     if settings.source_deg:
         of_method["source_deg"] = case.source.width_deg
+    if settings.bandwidth_nm:
+        of_method["bandwidth_nm"] = case.source.bandwidth_nm
     shown_part, field_behind = cut_field(found.transmission, case.refocus_grid), None
     if settings.focus_mm is not None:
         field_behind = shown_part.with_values(

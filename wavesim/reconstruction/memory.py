@@ -19,6 +19,7 @@ from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, FLOAT32, MemoryNeed, i
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import Kind, ReconstructionSettings
+from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement
 from wavesim.targets.patch import LIGHT_BYTES
 
@@ -43,7 +44,7 @@ def reconstruction_bytes(
     *,
     kind: Kind = "complex",
     fill_factor: float = 0.0,
-    modes: int = 1,
+    modes: Sequence[SourceMode] = (),
 ) -> MemoryNeed:
     """Return the memory of :func:`wavesim.reconstruct` in complex64, with its arguments.
 
@@ -51,10 +52,8 @@ def reconstruction_bytes(
 
     Parameters
     ----------
-    engine, recorded, kind, fill_factor
+    engine, recorded, kind, fill_factor, modes
         See :func:`wavesim.reconstruct`.
-    modes
-        Number of modes of the light of an extended source.
 
     Returns
     -------
@@ -64,17 +63,19 @@ def reconstruction_bytes(
     on_object, at_exit, planes = engine.scene.object_grid.size, engine.scene.exit_grid.size, len(recorded)
     is_tilted = any(any(plane.tilt_deg) for plane in recorded)
     # The mask of lit samples, and transfer functions (for a tilted sensor those to parallel planes).
-    held = on_object + (14 if is_tilted else 2) * planes * at_exit
+    wavelengths = len({mode.wavelength_um for mode in modes}) or 1
+    engines = wavelengths * engine.cost().peak_bytes_in_single
+    held = on_object + (14 if is_tilted else 2) * wavelengths * planes * at_exit
     through_lens = COMPLEX64 * (on_object + at_exit)
     smoothing = 4 * _step_bytes(on_object, kind)
     # On planes: fields at the exit and on one plane, their changes, and at the end residual maps. A single
     # plane of points needs the fewest of these.
     per_sample = 36 + 4 * planes if fill_factor > 0.0 or planes > 1 else 29
     on_planes = (per_sample + (24 if is_tilted else 0)) * at_exit
-    if modes > 1:  # spectra and changes of all modes, and means over the pixels of all planes
-        held += (16 * modes + 4 * planes) * at_exit
+    if len(modes) > 1:  # spectra and changes of all modes, and means over the pixels of all planes
+        held += (16 * len(modes) + 4 * planes) * at_exit
         through_lens += 64 * on_object
-    working = held + engine.cost().peak_bytes_in_single + max(through_lens, smoothing, on_planes)
+    working = held + engines + max(through_lens, smoothing, on_planes)
     return _inputs(engine, recorded) + movable(2 * _step_bytes(on_object, kind)) + in_memory(working)
 
 
@@ -104,7 +105,7 @@ def run_bytes(
     recorded: Sequence[Measurement],
     settings: ReconstructionSettings,
     *,
-    modes: int,
+    modes: Sequence[SourceMode],
     frames_bytes: int,
     shown: int,
     refocused: int,
@@ -117,7 +118,7 @@ def run_bytes(
     engine, recorded, settings
         Engine, measurements and settings of the run.
     modes
-        Number of modes of the light of an extended source.
+        Modes of the light of the source.
     frames_bytes
         Bytes of all frames as they are read.
     shown, refocused
@@ -156,7 +157,7 @@ def _testing_bytes(engine: Engine, planes: int, kind: Kind) -> int:
     """Return the memory of the score test of the bench, with a second engine that is displaced."""
     if isinstance(engine, Tiled):  # it is not tested
         return 0
-    scene, parameters = engine.scene, 2 + 3 * planes
+    scene, parameters = engine.scene, 4 + 3 * planes
     # Effects of all parameters on the pixels, weighted and not, and on the object.
     effects = parameters * (11 * planes * scene.exit_grid.size + _step_bytes(scene.object_grid.size, kind))
     return 2 * engine.cost().peak_bytes_in_single + effects

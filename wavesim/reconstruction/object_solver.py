@@ -38,7 +38,7 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Grids, Operator
+from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit, power_of_two
@@ -241,8 +241,8 @@ def reconstruct(
         Storage of arrays that are kept from one iteration to the next; default: memory. Arrays of the caller
         stay where they are; :meth:`wavesim.runtime.scratch.Scratch.moved` moves them.
     modes
-        Modes of the light of an extended source (:meth:`wavesim.scene.source.Source.modes`). Each mode passes
-        through the engine separately.
+        Modes of the light of an extended or polychromatic source (:meth:`wavesim.scene.source.Source.modes`).
+        Each mode passes separately through the engine for its wavelength.
     rows
         Rows of the engine's exit grid that hold the pixels of each plane, if the engine propagates directly
         to the planes. Default: planes are reached through free space.
@@ -262,8 +262,8 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a value or a shape is invalid, planes are in different units, modes have another wavelength than
-        the illumination, or the disk of the scratch files is full.
+        If a value or a shape is invalid, planes are in different units, modes have another wavelength and
+        the operator is not an engine of a lens, or the disk of the scratch files is full.
 
     References
     ----------
@@ -287,7 +287,8 @@ def reconstruct(
     1.0
     """
     validate_numbers(kind, tv_weight, iterations, scale, fill_factor)
-    validate_measurements(engine.scene, illumination, recorded, start, modes, rows)
+    validate_measurements(engine.scene, illumination, recorded, start, rows)
+    _validate_modes(engine, illumination, modes, rows)
     scratch = scratch or Scratch()
     unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
     if light_unit != 1.0:
@@ -516,7 +517,6 @@ def validate_measurements(
     illumination: Field,
     recorded: Sequence[Measurement],
     start: Any,
-    modes: Sequence[SourceMode],
     rows: Sequence[slice],
 ) -> None:
     """Check that illumination, planes and start of :func:`wavesim.reconstruct` fit the grids of the engine.
@@ -524,7 +524,7 @@ def validate_measurements(
     Raises
     ------
     InputError
-        If a grid, a shape, the start or a wavelength does not fit.
+        If a grid, a shape or the start does not fit.
     """
     if illumination.grid != grids.object_grid:
         raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
@@ -540,5 +540,14 @@ def validate_measurements(
         raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
     if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
         raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
-    if any(mode.wavelength_um != illumination.wavelength_um for mode in modes):
-        raise InputError(f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is")
+
+
+def _validate_modes(
+    operator: Operator, illumination: Field, modes: Sequence[SourceMode], rows: Sequence[slice]
+) -> None:
+    others = {mode.wavelength_um for mode in modes} - {illumination.wavelength_um}
+    if others and (rows or not isinstance(operator, Engine)):
+        raise InputError(
+            f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is, because the "
+            f"operator has no model for {min(others):g} um"
+        )

@@ -86,7 +86,7 @@ class ReconstructionProblem(NamedTuple):
     light : Field
         Illumination of the object.
     source : Source
-        Light source, with its angular width.
+        Light source, with its angular width and its bandwidth.
     planes : tuple of PlaneFrames
         Distance, exposures and saturation of each plane.
     recorded : tuple of Measurement
@@ -153,8 +153,8 @@ class ReconstructionProblem(NamedTuple):
 
     @property
     def modes(self) -> tuple[SourceMode, ...]:
-        """Modes of the light of an extended source."""
-        return tuple(self.source.few_modes(self.light.wavelength_um))
+        """Modes of the light of the source: one if it is coherent."""
+        return tuple(self.source.few_modes(self.light.wavelength_um, samples=max(self.light.grid.shape)))
 
     @property
     def given(self) -> list[Measurement]:
@@ -199,19 +199,25 @@ def reconstruction_problem(
     recorded, held_out = hold_out(recorded, settings.hold_out_plane)
     frame_light = light_of_frames(scene, framed.frames, light)
     # A source whose width is to be found counts as extended until the width is known.
-    source = Source(1.0 if settings.source_deg == "find" else settings.source_deg)
-    modes = source.few_modes(light.wavelength_um)
+    source = Source(
+        *(1.0 if width == "find" else width for width in (settings.source_deg, settings.bandwidth_nm))
+    )
+    modes = source.few_modes(light.wavelength_um, samples=max(light.grid.shape))
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
     engine = _engine(scene, settings, runs, limit, frame_light)
     if settings.cluster is not None:
         validate_tiled(engine)
+        if settings.bandwidth_nm:
+            raise SettingError(
+                "{bandwidth_nm}: cannot be used with {cluster}, whose tiles are of one wavelength"
+            )
     shown = shown.at(light.grid.z_mm)
     refocus_grid = _refocus_grid(scene, settings, shown)
     need = run_bytes(
         engine,
         recorded,
         settings,
-        modes=len(modes),
+        modes=modes,
         frames_bytes=sum(frame.counts.nbytes for frame in frames),
         shown=shown.size,
         refocused=0 if settings.focus_mm is None else refocus_grid.size,
@@ -368,7 +374,10 @@ def _key(
     recorded: Sequence[Measurement],
     engine: Engine,
 ) -> str:
-    settings_json = settings.model_dump_json(include=set(KEY_SETTINGS))
+    names = set(KEY_SETTINGS)
+    if settings.bandwidth_nm:  # left out otherwise, so that earlier checkpoints stay usable
+        names.add("bandwidth_nm")
+    settings_json = settings.model_dump_json(include=names)
     planes = [
         (p.distance_mm, p.shift_mm, p.tilt_deg, None if p.background is None else float(p.background.mean()))
         for p in recorded

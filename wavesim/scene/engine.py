@@ -157,6 +157,18 @@ class Engine(ABC):
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
+    def at_wavelength(self, wavelength_um: float) -> Engine:
+        """Return the engine with the same settings for light of another wavelength.
+
+        Parameters
+        ----------
+        wavelength_um
+            Vacuum wavelength.
+        """
+        if wavelength_um == self.scene.wavelength_um:
+            return self
+        return type(self)(replace(self.scene, wavelength_um=wavelength_um), **self.settings())
+
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         """Yield the settings that are worth trying for an allowed relative L2 error, the cheapest first."""

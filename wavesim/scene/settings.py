@@ -443,6 +443,10 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         0.0,
         description="object: diameter of the light source (partial coherence), or find.",
     )
+    bandwidth_nm: float | Literal["find"] = Field(
+        0.0,
+        description="object: full width of the light's rectangular spectrum, or find.",
+    )
     region_mm: tuple[float, float, float, float] | None = Field(
         None, description="x,y,width,height: region of the object that is evaluated and written."
     )
@@ -469,16 +473,25 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
             raise SettingError("{chart_at_mm}: requires {usaf}")
         return points
 
-    @field_validator("source_deg")
+    @field_validator("source_deg", "bandwidth_nm")
     @classmethod
-    def _of_objects(cls, width_deg: float | str, info: ValidationInfo) -> float | str:
-        if not isinstance(width_deg, str) and not 0.0 <= width_deg < 90.0:
-            raise ValueError("must be from 0 to below 90, or 'find'")
-        if width_deg and info.data.get("method") == "paper":
+    def _of_objects(cls, width: float | str, info: ValidationInfo) -> float | str:
+        limits = {
+            "source_deg": (90.0, "from 0 to below 90"),
+            "bandwidth_nm": (math.inf, "finite and not negative"),
+        }
+        limit, allowed = limits[str(info.field_name)]
+        if not isinstance(width, str) and not 0.0 <= width < limit:
+            raise ValueError(f"must be {allowed}, or 'find'")
+        if width and info.data.get("method") == "paper":
             raise SettingError(
-                "{source_deg}: cannot be used with {method} paper, which assumes coherent light"
+                f"{{{info.field_name}}}: cannot be used with {{method}} paper, which assumes coherent light"
             )
-        return width_deg
+        if width == "find" == info.data.get("source_deg") and info.field_name == "bandwidth_nm":
+            raise SettingError(
+                "{bandwidth_nm}: cannot be found together with {source_deg}; state one of them"
+            )
+        return width
 
     @property
     def most_iterations(self) -> int:

@@ -10,9 +10,14 @@ import numpy as np
 
 from lensdesign.errors import InputError
 
-RINGS, ANGLES, COLOURS = 2, 8, 5
-"""Nodes of the quadrature over the disc of directions and the band of wavelengths. It is exact for
-polynomials of the direction up to degree 7 and of the wavelength up to degree 9."""
+RINGS, ANGLES = 2, 8
+"""Nodes of the quadrature over the disc of directions; exact for polynomials up to degree 7."""
+
+LEAST_COLOURS, FEW_COLOURS, SPECKLES_PER_COLOUR = 5, 3, 0.375
+"""Least number of wavelengths, that of few modes, and number of speckles for which there is one more.
+
+From one end of the band to the other, the picture of the steepest light shifts by some speckles.
+"""
 
 
 class SourceMode(NamedTuple):
@@ -49,7 +54,9 @@ class Source:
         if not 0.0 <= self.bandwidth_nm < math.inf:
             raise InputError(f"source bandwidth_nm = {self.bandwidth_nm!r}: must be finite, and not negative")
 
-    def modes(self, wavelength_um: float, rings: int = RINGS, angles: int = ANGLES) -> list[SourceMode]:
+    def modes(
+        self, wavelength_um: float, rings: int = RINGS, angles: int = ANGLES, *, samples: int = 1
+    ) -> list[SourceMode]:
         """Return directions and wavelengths whose intensities add up; their weights sum to 1.
 
         Parameters
@@ -60,45 +67,65 @@ class Source:
             Number of Gauss-Legendre nodes of the squared radius.
         angles
             Number of directions on each ring.
+        samples
+            Number of samples across the object grid, which determines the number of wavelengths.
 
         Raises
         ------
         InputError
             If the band reaches wavelengths of 0 or below.
         """
-        half_um = 0.5e-3 * self.bandwidth_nm
-        if half_um >= wavelength_um:
-            raise InputError(f"source bandwidth_nm = {self.bandwidth_nm:g}: reaches wavelengths below 0")
-        colours = [(1.0, wavelength_um)]
-        if half_um:
-            nodes, weights = np.polynomial.legendre.leggauss(COLOURS)
-            colours = [
-                (0.5 * weight, wavelength_um + half_um * node)
-                for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True)
-            ]
         directions = self._directions(rings, angles)
-        return [
-            SourceMode(weight * part, tilt, colour) for part, colour in colours for weight, tilt in directions
-        ]
+        return self._modes(directions, LEAST_COLOURS, wavelength_um, samples)
 
-    def few_modes(self, wavelength_um: float) -> list[SourceMode]:
-        """Return seven directions of one wavelength, exact for polynomials of the direction up to degree 5.
+    def few_modes(self, wavelength_um: float, *, samples: int = 1) -> list[SourceMode]:
+        """Return at most seven directions, and from three wavelengths on; exact up to degree 5.
 
-        The nodes are the centre and a hexagon: A. H. Stroud, "Approximate calculation of multiple integrals"
-        (1971), S2 5-1. A point source has one mode.
+        The directions are the centre and a hexagon: A. H. Stroud, "Approximate calculation of multiple
+        integrals" (1971), S2 5-1. A coherent source has one mode.
 
         Parameters
         ----------
         wavelength_um
-            Wavelength of the light.
+            Centre of the band.
+        samples
+            Number of samples across the object grid, which determines the number of wavelengths.
+
+        Raises
+        ------
+        InputError
+            If the band reaches wavelengths of 0 or below.
         """
-        if not self.width_deg:
-            return [SourceMode(1.0, (0.0, 0.0), wavelength_um)]
-        radius = 0.5 * self.width_deg * math.sqrt(2.0 / 3.0)
-        angles = [math.pi * corner / 3.0 for corner in range(6)]
-        ring = [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
-        return [SourceMode(0.25, (0.0, 0.0), wavelength_um)] + [
-            SourceMode(0.125, tilt, wavelength_um) for tilt in ring
+        directions = [(1.0, (0.0, 0.0))]
+        if self.width_deg:
+            radius = 0.5 * self.width_deg * math.sqrt(2.0 / 3.0)
+            angles = [math.pi * corner / 3.0 for corner in range(6)]
+            ring = [(0.125, (radius * math.cos(angle), radius * math.sin(angle))) for angle in angles]
+            directions = [(0.25, (0.0, 0.0)), *ring]
+        return self._modes(directions, FEW_COLOURS, wavelength_um, samples)
+
+    def _modes(
+        self,
+        directions: list[tuple[float, tuple[float, float]]],
+        least_colours: int,
+        wavelength_um: float,
+        samples: int,
+    ) -> list[SourceMode]:
+        half_um = 0.5e-3 * self.bandwidth_nm
+        if half_um >= wavelength_um:
+            raise InputError(f"source bandwidth_nm = {self.bandwidth_nm:g}: reaches wavelengths below 0")
+        band = [(1.0, wavelength_um)]
+        if half_um:
+            # Always an odd number, so that the centre of the band, which has an engine already, is one.
+            speckles = 0.5 * samples * self.bandwidth_nm / (1e3 * wavelength_um)
+            colours = least_colours + 2 * int(0.5 * speckles / SPECKLES_PER_COLOUR)
+            nodes, weights = np.polynomial.legendre.leggauss(colours)
+            band = [
+                (0.5 * weight, wavelength_um + half_um * node)
+                for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True)
+            ]
+        return [
+            SourceMode(weight * part, tilt, colour) for part, colour in band for weight, tilt in directions
         ]
 
     def _directions(self, rings: int, angles: int) -> list[tuple[float, tuple[float, float]]]:

@@ -167,7 +167,7 @@ def image_patch(
             scratch=scratch,
         )
 
-    modes = recording.state.source.modes(behind_object.wavelength_um)
+    modes = recording.state.source.modes(behind_object.wavelength_um, samples=max(behind_object.grid.shape))
     light = light_of_mode(modes[0], "") if len(modes) == 1 else added_modes(modes, light_of_mode)
     frames, fraction_beyond = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
@@ -204,11 +204,12 @@ def imaging_bytes(
         See :func:`image_patch`.
     """
     (across, down), planes = sensor.pixels, len(windows)
-    modes = len(recording.state.source.modes(engine.scene.wavelength_um))
+    object_grid = engine.scene.object_grid
+    modes = len(recording.state.source.modes(engine.scene.wavelength_um, samples=max(object_grid.shape)))
     # Counts of all frames, and for an extended source the intensities of modes and their sums.
     frame_bytes = 2 * len(recording.exposures) + (16 if modes > 1 else 0)
     held = 300_000_000 + engine.cost().peak_bytes_in_single + frame_bytes * planes * across * down
-    held += LIGHT_BYTES * engine.scene.object_grid.size
+    held += LIGHT_BYTES * object_grid.size
     if not isinstance(engine, Tiled):
         # With several planes: two fields and the work arrays of the free-space propagation between them.
         fields = 1 if planes == 1 else 4

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +10,12 @@ import pytest
 from small_twins import small_twin
 
 from lensdesign.lens.lens import Sensor
+from wavesim.engines.registry import engine_on
 from wavesim.fields.propagator import propagate
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.runtime import threads
 from wavesim.scene.light_errors import LightErrors
-from wavesim.scene.source import Source
+from wavesim.scene.source import Source, SourceMode
 from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.sensor import light_on_pixels, on_sensor
 
@@ -34,9 +35,19 @@ def model_parts() -> tuple:
     return small_twin()
 
 
-@pytest.mark.parametrize(("fill_factor", "width_deg"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
-def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, fill_factor: float, width_deg: float) -> None:
-    """Against differences of the misfit, with weights, shifts, tilts, backgrounds and a wide source."""
+@pytest.mark.parametrize(
+    ("fill_factor", "modes"),
+    [
+        (0.0, ()),
+        (1.0, ()),
+        (1.0, Source(2.0).modes(0.532, 1, 4)),
+        (1.0, Source(2.0, 60.0).modes(0.532, 1, 2)),
+    ],
+)
+def test_a_step_goes_down_the_misfits_slope(
+    model_parts: tuple, fill_factor: float, modes: Sequence[SourceMode]
+) -> None:
+    """Against differences of the misfit, with weights, shifts, tilts, backgrounds and wide or broad light."""
     engine, lit = model_parts
     rng = np.random.default_rng(4)
     t = 0.7 + 0.2 * rng.standard_normal(lit.grid.shape)
@@ -55,7 +66,6 @@ def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, fill_factor: flo
         )
         for n, (p, a) in enumerate(zip(blank, seen, strict=True))
     ]
-    modes = Source(width_deg).modes(0.532, 1, 4)
     model = ForwardModel(engine, lit, planes, 1.0, fill_factor, modes=modes)
     change, _ = model.step(t.astype(complex))
 
@@ -85,6 +95,34 @@ def test_light_of_a_wide_source_is_that_of_its_directions_added_up(model_parts: 
         expected = sum(m.weight * a[number] ** 2 for m, a in zip(modes, apart, strict=True))
         assert np.allclose(one**2, expected, atol=1e-10 * expected.max())
         assert np.linalg.norm(one - apart[0][number]) > 0.1 * np.linalg.norm(one)
+
+
+def test_broad_light_is_recorded_as_simulated_frames_record_it(model_parts: tuple) -> None:
+    """Simulated frames have more wavelengths, and pixels that integrate exactly."""
+    engine, lit = model_parts
+    t = np.random.default_rng(5).standard_normal(lit.grid.shape)  # scatters all of the light
+    grid, source = engine.scene.exit_grid, Source(bandwidth_nm=60.0)
+    blank = [Measurement(0.3, np.ones(grid.shape))]
+    (broad,), (narrow,) = (
+        ForwardModel(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
+        for modes in (source.few_modes(0.532, samples=lit.grid.shape[0]), ())
+    )
+    sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=grid.shape[::-1], plane_distances_mm=(1.0,))
+    finer = replace(
+        grid, shape=(2 * grid.shape[0], 2 * grid.shape[1]), pitch_mm=0.5 * PITCH, z_mm=grid.z_mm + 0.3
+    )
+    expected = np.zeros(grid.shape)
+    for weight, _, wavelength_um in source.modes(0.532, samples=lit.grid.shape[0]):
+        scene = replace(engine.scene, wavelength_um=wavelength_um)
+        behind = engine_on(engine, scene).forward(
+            replace(lit, values=t * lit.values, wavelength_um=wavelength_um)
+        )
+        expected += weight * light_on_pixels(
+            propagate(behind, finer, coarse_output=True), sensor, fill_factor=1.0
+        )
+    change = expected - narrow**2
+    assert np.linalg.norm(change) > 0.05 * np.linalg.norm(expected)
+    assert np.linalg.norm(broad**2 - expected) < 0.05 * np.linalg.norm(change)
 
 
 def test_the_noise_of_a_step_is_that_of_a_nearly_unitary_engine(model_parts: tuple) -> None:

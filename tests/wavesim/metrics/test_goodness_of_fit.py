@@ -170,7 +170,9 @@ def test_a_finding_takes_trust_from_an_explained_result_and_leaves_another_cause
     assert (other.explained, other.cause, other.findings) == (False, "lens or light", (finding,))
 
 
-def test_where_nothing_explains_frames_the_causes_that_were_not_tried_are_named() -> None:
-    found = verdict([plane(1.2 * LIMIT)], [Trial("light", "light tilted", 0.99)])
-    assert "not tried: bandwidth of the light" in found.words
-    assert "bandwidth" in found.next_step
+def test_a_bandwidth_that_explains_frames_is_named_with_its_remedy() -> None:
+    trials = [Trial("source", "source 0.2 deg wide", 0.7), Trial("bandwidth", "bandwidth of 9 nm", 0.3)]
+    found = verdict([plane(1.2 * LIMIT)], trials)
+    assert found.cause == "bandwidth"
+    assert "also helps: source 0.2 deg wide" in found.words
+    assert "--bandwidth-nm" in found.next_step

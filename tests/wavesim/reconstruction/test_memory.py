@@ -63,6 +63,11 @@ class Nothing(Engine):
     def cost(self) -> Cost:
         return Cost(0.1, 0.0, 0)
 
+    def at_wavelength(self, wavelength_um: float) -> Nothing:
+        other = Nothing(self.scene.object_grid.shape)
+        other.scene = replace(self.scene, wavelength_um=wavelength_um)
+        return other
+
     def error_terms(self) -> tuple:
         return ()
 
@@ -134,18 +139,27 @@ def test_the_estimate_is_about_what_is_taken(
     assert 0.97 * in_files < least < 1.3 * in_files
 
 
-@pytest.mark.parametrize(("width_deg", "tilt_deg"), [(0.3, (0.0, 0.0)), (0.0, (1.0, 0.7)), (0.3, (1.0, 0.7))])
-def test_memory_of_a_wide_source_and_a_tilted_sensor_is_told_beforehand(
-    width_deg: float, tilt_deg: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("source", "tilt_deg"),
+    [
+        (Source(0.3), (0.0, 0.0)),
+        (Source(), (1.0, 0.7)),
+        (Source(0.3), (1.0, 0.7)),
+        (Source(0.0, 5.0), (0.0, 0.0)),
+        (Source(0.0, 5.0), (1.0, 0.7)),
+    ],
+)
+def test_memory_of_a_wide_or_broad_source_and_a_tilted_sensor_is_told_beforehand(
+    source: Source, tilt_deg: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 16)  # small beside a whole field
-    modes = Source(width_deg).modes(0.532, rings=1)[:4]
+    modes = source.modes(0.532, rings=1)[:4]
 
     def run(engine: Nothing) -> float:
         light, recorded = arrays_of(engine, (0.0, 20.0), True, Scratch())
         tilted = [replace(plane, tilt_deg=tilt_deg) for plane in recorded]
         reconstruct(engine, light, tilted, fill_factor=1.0, iterations=2, tv_weight="auto", modes=modes)
-        return reconstruction_bytes(engine, tilted, fill_factor=1.0, modes=len(modes)).most_bytes
+        return reconstruction_bytes(engine, tilted, fill_factor=1.0, modes=modes).most_bytes
 
     run(Nothing((8, 8)))
     engine = Nothing((150, 160))

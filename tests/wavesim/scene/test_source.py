@@ -9,7 +9,7 @@ import pytest
 from scipy.special import j1
 
 from lensdesign.errors import InputError
-from wavesim.scene.source import POINT, Source
+from wavesim.scene.source import POINT, Source, SourceMode
 
 
 def test_a_point_is_one_direction() -> None:
@@ -36,11 +36,30 @@ def test_seven_directions_have_nearly_the_coherence_of_a_disc(distance: float, a
     assert POINT.few_modes(0.5) == POINT.modes(0.5)
 
 
-def test_a_band_has_the_coherence_of_its_closed_form() -> None:
-    modes = Source(bandwidth_nm=20.0).modes(0.5)
-    for waves in (10.0, 30.0):  # of delay
-        found = sum(m.weight * np.exp(2j * np.pi * waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
-        assert found == pytest.approx(math.sin(0.04 * np.pi * waves) / (0.04 * np.pi * waves), abs=1e-3)
+BAND = Source(bandwidth_nm=20.0)
+
+
+@pytest.mark.parametrize(
+    ("modes", "delay_waves"),
+    [
+        (BAND.modes(0.5), 10.0),
+        (BAND.modes(0.5), 30.0),
+        (BAND.few_modes(0.5), 10.0),
+        (BAND.few_modes(0.5, samples=80), 40.0),
+        (BAND.few_modes(0.5, samples=300), 150.0),
+    ],
+)
+def test_a_band_has_the_coherence_of_its_closed_form(modes: list[SourceMode], delay_waves: float) -> None:
+    """Steepest light is delayed by half a wave for each sample of the object."""
+    found = sum(m.weight * np.exp(2j * np.pi * delay_waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
+    assert found == pytest.approx(np.sinc(0.04 * delay_waves), abs=0.01)
+
+
+def test_a_wide_polychromatic_source_has_all_pairs_of_direction_and_wavelength() -> None:
+    modes = Source(width_deg=2.0, bandwidth_nm=20.0).few_modes(0.5)
+    assert len(modes) == len(set(modes)) == 7 * 3
+    assert sum(mode.weight for mode in modes) == pytest.approx(1.0)
+    assert 0.5 in {mode.wavelength_um for mode in modes}
 
 
 def test_sources_that_cannot_be_are_refused() -> None:
@@ -48,3 +67,5 @@ def test_sources_that_cannot_be_are_refused() -> None:
         Source(width_deg=math.nan)
     with pytest.raises(InputError, match="below 0"):
         Source(bandwidth_nm=1200.0).modes(0.5)
+    with pytest.raises(InputError, match="below 0"):
+        Source(bandwidth_nm=1200.0).few_modes(0.5)

@@ -35,10 +35,10 @@ from wavesim.reconstruction.diagnostics.bench_estimates import (
 from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
-from wavesim.reconstruction.source_width import coherent_deg
+from wavesim.reconstruction.source_search import coherent_deg, coherent_nm
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.light_errors import LightErrors
-from wavesim.scene.source import Source, SourceMode
+from wavesim.scene.source import POINT, Source, SourceMode
 from wavesim.sensor.measurement import Array, Measurement, noise_misfit
 
 Shifts = Sequence[tuple[float, float]]
@@ -64,9 +64,9 @@ planes, over their diversity.
 LONGEST, REFINED = 0.4, 2
 """Longest relative step, and number of refinements about the best step."""
 
-SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0), (0.15, 0.3)
-"""Widths of the source, over the width at which light is coherent over half of the object; and blurs
-(rms).
+SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0, 4.0, 8.0), (0.15, 0.3)
+"""Widths of the source, over the width at which light is coherent over half of the object, and bandwidths,
+over the one that shifts the steepest light by a speckle, as long as they help; and blurs (rms).
 """
 
 
@@ -77,8 +77,10 @@ class Change(NamedTuple):
     ----------
     cause, description : str
         Cause, and its description for the user.
-    engine, light, recorded, fill_factor, modes
+    engine, light, recorded, fill_factor
         Arguments of :func:`wavesim.reconstruct` with the change.
+    source : Source
+        Source of the light with the change.
     """
 
     cause: str
@@ -87,7 +89,7 @@ class Change(NamedTuple):
     light: Field
     recorded: Sequence[Measurement]
     fill_factor: float
-    modes: Sequence[SourceMode]
+    source: Source
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,8 +98,10 @@ class CauseTrials:
 
     Parameters
     ----------
-    engine, light, recorded, kind, tv_weight, scale, fill_factor, modes
+    engine, light, recorded, kind, tv_weight, scale, fill_factor
         See :func:`wavesim.reconstruct`.
+    source
+        Source of the light.
     maps
         For each plane, modelled less measured amplitude of the result.
     diversity
@@ -115,7 +119,7 @@ class CauseTrials:
     scale: float | None
     fill_factor: float
     diversity: float
-    modes: Sequence[SourceMode] = ()
+    source: Source = POINT
     stops: StopSearch | None = None
     stop: FieldStop | None = None
 
@@ -154,7 +158,7 @@ class CauseTrials:
         light: Field | None = None,
         recorded: Sequence[Measurement] | None = None,
         fill_factor: float | None = None,
-        modes: Sequence[SourceMode] | None = None,
+        source: Source | None = None,
     ) -> Change:
         return Change(
             cause,
@@ -163,7 +167,7 @@ class CauseTrials:
             light or self.light,
             recorded or self.recorded,
             self.fill_factor if fill_factor is None else fill_factor,
-            self.modes if modes is None else modes,
+            source or self.source,
         )
 
     def _reconstructed(
@@ -178,8 +182,11 @@ class CauseTrials:
             iterations=iterations,
             scale=self.scale,
             fill_factor=change.fill_factor,
-            modes=change.modes,
+            modes=self._modes(change.source),
         )
+
+    def _modes(self, source: Source) -> list[SourceMode]:
+        return source.few_modes(self.light.wavelength_um, samples=max(self.light.grid.shape))
 
     def _trial(self, change: Change) -> Trial:
         return Trial(
@@ -224,12 +231,13 @@ class CauseTrials:
         )
 
     def _blurs(self) -> Iterator[Trial]:
-        """Yield trials of blur: an extended source, or a camera that vibrates."""
-        if len(self.modes) < 2 and not isinstance(self.engine, Tiled):
-            for factor in SOURCES:
-                width = factor * coherent_deg(self.light)
-                modes = Source(width).few_modes(self.light.wavelength_um)
-                yield self._trial(self._change("source", f"source {width:.2g} deg wide", modes=modes))
+        """Yield trials of blur: an extended or polychromatic source, or a camera that vibrates."""
+        if not isinstance(self.engine, Tiled):
+            if not self.source.width_deg:
+                yield from self._sources("source", "source {:.2g} deg wide", "width_deg", coherent_deg)
+            if not self.source.bandwidth_nm:
+                words = "light with a bandwidth of {:.2g} nm"
+                yield from self._sources("bandwidth", words, "bandwidth_nm", coherent_nm)
         if not self.fill_factor:
             return
         pitch_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
@@ -237,6 +245,20 @@ class CauseTrials:
             width = math.sqrt(self.fill_factor**2 + 12.0 * blur**2)
             description = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
             yield self._trial(self._change("vibration", description, fill_factor=width))
+
+    def _sources(
+        self, cause: str, words: str, name: str, unit_of: Callable[[Field], float]
+    ) -> Iterator[Trial]:
+        """Yield trials of wider and wider sources, or broader and broader bands, as long as they help."""
+        best = 1.0
+        for factor in SOURCES:
+            width = factor * unit_of(self.light)
+            source = replace(self.source, **{name: width})
+            trial = self._trial(self._change(cause, words.format(width), source=source))
+            yield trial
+            if trial.misfit_ratio > best:
+                return
+            best = trial.misfit_ratio
 
     def _displacements(self) -> Iterator[Trial]:
         """Yield trials of a displaced sensor, tilted light, or a decentered lens."""
@@ -405,7 +427,8 @@ class CauseTrials:
 
     def _light_intensities(self, engine: Engine) -> list[Array]:
         """Return the intensities of the light without an object."""
-        model = ForwardModel(engine, self.light, self.recorded, None, self.fill_factor, modes=self.modes)
+        modes = self._modes(self.source)
+        model = ForwardModel(engine, self.light, self.recorded, None, self.fill_factor, modes=modes)
         return [
             modelled.astype(float) ** 2
             for modelled in model.amplitudes(model.lit.astype(self.light.values.dtype))

@@ -1,14 +1,15 @@
 """Score test of the bench: whether frames prefer another bench, and which small errors they cannot exclude.
 
 About the object found, the modelled amplitudes change by d_j per unit of parameter j (decenter, tilt,
-working distance, shift and distance of a plane). The object follows such a change and compensates part of
-it. Column j of D is the remainder of d_j, found by conjugate gradients. With the residuals r and their
-variances V,
+working distance, shift and distance of a plane, squared width and bandwidth of the source). The object
+follows such a change and compensates part of it. Column j of D is the remainder of d_j, found by conjugate
+gradients. With the residuals r and their variances V,
 
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
 are the estimated errors of the bench, and their significance. Both come from one linear model about the
-result (:class:`wavesim.forward.linear_model.LinearModel`).
+result (:class:`wavesim.forward.linear_model.LinearModel`). A source that would have to be narrower than a
+point is left out.
 
 References
 ----------
@@ -31,14 +32,29 @@ from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
+from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.goodness_of_fit import Undetected
-from wavesim.reconstruction.phase_retrieval import agreement
+from wavesim.reconstruction.source_search import coherent_deg, coherent_nm
 from wavesim.scene.engine import Engine
+from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind
+from wavesim.scene.source import Source, SourceMode
 from wavesim.sensor.measurement import Measurement, weights_of
 
 MOUNTING = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg", "working_distance_mm")
+
+SOURCE = ("source_deg", "bandwidth_nm")
+"""Parameters of the source, whose squares change the amplitudes in proportion."""
+
+CAUSES = {
+    "decenter": "mounting",
+    "tilt": "mounting",
+    "working": "working distance",
+    "source": "source",
+    "bandwidth": "bandwidth",
+}
+"""Causes of the parameters by the first word of their names; the others belong to the planes."""
 
 CERTAIN_CHI_SQUARE, CERTAIN_PER_PIXEL = 60.0, 3e-3
 """Chi-square above which frames prefer another bench: a constant, plus an amount for each pixel.
@@ -59,13 +75,14 @@ class ScoreTest:
     chi_square : float
         Significance of the errors: about the number of parameters where the bench is as stated.
     correlation : float
-        Correlation between the object found and the one that these errors would give.
+        Correlation (:func:`wavesim.object_correlation`) of the object found with the one that these errors
+        would give.
     pixels : int
         Number of pixels of all planes.
     cause : str
         The cause that explains most.
     undetected : tuple of Undetected
-        Errors of the mounting that the frames cannot exclude.
+        Errors of mounting and source that the frames cannot exclude.
     """
 
     estimate: Mapping[str, float]
@@ -86,9 +103,7 @@ class ScoreTest:
     @property
     def explanation(self) -> str:
         """Sentence that names the errors of the bench."""
-        head = {"mounting": ("decenter", "tilt"), "working distance": ("working",)}.get(
-            self.cause, ("plane",)
-        )
+        head = tuple(word for word, cause in CAUSES.items() if cause == self.cause) or ("plane",)
         parts = [
             f"{name.replace('_', ' ')} {value:+.2g}"
             for name, value in self.estimate.items()
@@ -118,7 +133,7 @@ def score_test(
     Parameters
     ----------
     engine, light, recorded, kind, fill_factor
-        See :func:`wavesim.reconstruct`; the light is that of a point source.
+        See :func:`wavesim.reconstruct`; the light is that of a coherent source.
     transmission : ndarray
         The object found, on the samples of the light.
     scale, fits_scale
@@ -147,6 +162,8 @@ def score_test(
         progress(f"effect of {name}")
         columns[name] = _scene_column(linear, scene, step)
     columns |= _plane_columns(linear)
+    progress("effect of the source")
+    columns |= _source_columns(linear, model, values)
     free_samples = _free_samples(linear, values)
     following_changes = []
     for name, column in columns.items():
@@ -160,23 +177,28 @@ def score_test(
     gradient = np.asarray(remaining @ residual, float)
     unit = 1.0 / np.sqrt(np.diag(hessian))  # parameters have units of their own
     hessian, noise, gradient = hessian * np.outer(unit, unit), noise * np.outer(unit, unit), gradient * unit
-    estimate = np.linalg.solve(hessian, gradient)
-    scores = _scores(tuple(columns), gradient, noise)
+    names = tuple(columns)
+    estimate, used = _estimate(names, hessian, gradient)
+    scores = _scores([names[j] for j in used], gradient[used], noise[np.ix_(used, used)])
 
     def correlation(shift: Array) -> float:
         change = np.tensordot((shift * unit).astype(np.float32), np.stack(following_changes), 1)
-        return agreement([light.with_values(light.values * one) for one in (values, values + change)])
+        found, changed = (light.with_values(light.values * one) for one in (values, values + change))
+        between = object_correlation(changed, found, light)
+        return 1.0 if math.isnan(between) else between  # of an object that is as even as the light
 
     undetected = []
     # Standard deviations up to which an error of the bench counts as noise.
     deviations = 2.0
-    for j, name in enumerate(MOUNTING):
+    for name in (*MOUNTING, *SOURCE):
+        j = names.index(name)
         size = deviations * math.sqrt(noise[j, j]) + model_error
         detected = correlation(size * np.eye(len(columns))[j])
-        undetected.append(Undetected(name, float(size * unit[j]), detected))
+        undetected.append(Undetected(name, _in_unit(name, float(size * unit[j])), detected))
+    values_by_name = zip(names, (estimate * unit).tolist(), strict=True)
     return ScoreTest(
-        dict(zip(columns, (estimate * unit).tolist(), strict=True)),
-        float(gradient @ np.linalg.solve(noise, gradient)),
+        {name: _in_unit(name, value) for name, value in values_by_name},
+        _chi_square(gradient[used], noise[np.ix_(used, used)]),
         correlation(estimate),
         residual.size,
         max(scores, key=lambda cause: scores[cause]),
@@ -184,19 +206,37 @@ def score_test(
     )
 
 
+def _in_unit(name: str, value: float) -> float:
+    """Return a parameter in the unit of its name."""
+    return math.sqrt(max(value, 0.0)) if name in SOURCE else value
+
+
+def _estimate(names: Sequence[str], hessian: Array, gradient: Array) -> tuple[Array, list[int]]:
+    """Return the estimated errors and the indices of those that count.
+
+    A squared width below 0 is none: it is 0, and the others are estimated without it.
+    """
+    used = list(range(len(names)))
+    while True:
+        estimate = np.zeros(len(names))
+        estimate[used] = np.linalg.solve(hessian[np.ix_(used, used)], gradient[used])
+        negative = [j for j in used if names[j] in SOURCE and estimate[j] < 0.0]
+        if not negative:
+            return estimate, used
+        used.remove(min(negative, key=lambda j: estimate[j]))
+
+
+def _chi_square(gradient: Array, noise: Array) -> float:
+    return float(gradient @ np.linalg.solve(noise, gradient))
+
+
 def _scores(names: Sequence[str], gradient: Array, noise: Array) -> dict[str, float]:
     """Return the chi-square of the parameters of each cause alone."""
-    cause_of_prefix = {"decenter": "mounting", "tilt": "mounting", "working": "working distance"}
-    causes = [
-        cause_of_prefix.get(name.split("_")[0], "distance" if "distance" in name else "shift")
-        for name in names
-    ]
+    causes = [CAUSES.get(name.split("_")[0], "distance" if "distance" in name else "shift") for name in names]
     scores = {}
     for cause in dict.fromkeys(causes):
         indices = [n for n, name_of_cause in enumerate(causes) if name_of_cause == cause]
-        scores[cause] = float(
-            gradient[indices] @ np.linalg.solve(noise[np.ix_(indices, indices)], gradient[indices])
-        )
+        scores[cause] = _chi_square(gradient[indices], noise[np.ix_(indices, indices)])
     return scores
 
 
@@ -237,6 +277,32 @@ def _plane_columns(linear: LinearModel) -> dict[str, RealArray]:
             n, measurement.by_distance(n)
         )
     return columns
+
+
+def _source_columns(linear: LinearModel, model: ForwardModel, values: NDArray[Any]) -> dict[str, RealArray]:
+    """Return changes per squared width of the source, and per squared bandwidth of its light."""
+    light = model.illumination
+    coherent = [amplitude**2 for amplitude in model.amplitudes(values)]
+    # Small enough for three wavelengths, and large enough for single precision.
+    width_deg, bandwidth_nm = 0.5 * coherent_deg(light), 0.5 * coherent_nm(light)
+    sources = (width_deg, Source(width_deg)), (bandwidth_nm, Source(0.0, bandwidth_nm))
+    columns = {}
+    for name, (width, source) in zip(SOURCE, sources, strict=True):
+        changes = [-intensity for intensity in coherent]
+        for mode in source.few_modes(light.wavelength_um):
+            for change, amplitude in zip(changes, _amplitudes_of(mode, model, values), strict=True):
+                change += change.dtype.type(mode.weight) * amplitude**2
+        per_square = 0.5 / (model.scale * width) ** 2
+        columns[name] = linear.amplitude_changes([change * np.float32(per_square) for change in changes])
+    return columns
+
+
+def _amplitudes_of(mode: SourceMode, model: ForwardModel, values: NDArray[Any]) -> list[RealArray]:
+    """Return the amplitudes of one direction and wavelength; its engine exists only meanwhile."""
+    assert isinstance(model.engine, Engine)
+    light = replace(LightErrors(mode.tilt_deg).on(model.illumination), wavelength_um=mode.wavelength_um)
+    engine = model.engine.at_wavelength(mode.wavelength_um)
+    return ForwardModel(engine, light, model.recorded, model.scale, model.fill_factor).amplitudes(values)
 
 
 def _free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:

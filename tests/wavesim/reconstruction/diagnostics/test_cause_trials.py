@@ -119,10 +119,20 @@ def test_several_starts_end_at_one_object() -> None:
     assert found.agreement > 0.9
 
 
-def test_a_wide_source_is_tried_and_bandwidth_is_named_as_not_tried() -> None:
+def test_a_wide_source_is_tried_and_named() -> None:
     found = found_in(frames_of(source_deg=1.0)).verdict
     assert not found.explained
     assert any(trial.cause == "source" and trial.gain > 0.2 for trial in found.trials)
     assert found.cause in ("source", "vibration"), found.words
     assert "source" in found.words
-    assert "not tried: bandwidth of the light" in found.words
+
+
+def test_a_broad_band_is_tried_named_and_found() -> None:
+    frames = image(
+        LENS, "star", exposures=(1.0, 30.0), pixels=108, bandwidth_nm=50.0, **TILES | {"error": 0.05}
+    ).frames
+    found = found_in(frames, error=0.05).verdict
+    assert (found.explained, found.cause) == (False, "bandwidth"), found.words
+    stated = found_in(frames, error=0.05, bandwidth_nm="find", iterations=25)
+    assert stated.verdict.explained, stated.verdict.words
+    assert stated.of_method["bandwidth_nm"] == pytest.approx(50.0, rel=0.05)

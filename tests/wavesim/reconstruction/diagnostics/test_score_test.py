@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import pytest
+
 from lensdesign import load_design, scaled
 from wavesim.reconstruction.found_object import FoundObject
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
@@ -30,6 +32,8 @@ def test_a_bench_as_stated_is_explained_with_what_cannot_be_excluded() -> None:
         "tilt_x_deg",
         "tilt_y_deg",
         "working_distance_mm",
+        "source_deg",
+        "bandwidth_nm",
     ]
     assert all(0.0 < one.size < 0.01 for one in verdict.undetected if one.parameter.endswith("_mm"))
     assert all(0.9 < one.correlation <= 1.0 for one in verdict.undetected)
@@ -41,3 +45,15 @@ def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> No
     assert verdict.within, verdict.words
     assert (verdict.explained, verdict.cause) == (False, "mounting"), verdict.words
     assert "tilt x deg +0." in verdict.evidence
+
+
+@pytest.mark.parametrize(
+    ("errors", "cause"), [({"bandwidth_nm": 40.0}, "bandwidth"), ({"source_deg": 0.3}, "source")]
+)
+def test_light_that_is_broader_or_wider_than_stated_is_not_trusted(
+    errors: dict[str, float], cause: str
+) -> None:
+    """Such light blurs the pictures, and a blurred object explains them nearly within the noise."""
+    verdict = found(**errors).verdict
+    assert verdict.within, verdict.words
+    assert (verdict.explained, verdict.cause) == (False, cause), verdict.words

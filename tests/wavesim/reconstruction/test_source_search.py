@@ -1,21 +1,21 @@
-"""How wide a source is, from frames that were made by more directions than the model has."""
+"""How wide and how broad the light is, from frames of more directions and wavelengths than the model has."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
-import scipy.fft
 
 from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
-from wavesim.reconstruction.source_width import blur_ratio, coherent_deg, find_source_width
+from wavesim.reconstruction.source_search import blur_ratio, coherent_deg, coherent_nm, find_source
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ReconstructionSettings
-from wavesim.scene.source import Source
+from wavesim.scene.source import Source, SourceMode
 from wavesim.sensor.measurement import Measurement, recorded_intensity
 
 SAMPLES, PITCH_MM, DISTANCES_MM, ELECTRONS = 64, 0.42e-3, (0.0, 0.17), 1e6
@@ -26,22 +26,22 @@ class FarField(Engine):
 
     name = "far field"
 
-    def __init__(self) -> None:
-        lens = load_design("designs/paper_singlet.toml")
-        shape = (SAMPLES, SAMPLES)
-        before = Grid(shape, PITCH_MM, lens.object_z_mm)
-        super().__init__(Scene(lens, before, Grid(shape, 3.2e-3, lens.exit_vertex_z_mm + 1.0), 0.532))
-        sine = scipy.fft.fftshift(scipy.fft.fftfreq(SAMPLES, PITCH_MM)) * 0.532e-3
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        # Directions on the samples of the sensor, at which the waves of all wavelengths arrive.
+        index = np.arange(SAMPLES) - SAMPLES // 2
+        sine = index * 0.532e-3 / (SAMPLES * PITCH_MM)
+        wave = np.exp(-2e3j * np.pi / scene.wavelength_um * PITCH_MM * np.outer(sine, index))
+        self.wave = wave / np.sqrt(SAMPLES)
         squares = sine[:, None] ** 2 + sine**2
         self.passed = (squares < 0.25) * np.exp(40j * squares)
 
     def _forward(self, values: Any) -> Any:
-        spectrum = scipy.fft.fft2(scipy.fft.ifftshift(values), norm="ortho")
-        return (scipy.fft.fftshift(spectrum) * self.passed).astype(values.dtype)
+        return (self.passed * (self.wave @ values @ self.wave.T)).astype(values.dtype)
 
     def _adjoint(self, values: Any) -> Any:
-        spectrum = scipy.fft.ifftshift(values * self.passed.conj())
-        return scipy.fft.fftshift(scipy.fft.ifft2(spectrum, norm="ortho")).astype(values.dtype)
+        back = self.wave.conj().T @ (values * self.passed.conj()) @ self.wave.conj()
+        return back.astype(values.dtype)
 
     def cost(self) -> Cost:
         return Cost(0.1, 0.0, 0)
@@ -53,18 +53,24 @@ class FarField(Engine):
         return {}
 
 
+def far_field() -> FarField:
+    lens = load_design("designs/paper_singlet.toml")
+    shape = (SAMPLES, SAMPLES)
+    grids = Grid(shape, PITCH_MM, lens.object_z_mm), Grid(shape, 3.2e-3, lens.exit_vertex_z_mm + 1.0)
+    return FarField(Scene(lens, *grids, 0.532))
+
+
 def lit_by(engine: Engine) -> Field:
     grid = engine.scene.object_grid
     stop = np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.4 * SAMPLES * PITCH_MM
     return Field(grid, stop.astype(np.complex64), 0.532)
 
 
-def planes_in(engine: Engine, light: Field, width_deg: float) -> list[Measurement]:
-    """Of random blocks, with shot noise; 30 directions."""
+def planes_in(engine: Engine, light: Field, modes: Sequence[SourceMode]) -> list[Measurement]:
+    """Of random blocks, with shot noise."""
     random = np.random.default_rng(3)
     blocks = np.kron(random.random((16, 16)) > 0.4, np.ones((4, 4)))
     blank = [Measurement(distance, np.ones(blocks.shape, np.float32)) for distance in DISTANCES_MM]
-    modes = Source(width_deg).modes(0.532, 3, 10)
     planes = []
     for made, plane in zip(
         ForwardModel(engine, light, blank, 1.0, 1.0, modes=modes).amplitudes(blocks), blank, strict=True
@@ -78,21 +84,34 @@ def planes_in(engine: Engine, light: Field, width_deg: float) -> list[Measuremen
 @pytest.mark.parametrize("fraction", [0.0, 1.2])
 def test_the_width_of_a_source_is_found_with_the_object(fraction: float) -> None:
     """In widths at which light is coherent over half of the object."""
-    engine = FarField()
+    engine = far_field()
     light = lit_by(engine)
     width_deg = fraction * coherent_deg(light)
-    settings = ReconstructionSettings(kind="amplitude")
+    settings = ReconstructionSettings(kind="amplitude", source_deg="find")
     messages: list[str] = []
-    found, start = find_source_width(
-        engine, light, planes_in(engine, light, width_deg), settings, messages.append
-    )
-    assert found == pytest.approx(width_deg, rel=0.05)
+    planes = planes_in(engine, light, Source(width_deg).modes(0.532, 3, 10))
+    found, start = find_source(engine, light, planes, settings, messages.append)
+    assert found.width_deg == pytest.approx(width_deg, rel=0.05)
+    assert found.bandwidth_nm == 0.0
     assert messages[0] == f"width of the source: {coherent_deg(light):.3g} deg"
     assert start.grid == light.grid
 
 
+@pytest.mark.parametrize(("fraction", "width_deg"), [(0.0, 0.0), (1.5, 0.0), (1.5, 0.3)])
+def test_the_bandwidth_is_found_with_the_object(fraction: float, width_deg: float) -> None:
+    """In bandwidths that shift the steepest light by a speckle; the light comes from a known width."""
+    engine = far_field()
+    light = lit_by(engine)
+    bandwidth_nm = fraction * coherent_nm(light)
+    settings = ReconstructionSettings(kind="amplitude", bandwidth_nm="find", source_deg=width_deg)
+    planes = planes_in(engine, light, Source(width_deg, bandwidth_nm).modes(0.532))
+    found, _ = find_source(engine, light, planes, settings, lambda text: None)
+    assert found.bandwidth_nm == pytest.approx(bandwidth_nm, rel=0.05)
+    assert found.width_deg == width_deg
+
+
 def test_blur_ratio_follows_from_the_planes() -> None:
-    engine = FarField()
+    engine = far_field()
     light = lit_by(engine)
     random = np.random.default_rng(5)
     shape = engine.scene.exit_grid.shape

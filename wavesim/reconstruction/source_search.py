@@ -1,8 +1,9 @@
-"""Width of the light source, found from the frames of an unknown object.
+"""Angular width or bandwidth of the light source, found from the frames of an unknown object.
 
-A source of the diameter w blurs a plane's intensity by an amount that grows as w^2. An object is sought for
-some iterations with a source of one width. The intensities of the result, I(w) with that source and I(0)
-with a point source, then give the blur of the measured intensity by least squares:
+A source of the width w blurs a plane's intensity by an amount that grows as w^2, whether w is an angle or a
+band of wavelengths. An object is sought for some iterations with a source of one width. The intensities of
+the result, I(w) with that source and I(0) with a coherent one, then give the blur of the measured intensity
+by least squares:
 
     measured = I(w) + (k - 1) (I(w) - I(0)),    w <- w sqrt(k).
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,7 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings
-from wavesim.scene.source import Source
+from wavesim.scene.source import Source, SourceMode
 from wavesim.sensor.measurement import Measurement
 
 Array = NDArray[np.floating[Any]]
@@ -32,25 +34,39 @@ MOST_WIDTHS, ITERATIONS = 8, 6
 """Largest number of widths, and iterations of the object with each."""
 
 
-def find_source_width(
+def find_source(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
     settings: ReconstructionSettings,
     progress: Callable[[str], None],
-) -> tuple[float, Field]:
-    """Return the angular diameter of the source in deg (0 for a point), and the object found with it.
+) -> tuple[Source, Field]:
+    """Return the source of the light, and the object found with it.
 
     Parameters
     ----------
     engine, light, recorded
         See :func:`wavesim.reconstruct`; the planes have standard deviations.
     settings
-        Settings of the reconstruction.
+        Settings of the reconstruction. Either `source_deg` or `bandwidth_nm` is "find".
     progress
         Called with a message for each width that is tried.
     """
-    coherent_width = coherent_deg(light)
+    if settings.bandwidth_nm == "find":
+        assert settings.source_deg != "find"
+        known = Source(width_deg=settings.source_deg)
+        coherent_width, message = coherent_nm(light), "bandwidth of the light: {:.3g} nm"
+    else:
+        known = Source(bandwidth_nm=settings.bandwidth_nm)
+        coherent_width, message = coherent_deg(light), "width of the source: {:.3g} deg"
+
+    def source_of(width: float) -> Source:
+        is_band = settings.bandwidth_nm == "find"
+        return replace(known, bandwidth_nm=width) if is_band else replace(known, width_deg=width)
+
+    def modes_of(source: Source) -> list[SourceMode]:
+        return source.few_modes(light.wavelength_um, samples=max(light.grid.shape))
+
     width, start = coherent_width, light.with_values(np.ones_like(light.values))
     # Relative change of the width at which the search ends.
     tolerance = 0.02
@@ -59,8 +75,8 @@ def find_source_width(
     # Smallest width over that at which half of the object is lit coherently. Narrower sources are points.
     least_width = 0.1
     for _ in range(MOST_WIDTHS):
-        progress(f"width of the source: {width:.3g} deg")
-        modes = Source(width).few_modes(light.wavelength_um)
+        progress(message.format(width))
+        modes = modes_of(source_of(width))
         found = reconstruct(
             engine,
             light,
@@ -76,15 +92,15 @@ def find_source_width(
         start = found.transmission
         wide, point = (
             ForwardModel(engine, light, recorded, found.scale, settings.fill_factor, modes=of)
-            for of in (modes, ())
+            for of in (modes, modes_of(known))
         )
         ratio = blur_ratio(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
         previous, width = width, width * math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
         if width < least_width * coherent_width:
-            return 0.0, start
+            return source_of(0.0), start
         if abs(width - previous) < tolerance * previous:
             break
-    return width, start
+    return source_of(width), start
 
 
 def coherent_deg(light: Field) -> float:
@@ -92,9 +108,22 @@ def coherent_deg(light: Field) -> float:
 
     It is the wavelength over the diameter of the lit area.
     """
+    return math.degrees(1e-3 * light.wavelength_um / _diameter_mm(light))
+
+
+def coherent_nm(light: Field) -> float:
+    """Return the bandwidth in nm over which the steepest light shifts on the sensor by one speckle.
+
+    Light of all directions that the samples hold forms about D / (2 p) speckles from the axis to the rim, for
+    samples of the pitch p over the diameter D of the lit area. A relative change of the wavelength stretches
+    the picture by the same factor.
+    """
+    return 1e3 * light.wavelength_um * 2.0 * light.grid.pitch_mm / _diameter_mm(light)
+
+
+def _diameter_mm(light: Field) -> float:
     lit = np.abs(light.values) > 1e-3 * np.abs(light.values).max()
-    diameter_mm = 2.0 * math.sqrt(np.count_nonzero(lit) * light.grid.cell / math.pi)
-    return math.degrees(1e-3 * light.wavelength_um / diameter_mm)
+    return 2.0 * math.sqrt(np.count_nonzero(lit) * light.grid.cell / math.pi)
 
 
 def blur_ratio(
@@ -103,7 +132,7 @@ def blur_ratio(
     wide: Sequence[Array],
     point: Sequence[Array],
 ) -> float:
-    """Return the blur of measured planes over that of a source: 1 for equal blur, 0 for a point source.
+    """Return the blur of measured planes over that of a source: 1 for equal blur, 0 for a coherent source.
 
     Parameters
     ----------
@@ -112,7 +141,7 @@ def blur_ratio(
     model
         Forward model, which holds the weights of the planes.
     wide, point
-        Amplitudes on the planes for the source, and for a point source.
+        Amplitudes on the planes for the source, and for a coherent one.
     """
     cross = power = 0.0
     for plane, weight, broad, sharp in zip(recorded, model.weights, wide, point, strict=True):
