@@ -132,7 +132,12 @@ def show(
         ),
     ] = None,
     high_fidelity: Annotated[
-        bool, typer.Option("--dear", help="With --trial: also score it by the high-fidelity merits.")
+        bool,
+        typer.Option(
+            "--high-fidelity",
+            "--dear",
+            help="With --trial: also score it by the high-fidelity merits (formerly --dear).",
+        ),
     ] = False,
     trust: Trust = False,
     as_json: Json = False,
@@ -146,7 +151,7 @@ def show(
     from tolerancing.store.store import open_store
 
     if trial is None and (output is not None or state is not None or high_fidelity):
-        raise InputError("--output, --state and --dear need --trial")
+        raise InputError("--output, --state and --high-fidelity need --trial")
     with open_store(store, trust=trust) as opened:
         if trial is not None:
             _show_trial(opened, trial, output, state, high_fidelity, as_json)

@@ -377,13 +377,7 @@ class _ProximalDescent:
                 if self.stop(state) is not None:
                     if stages[-1][0] == "complex" or not self._may_be_biased(state):
                         break
-                    state = replace(
-                        state,
-                        ahead=state.transmission,
-                        momentum=0.0,
-                        began=len(state.misfit),
-                        tv_factor=0.5 * state.tv_factor,
-                    )
+                    state = _with_half_total_variation(state)
                 state = self._next_state(state, kind)
                 if self.progress is not None:
                     self.progress(len(state.misfit) - 1, state.misfit[-1])
@@ -464,6 +458,17 @@ class _ProximalDescent:
             return "noise"
         rests = len(misfits) > EARLY and _is_converged(misfits, NEAR_EARLY if over <= FAR else EARLY)
         return "rest" if rests else None
+
+
+def _with_half_total_variation(state: SolverState) -> SolverState:
+    """Return the state from which the search starts again with half of the total variation's weight."""
+    return replace(
+        state,
+        ahead=state.transmission,
+        momentum=0.0,
+        began=len(state.misfit),
+        tv_factor=0.5 * state.tv_factor,
+    )
 
 
 def _is_converged(misfits: Sequence[float], iterations: int) -> bool:

@@ -190,7 +190,7 @@ def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
     assert read_state(path, trial.context.lens) == trial.state != SystemState()
     for arguments, message in (
         (("--trial", "9"), "error: trial = 9: the study has trials 0 to 3"),
-        (("-o", picture), "error: --output, --state and --dear need --trial"),
+        (("-o", picture), "error: --output, --state and --high-fidelity need --trial"),
         (("--trial", "1", "-o", tmp_path / "a.gif"), "error: cannot write "),
         (("--trial", "9", "--state", tmp_path), "error: cannot write "),
     ):
