@@ -145,10 +145,10 @@ def judge_result(
         return judged()
     with engine_on(case.light.grid) as engine:
         trials, undetected = list[Trial](), tuple[Undetected, ...]()
-        if found.whole is not None and not case.modes[1:]:
+        if first.within and found.whole is not None and not case.modes[1:]:
             progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)
-            if test is not None and first.within:
+            if test is not None:
                 undetected = test.undetected
                 if test.is_preferred:
                     findings.append(Finding(test.cause, test.explanation, test.chi_square))
