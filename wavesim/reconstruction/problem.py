@@ -30,6 +30,7 @@ from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_bytes
+from wavesim.reconstruction.source_search import BROADEST, coherent_nm
 from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint, digest_of, key_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
@@ -198,9 +199,10 @@ def reconstruction_problem(
         recorded = placed_planes(recorded, state)
     recorded, held_out = hold_out(recorded, settings.hold_out_plane)
     frame_light = light_of_frames(scene, framed.frames, light)
-    # A source whose width is to be found counts as extended until the width is known.
+    # A source that is to be found counts as extended, and as broad as it may be, until it is known.
     source = Source(
-        *(1.0 if width == "find" else width for width in (settings.source_deg, settings.bandwidth_nm))
+        1.0 if settings.source_deg == "find" else settings.source_deg,
+        BROADEST * coherent_nm(light) if settings.bandwidth_nm == "find" else settings.bandwidth_nm,
     )
     modes = source.few_modes(light.wavelength_um, samples=max(light.grid.shape))
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2

@@ -33,6 +33,12 @@ Array = NDArray[np.floating[Any]]
 MOST_WIDTHS, ITERATIONS = 8, 6
 """Largest number of widths, and iterations of the object with each."""
 
+BROADEST = 3.0
+"""Largest bandwidth that is sought, over the one that shifts the steepest light by a speckle.
+
+Each wavelength needs an engine, and a broader band needs more of them.
+"""
+
 
 def find_source(
     engine: Engine,
@@ -56,9 +62,11 @@ def find_source(
         assert settings.source_deg != "find"
         known = Source(width_deg=settings.source_deg)
         coherent_width, message = coherent_nm(light), "bandwidth of the light: {:.3g} nm"
+        largest_width = BROADEST * coherent_width
     else:
         known = Source(bandwidth_nm=settings.bandwidth_nm)
         coherent_width, message = coherent_deg(light), "width of the source: {:.3g} deg"
+        largest_width = math.inf
 
     def source_of(width: float) -> Source:
         is_band = settings.bandwidth_nm == "find"
@@ -95,7 +103,8 @@ def find_source(
             for of in (modes, modes_of(known))
         )
         ratio = blur_ratio(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
-        previous, width = width, width * math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
+        factor = math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
+        previous, width = width, min(width * factor, largest_width)
         if width < least_width * coherent_width:
             return source_of(0.0), start
         if abs(width - previous) < tolerance * previous:

@@ -64,7 +64,7 @@ planes, over their diversity.
 LONGEST, REFINED = 0.4, 2
 """Longest relative step, and number of refinements about the best step."""
 
-SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0, 4.0, 8.0), (0.15, 0.3)
+SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0), (0.15, 0.3)
 """Widths of the source, over the width at which light is coherent over half of the object, and bandwidths,
 over the one that shifts the steepest light by a speckle, as long as they help; and blurs (rms).
 """
