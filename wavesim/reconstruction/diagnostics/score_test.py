@@ -56,11 +56,11 @@ CAUSES = {
 }
 """Causes of the parameters by the first word of their names; the others belong to the planes."""
 
-CERTAIN_CHI_SQUARE, CERTAIN_PER_PIXEL = 60.0, 3e-3
+CERTAIN_CHI_SQUARE, CERTAIN_PER_PIXEL = 100.0, 3e-3
 """Chi-square above which frames prefer another bench: a constant, plus an amount for each pixel.
 
-Small model errors and iterations that end early add up over pixels. A bench as designed reaches about a
-third of this value.
+Small model errors and iterations that end early add up over pixels. A bench as designed reaches a third of
+this value with most objects, and nearly all of it with a complex object whose planes have little diversity.
 """
 
 
@@ -97,7 +97,7 @@ class ScoreTest:
         """True if frames clearly prefer another bench, and the object would differ."""
         threshold = CERTAIN_CHI_SQUARE + CERTAIN_PER_PIXEL * self.pixels
         # Loss of correlation above which an error of the bench matters.
-        least_loss = 0.004
+        least_loss = 0.008
         return self.chi_square > threshold and 1.0 - self.correlation > least_loss
 
     @property
