@@ -18,8 +18,8 @@ from wavesim.fields.field import Field, relative_error
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.comparison import random_field, reference_for
 from wavesim.scene.engine import Engine
-from wavesim.scene.light import Light
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
 SCALES, APERTURES, FIELD_SHARES = (1 / 8, 1 / 16), (0.2, 0.35, 0.5), (0.0, 0.5, 0.9)

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from wavesim import SamplingWarning, image, reconstruct_frames
-from wavesim.sensor.exposures import SaturationWarning
+from wavesim.sensor.camera_noise import SaturationWarning
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.measurement import noise_misfit
 

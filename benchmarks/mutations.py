@@ -250,13 +250,13 @@ MUTATIONS = (
     # The camera
     Mutation(
         "shot noise of half the electrons",
-        "wavesim/sensor/exposures.py",
+        "wavesim/sensor/camera_noise.py",
         "electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)",
         "electrons = 0.5 * random.poisson(2.0 * np.minimum(electrons, 2.0 * full + 100.0))",
     ),
     Mutation(
         "top count 2^bits",
-        "wavesim/sensor/exposures.py",
+        "wavesim/sensor/camera_noise.py",
         "full, top = electronics.full_well_electrons, 2**electronics.bits - 1",
         "full, top = electronics.full_well_electrons, 2**electronics.bits",
     ),

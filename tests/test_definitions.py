@@ -42,7 +42,7 @@ from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, 
 from wavesim.rays.interfaces import transmission
 from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.reconstruction.refocusing import svfg
-from wavesim.sensor.exposures import Electronics, SaturationWarning, expose
+from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose
 from wavesim.targets.usaf import usaf_elements, usaf_line_width_um
 
 

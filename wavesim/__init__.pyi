@@ -22,7 +22,7 @@ from .scene.scene import Scene
 from .scene.settings import ImageSettings, ReconstructionSettings
 from .scene.state_files import read_state, write_state
 from .scene.system_state import SystemState
-from .sensor.exposures import Electronics
+from .sensor.camera_noise import Electronics
 from .sensor.frame_sets import read_frames
 from .sensor.frames import Frame, FrameSettings, write_frame
 from .sensor.imaging import Imaged, image

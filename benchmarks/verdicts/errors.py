@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.verdicts.benches import BenchFrames
-from wavesim.sensor.exposures import Electronics, expose
+from wavesim.sensor.camera_noise import Electronics, expose
 from wavesim.sensor.frames import Frame
 
 Frames = Sequence[Frame]

@@ -15,7 +15,7 @@ from lensdesign import load_design, save_design, scaled
 from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.files import write_field
-from wavesim.sensor.exposures import Electronics
+from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import write_frame
 from wavesim.sensor.recording import Recording, image_patch
 from wavesim.sensor.windows import exit_scene, sensor_window

@@ -2,8 +2,8 @@
 
 A plane wave that comes in at the angle a on a black screen is behind it, in air, the sum of plane waves of
 the spectrum 1 / (4 pi i sin((a - b) / 2)) over all angles b, which is the incoming wave times Fresnel's
-integral F(x) of :mod:`wavesim.rays.edges`; x^2 is k times the detour by way of the edge. A perfect conductor
-takes from this such a field of the wave that it reflects. See A. Sommerfeld, "Mathematische Theorie
+integral F(x) of :mod:`wavesim.rays.edge_diffraction`; x^2 is k times the detour by way of the edge. A perfect
+conductor takes from this such a field of the wave that it reflects. See A. Sommerfeld, "Mathematische Theorie
 der Diffraction", Math. Ann. 47, 317 (1896), and P. C. Clemmow, "The Plane Wave Spectrum Representation of
 Electromagnetic Fields" (1966). Behind the screen each plane wave passes the plate by itself.
 """

@@ -21,7 +21,8 @@ from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel
-from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
+from wavesim.metrics.goodness_of_fit import Finding, PlaneResidual, verdict, with_finding
+from wavesim.metrics.next_steps import STOP_CAUSE
 from wavesim.reconstruction.field_stop import StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.problem import validate_frames

@@ -21,7 +21,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_result import Calibrated
-from wavesim.calibration.gauss_newton import GaussNewton, Minimum
 from wavesim.calibration.mounting_parameters import (
     DECENTERS,
     RIGID,
@@ -31,6 +30,7 @@ from wavesim.calibration.mounting_parameters import (
     with_values,
 )
 from wavesim.calibration.response import RealArray, Response, mounting_response
+from wavesim.calibration.trust_region import GaussNewton, Minimum
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel

@@ -18,7 +18,7 @@ from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import DEFAULT_ERROR, ChoiceSettings
 
 if TYPE_CHECKING:
-    from wavesim.scene.light import Light
+    from wavesim.scene.scattered_light import Light
     from wavesim.scene.scene import Scene
 
 
@@ -83,7 +83,7 @@ def choose(
 def _lit_scene(lens: Lens, scene: Scene, name: str, settings: ChoiceSettings) -> tuple[Scene, Light]:
     """Return the scene with the object's samples and the field behind it; for a line, its middle column."""
     from wavesim.fields.field import Field
-    from wavesim.scene.light import Light
+    from wavesim.scene.scattered_light import Light
     from wavesim.targets.patch import lit_patch, make_target
 
     patch, illumination = lit_patch(lens, settings, settings.wavelength_um)

@@ -69,7 +69,8 @@ def reconstruct(
     case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
     the last checkpoint.
     """
-    from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, with_finding
+    from wavesim.metrics.goodness_of_fit import Finding, with_finding
+    from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.plots.result_files import remove_unfinished
     from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
@@ -306,7 +307,7 @@ def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from wavesim.reconstruction.object_solver import STOPPED
+    from wavesim.reconstruction.stop_rule import STOPPED
 
     engine = summary["engine"]
     why = STOPPED[summary["stopped_because"]] if "stopped_because" in summary else ""

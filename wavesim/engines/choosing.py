@@ -19,7 +19,7 @@ from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.engine import Engine, upper_bound
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import DEFAULT_ERROR
 

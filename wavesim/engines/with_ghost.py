@@ -10,7 +10,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
 from wavesim.scene.ghosts import ghost_of
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import SettingError
 
 

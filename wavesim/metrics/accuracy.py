@@ -17,7 +17,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import engine_class
 from wavesim.fields.field import Field, relative_error
 from wavesim.scene.engine import Cost, Engine
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 
 TIMED_RUNS, SLOW_SECONDS = 3, 1.0
 """Number of runs after the set-up, of which the fastest counts. A run longer than `SLOW_SECONDS` is not

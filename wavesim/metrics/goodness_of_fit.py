@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.text import finite_or_none
+from wavesim.metrics.next_steps import next_step
 from wavesim.metrics.noise_parameters import NoiseCheck, noise_check
 from wavesim.metrics.plane_residuals import PlaneResidual
 from wavesim.runtime.threads import row_blocks
@@ -45,35 +46,6 @@ FEW, MORE = 3, 10
 """The misfit of the first `FEW` iterations is not judged. Later it is extrapolated by `MORE` steps as large
 as the last one; more iterations are advised if it then reaches the noise.
 """
-
-ADVICE = {
-    "planes swapped": "give the frames the distances of their planes in the other order",
-    "orientation": "turn or mirror the pictures of that plane as the other planes' pictures are",
-    "shift": "run `wavesim calibrate`: it finds the shift of each plane",
-    "mounting": "run `wavesim calibrate`: it finds decenter and tilt of the lens",
-    "working distance": "measure the object's distance anew, or run `wavesim calibrate`",
-    "pixel pitch": "compare the pitch that frames and design state with the camera's data sheet",
-    "lens": "compare design and wavelength with what is mounted; run `wavesim calibrate`",
-    "distance": "measure the plane's distance anew, or run `wavesim calibrate`",
-    "background": "block stray light, or run `wavesim calibrate`: it finds each plane's background",
-    "field stop position": "measure the field stop, and give --field-stop-at-mm and --field-stop-mm",
-    "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
-    "light": "run `wavesim calibrate`: it finds the light's direction and shape",
-    "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
-    "bandwidth": "state the bandwidth (--bandwidth-nm), let it be found (--bandwidth-nm find), or "
-    "narrow it with a filter",
-    "vibration": "mount the camera more firmly, or expose for a shorter time",
-    "iterations": "give more --iterations",
-    "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",
-    "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
-    "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
-    "object, tilted light and a shifted plane give the same frames",
-    "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted",
-}
-
-
-STOP_CAUSE = "field stop position"
-"""Cause of a result whose field stop was found on a bench that turned out to be wrong."""
 
 
 class Trial(NamedTuple):
@@ -275,7 +247,7 @@ def with_finding(judged: GoodnessOfFit, finding: Finding) -> GoodnessOfFit:
     if not judged.explained:
         return doubted
     return replace(
-        doubted, cause=finding.cause, evidence=finding.explanation, next_step=ADVICE.get(finding.cause, "")
+        doubted, cause=finding.cause, evidence=finding.explanation, next_step=next_step(finding.cause)
     )
 
 
@@ -337,12 +309,6 @@ def verdict(
         cause, evidence = _likeliest(trials, curve, max(excess))
     elif against:
         cause, evidence = against[0][:2]
-    step = ADVICE.get(cause, "")
-    if calibrated and "wavesim calibrate" in step:
-        step = (
-            "the calibration does not hold for these frames or does not contain the cause: compare design, "
-            "light and camera with what is mounted, or calibrate with more parameters (--parameters all)"
-        )
     return GoodnessOfFit(
         within and not against,
         max(plane.over_noise or 0.0 for plane in judged),
@@ -351,7 +317,7 @@ def verdict(
         tuple(judged),
         cause,
         evidence,
-        step,
+        next_step(cause, calibrated=calibrated),
         tuple(trials),
         agreement,
         tuple(against),

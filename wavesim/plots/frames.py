@@ -13,9 +13,9 @@ from lensdesign.errors import atomic_path
 from lensdesign.plots.saving import save_figure
 from wavesim.metrics.result_quality import plane_metrics
 from wavesim.plots.panels import AS_SAMPLED, colour_bar, for_screen, panel_row, scale_bar, title_figure
-from wavesim.sensor.exposures import fixed_variance
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Array, Measurement
+from wavesim.sensor.merged_exposures import fixed_variance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,8 +12,8 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from wavesim.plots.objects import LIT, phase_reach
 from wavesim.plots.pyramid import Function, Level, halved, picture_levels
-from wavesim.sensor.exposures import fixed_variance
 from wavesim.sensor.frames import Frame
+from wavesim.sensor.merged_exposures import fixed_variance
 
 Plane = Literal["object", "sensor"]
 

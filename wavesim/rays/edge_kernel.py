@@ -1,4 +1,4 @@
-"""The compiled loop of :mod:`wavesim.rays.edges`."""
+"""The compiled loop of :mod:`wavesim.rays.edge_diffraction`."""
 
 # mypy: disable-error-code="misc"
 

@@ -18,7 +18,7 @@ from scipy.linalg import lstsq
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from wavesim.rays.edges import Edge, light_edge
+from wavesim.rays.edge_diffraction import Edge, light_edge
 from wavesim.rays.kernel import row_ends
 from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
 from wavesim.scene.scene import Scene

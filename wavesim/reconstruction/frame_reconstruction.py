@@ -58,7 +58,7 @@ from wavesim.reconstruction.source_search import find_source
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import SAFETY, Engine, Tiled
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frames import Frame

@@ -36,6 +36,7 @@ from lensdesign.errors import InputError, validate_choice, validate_positive, va
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.reconstruction.phase_retrieval import validate_planes
+from wavesim.reconstruction.stop_rule import AT_NOISE, FAR, STOPPED, Stop, stop_reason
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Grids, Operator
@@ -44,15 +45,6 @@ from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit, power_of_two
 
 Array = NDArray[np.inexact[Any]]
-Stop = Literal["noise", "rest", "iterations"]
-
-STOPPED: dict[Stop, str] = {
-    "noise": "; stopped because the misfit reached the noise",
-    "rest": "; stopped because the misfit converged",
-    "iterations": "",
-}
-"""Text that describes each reason for the end of the iterations."""
-
 AMPLITUDE_START = 12
 """Iterations that seek an amplitude object if `start` is "amplitude"."""
 
@@ -77,22 +69,10 @@ complex object keeps the weight: its unknowns are so many that with less of it t
 wrong bench.
 """
 
-INNER_ITERATIONS, INNER_STEP_FACTOR, FAR = 4, 2.0, 1.2
-"""Inner iterations of a step, the factor by which they lengthen it and its total variation, and their limit.
+INNER_ITERATIONS, INNER_STEP_FACTOR = 4, 2.0
+"""Inner iterations of a step, and the factor by which they lengthen it and its total variation.
 
-Inner iterations are used while the misfit exceeds `FAR` times the misfit of noise. Nearer to the noise they
-would fit the noise.
-"""
-AT_NOISE = 1.01
-"""Misfit over that of noise alone at which iterations count as having reached the noise.
-
-Slowly converging parts, such as smooth phase, still improve there as long as the misfit falls.
-"""
-
-EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
-"""Convergence: over `EARLY` iterations (`NEAR_EARLY` near the noise, `AT_NOISE_EARLY` at the noise) the
-misfit falls by less than the fraction `EARLY_GAIN`. At the noise, iterations also end where all further
-iterations together are expected to change the misfit by less than that.
+They are used while the misfit is far from that of noise. Nearer to the noise they would fit the noise.
 """
 
 
@@ -448,16 +428,8 @@ class _ProximalDescent:
 
     def stop(self, state: SolverState) -> Stop | None:
         """Return the reason to stop, or None if iterations continue."""
-        if len(state.misfit) - state.began == 0:
-            return None
-        misfits, noise = state.misfit[state.began :], self.misfit_of_noise
-        over = misfits[-1] / noise if self.until_noise and noise else math.inf
-        if over <= AT_NOISE and (
-            _is_converged(misfits, AT_NOISE_EARLY) or _expected_change(misfits) < EARLY_GAIN
-        ):
-            return "noise"
-        rests = len(misfits) > EARLY and _is_converged(misfits, NEAR_EARLY if over <= FAR else EARLY)
-        return "rest" if rests else None
+        noise = self.misfit_of_noise if self.until_noise else None
+        return stop_reason(state.misfit[state.began :], noise)
 
 
 def _with_half_total_variation(state: SolverState) -> SolverState:
@@ -469,21 +441,6 @@ def _with_half_total_variation(state: SolverState) -> SolverState:
         began=len(state.misfit),
         tv_factor=0.5 * state.tv_factor,
     )
-
-
-def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
-    """Return whether the misfit hardly changed over the last iterations."""
-    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
-
-
-def _expected_change(misfits: Sequence[float]) -> float:
-    """Return the relative misfit change of further iterations, as a geometric series of the last three."""
-    changes = np.abs(np.diff(misfits[-4:]))
-    if len(changes) < 3 or not changes[0] > changes[1] > changes[2]:
-        return math.inf
-    # The larger ratio counts, because a single change is small where the inner iterations end.
-    ratio = max(changes[1] / changes[0], changes[2] / changes[1])
-    return float(changes[2] * ratio / ((1.0 - ratio) * misfits[-1]))
 
 
 def _leads_uphill(now: Array, ahead: Array, after: Array) -> bool:

@@ -36,13 +36,12 @@ from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_
 from wavesim.runtime.scratch import Scratch, scratch_in
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene, placed_light, placed_scene
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
 from wavesim.scene.system_state import SystemState, state_of
 from wavesim.sensor.duplicate_frames import validate_distinct_frames
-from wavesim.sensor.exposures import electrons_of, rounding_fraction
 from wavesim.sensor.frame_sets import (
     PlaneFrames,
     frames_by_plane,
@@ -52,6 +51,7 @@ from wavesim.sensor.frame_sets import (
 )
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, placed_planes
+from wavesim.sensor.merged_exposures import electrons_of, rounding_fraction
 from wavesim.sensor.windows import (
     LEAST_DIVERSITY,
     check_diversity,

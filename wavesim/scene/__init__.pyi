@@ -1,7 +1,7 @@
 from .engine import Cost, Engine, ErrorTerm, Tiled
-from .light import Light
 from .light_errors import LightErrors
 from .patches import patch_scene
+from .scattered_light import Light
 from .scene import Scene, placed_scene
 from .settings import (
     CalibrationSettings,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating]

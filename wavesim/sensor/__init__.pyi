@@ -1,8 +1,9 @@
-from .exposures import Electronics, SaturationWarning, estimate_intensity, merged_intensity, plane_seeds
+from .camera_noise import Electronics, SaturationWarning, plane_seeds
 from .frame_sets import read_frames, recorded_planes
 from .frames import Frame, FrameSettings, read_frame, write_frame
 from .imaging import Imaged, image
 from .measurement import Measurement, recorded_intensity
+from .merged_exposures import estimate_intensity, merged_intensity
 from .recording import Recording, drop_parts, image_patch
 from .sensor import (
     FootprintWarning,

@@ -13,8 +13,8 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from wavesim.runtime.threads import row_blocks
-from wavesim.sensor.exposures import merged_intensity
 from wavesim.sensor.frames import Frame
+from wavesim.sensor.merged_exposures import merged_intensity
 
 NOISE, RELATIVE = 1.15, 0.01
 """Two pictures are the same up to this mean square difference over that of their noise, or up to this

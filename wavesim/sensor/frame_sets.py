@@ -20,16 +20,16 @@ from lensdesign.lens.lens import Lens
 from wavesim.runtime.threads import for_blocks, row_blocks
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import FrameSetSettings, SettingError
-from wavesim.sensor.exposures import (
-    SaturationWarning,
+from wavesim.sensor.camera_noise import SaturationWarning
+from wavesim.sensor.frames import Frame, read_frame
+from wavesim.sensor.measurement import Measurement, recorded_intensity
+from wavesim.sensor.merged_exposures import (
     clipped_in_all,
     electrons_of,
     fixed_variance,
     known_in,
     merged_intensity,
 )
-from wavesim.sensor.frames import Frame, read_frame
-from wavesim.sensor.measurement import Measurement, recorded_intensity
 from wavesim.sensor.pixels.bad_pixels import find_bad_pixels
 from wavesim.sensor.pixels.maps import PixelMaps, read_pixel_maps
 
@@ -402,8 +402,8 @@ def planes_of_frames(frames: Sequence[Frame]) -> tuple[PlaneFrames, ...]:
 def recorded_planes(frames: Sequence[Frame]) -> list[Measurement]:
     """Return amplitude and standard deviation on each plane, in single precision, ordered by plane distance.
 
-    Distances count from the nearest plane. :func:`wavesim.sensor.exposures.merged_intensity` merges the
-    frames of one plane.
+    Distances count from the nearest plane. :func:`wavesim.sensor.merged_exposures.merged_intensity` merges
+    the frames of one plane.
     """
     by_plane = frames_by_plane(frames)
     first = by_plane[0][0].settings.plane_distance_mm

@@ -19,11 +19,11 @@ from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene, placed_light
 from wavesim.scene.settings import ImageSettings, SettingError
 from wavesim.scene.system_state import SystemState, state_of
-from wavesim.sensor.exposures import Electronics
+from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.pixels.non_uniformity import PixelErrors
 from wavesim.sensor.recording import (

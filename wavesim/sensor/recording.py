@@ -32,7 +32,7 @@ from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.source import SourceMode
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
-from wavesim.sensor.exposures import Electronics, Seed, plane_seeds
+from wavesim.sensor.camera_noise import Electronics, Seed, plane_seeds
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.incoherent import added_modes, of_mode
 from wavesim.sensor.pixel_integration import PixelLight

@@ -1,7 +1,7 @@
 """The image sensor: from a field on a recording plane to the light on its pixels, and to frames of counts.
 
 The expected electrons of a pixel are the mean intensity over its photosensitive square times the exposure.
-:mod:`wavesim.sensor.exposures` describes noise, clipping and quantisation.
+:mod:`wavesim.sensor.camera_noise` describes noise, clipping and quantisation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Sensor
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import propagate
-from wavesim.sensor.exposures import (
+from wavesim.sensor.camera_noise import (
     Electronics,
     SaturationWarning,
     Seed,
@@ -206,7 +206,7 @@ def record(
     plane_distance_mm
         Distance of the field's plane from the exit vertex. The frame states it, without the stage error.
     electronics, seed
-        See :func:`wavesim.sensor.exposures.expose`.
+        See :func:`wavesim.sensor.camera_noise.expose`.
     peak_fill
         Expected electrons in the brightest pixel, as a fraction of full well.
     exposure

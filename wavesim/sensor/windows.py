@@ -18,7 +18,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import AUTO, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES
 from wavesim.scene.engine import Engine
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import EngineSettings
 from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of

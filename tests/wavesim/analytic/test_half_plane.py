@@ -9,7 +9,7 @@ from wavesim.analytic.half_plane import GAP, half_plane_scene
 from wavesim.analytic.registry import AnalyticCase
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import relative_error
-from wavesim.rays.edges import fresnel_edge
+from wavesim.rays.edge_diffraction import fresnel_edge
 
 DISTANCE_MM, SPREAD, THICKNESS_MM = 0.1, 0.1, 0.05
 

@@ -11,8 +11,8 @@ from programs import Command
 from lensdesign import load_design, save_design, scaled
 from wavesim import write_state
 from wavesim.scene.state_files import state_from_table
-from wavesim.sensor.exposures import estimate_intensity
 from wavesim.sensor.frames import read_frame
+from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.targets.patch import make_target, object_patch
 
 

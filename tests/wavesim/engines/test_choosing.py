@@ -18,8 +18,8 @@ from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.metrics.comparison import compare, lens_case, reference_for, variants
 from wavesim.plots.comparisons import comparison_figure
 from wavesim.scene.engine import SAFETY, Cost, Engine, ErrorTerm
-from wavesim.scene.light import Light
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.targets.patch import object_patch
 

@@ -11,12 +11,12 @@ import pytest
 from wavesim.metrics.goodness_of_fit import (
     HELD_LIMIT,
     LIMIT,
-    STOP_CAUSE,
     Finding,
     Trial,
     verdict,
     with_finding,
 )
+from wavesim.metrics.next_steps import STOP_CAUSE
 from wavesim.metrics.plane_residuals import PlaneResidual
 
 SHAPE = (64, 80)

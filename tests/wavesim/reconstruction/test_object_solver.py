@@ -17,7 +17,8 @@ from wavesim.fields.plane_waves import PlaneWaves
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.reconstruction import object_solver
-from wavesim.reconstruction.object_solver import AT_NOISE, EARLY_GAIN, STOPPED, SolverState, reconstruct
+from wavesim.reconstruction.object_solver import SolverState, reconstruct
+from wavesim.reconstruction.stop_rule import AT_NOISE, EARLY_GAIN, STOPPED, expected_change
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -425,10 +426,8 @@ def test_a_single_small_change_ends_nothing() -> None:
     falls = [0.58, 0.121, 0.012, 0.0047, 0.003]
     misfits = [2.0 - sum(falls[:n]) for n in range(len(falls) + 1)]
     for n in range(len(misfits) + 1):
-        assert object_solver._expected_change(misfits[:n]) > 2.0 * EARLY_GAIN
-    assert object_solver._expected_change([2.0, 1.8, 1.7, 1.65]) == pytest.approx(
-        0.05 / 1.65
-    )  # 1/2 + 1/4 + ... of it
+        assert expected_change(misfits[:n]) > 2.0 * EARLY_GAIN
+    assert expected_change([2.0, 1.8, 1.7, 1.65]) == pytest.approx(0.05 / 1.65)  # 1/2 + 1/4 + ... of it
 
 
 def test_rounds_behind_the_lens_spare_ways_through_it(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,8 +21,8 @@ from wavesim.metrics.comparison import random_field
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.problem import ReconstructionProblem, light_of_frames, reconstruction_problem
-from wavesim.scene.light import Light
 from wavesim.scene.light_errors import LightErrors
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import PatchSettings, ReconstructionSettings
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import recorded_planes

@@ -15,8 +15,8 @@ from wavesim.metrics.ghosts import GhostPlane, ghost_in_residuals
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
-from wavesim.sensor.exposures import estimate_intensity
 from wavesim.sensor.imaging import Imaged, image
+from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.sensor import interference_on_pixels, light_on_pixels
 from wavesim.sensor.windows import light_window
 from wavesim.targets.patch import lit

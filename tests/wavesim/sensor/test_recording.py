@@ -23,8 +23,9 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor import recording as image_recording
-from wavesim.sensor.exposures import Electronics, estimate_intensity
+from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import Frame, read_frame
+from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.recording import PARTS, Recording, drop_parts, image_patch, imaging_bytes
 from wavesim.sensor.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
 from wavesim.targets.patch import make_illumination, make_target, object_patch

@@ -16,15 +16,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Sensor
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import propagate
-from wavesim.sensor.exposures import (
-    Electronics,
-    SaturationWarning,
-    estimate_intensity,
-    expose,
-    exposure_for,
-    plane_seeds,
-)
+from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose, exposure_for, plane_seeds
 from wavesim.sensor.frames import Frame, FrameSettings
+from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.pixel_integration import means_over_pixels
 from wavesim.sensor.sensor import FootprintWarning, light_on_pixels, on_sensor, record, sensor_grid
 from wavesim.targets.illumination import plane_wave

@@ -14,7 +14,7 @@ from lensdesign.analysis.paraxial import first_order
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.poses import Pose
 from wavesim.metrics.contrast import element_contrasts
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.settings import DEFAULT_ERROR, EngineSettings
 from wavesim.sensor.sensor import FootprintWarning
 from wavesim.sensor.windows import (

@@ -287,7 +287,7 @@ class LineChain:
     ) -> list[Measurement]:
         """Return the amplitudes that follow from noisy frames of one exposure."""
         from wavesim.sensor import recorded_planes
-        from wavesim.sensor.exposures import plane_seeds
+        from wavesim.sensor.camera_noise import plane_seeds
         from wavesim.sensor.sensor import frames_of_light
 
         electronics = electronics_for(electrons, bits)

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.pixels import plane_index_of
-from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import Parameter
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.sensor.measurement import DARK, Measurement

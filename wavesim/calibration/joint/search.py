@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.covariance import covariance_of_estimates, residual_variance
+from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.line_search import LineSearch
 from wavesim.calibration.joint.pixels import CalibrationPixels, RaySlopes
 from wavesim.calibration.joint.selection import Selection, select_parameters
-from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.forward.linear_model import LinearModel, RealArray
 from wavesim.reconstruction.object_solver import reconstruct

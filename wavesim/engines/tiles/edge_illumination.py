@@ -18,7 +18,7 @@ from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import Tile
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, SamplingError, validate_choice, validate_positive
 from wavesim.engines.tiles.cost import tiles_cost
-from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
+from wavesim.engines.tiles.edge_errors import drawn_error, edge_error, shared_spans
 from wavesim.engines.tiles.edge_illumination import edge_illumination
 from wavesim.engines.tiles.operator import (
     Tile,
@@ -40,7 +40,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.fourier.nonuniform import Precision
 from wavesim.runtime.threads import THREADS, one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
 TILE_FRACTION, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05

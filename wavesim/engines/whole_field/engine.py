@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
-from wavesim.engines.tiles.edge import edge_error, rim_fraction_per_mm
+from wavesim.engines.tiles.edge_errors import edge_error, rim_fraction_per_mm
 from wavesim.engines.tiles.edge_illumination import edge_illumination
 from wavesim.engines.tiles.engine import MOST_ERROR, TILE_FRACTION
 from wavesim.engines.tiles.operator import Tile
@@ -43,7 +43,7 @@ from wavesim.runtime.fourier.nonuniform import Precision
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, ErrorTerm, Tiled
-from wavesim.scene.light import Light
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
 EXPANSION_FRACTION, MAPS_FRACTION, INTERPOLATION_FRACTION, TRANSFORM_FRACTION = 0.5, 0.01, 0.1, 0.05

@@ -1,8 +1,9 @@
 """Soft edge of the aperture for tiles of a whole field, as the mean of diffraction over a tile.
 
 A tile of usual width is so wide that the fringes of its points differ by a period. The Fresnel integrals F(x)
-of :mod:`wavesim.rays.edges` have little more than their rise in common. A real rise 3 e^2 - 2 e^3 over the
-right width approximates them nearly as well, at the cost of a slightly wider footprint.
+of :mod:`wavesim.rays.edge_diffraction` have little more than their rise in common. A real rise
+3 e^2 - 2 e^3 over the right width approximates them nearly as well, at the cost of a slightly wider
+footprint.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.edges import fresnel_edge
+from wavesim.rays.edge_diffraction import fresnel_edge
 from wavesim.rays.maps import RayMap
 
 SOFT = 2.7

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.runtime.threads import for_blocks
-from wavesim.sensor.exposures import stacked
 from wavesim.sensor.frames import Frame
+from wavesim.sensor.merged_exposures import stacked
 from wavesim.sensor.pixels.kernel import outlying_pixels
 
 Mask = NDArray[np.bool_]

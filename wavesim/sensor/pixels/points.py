@@ -19,9 +19,9 @@ import scipy.ndimage
 
 from lensdesign.common.arrays import Array
 from wavesim.runtime.threads import row_blocks
-from wavesim.sensor.exposures import merged_intensity
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, recorded_intensity
+from wavesim.sensor.merged_exposures import merged_intensity
 
 
 def points_among(count: int, apart: int) -> slice:
@@ -41,7 +41,7 @@ def recorded_points(
     Parameters
     ----------
     plane
-        Frames, see :func:`wavesim.sensor.exposures.merged_intensity`.
+        Frames, see :func:`wavesim.sensor.merged_exposures.merged_intensity`.
     distance_mm
         Distance of the plane, see :class:`wavesim.sensor.measurement.Measurement`.
     apart

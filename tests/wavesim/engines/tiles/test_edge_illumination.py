@@ -13,8 +13,8 @@ from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, relative_error
 from wavesim.metrics.comparison import random_field, reference_for
-from wavesim.scene.light import Light
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 
 APERTURE = 0.35

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.ndimage
 
 from lensdesign.lens.lens import Sensor
-from wavesim.sensor.exposures import Electronics
+from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.pixels.bad_pixels import find_bad_pixels
 from wavesim.sensor.pixels.non_uniformity import PixelErrors, PixelPattern

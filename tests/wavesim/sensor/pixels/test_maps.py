@@ -10,9 +10,10 @@ from PIL import Image
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Sensor
-from wavesim.sensor.exposures import Electronics, estimate_intensity
+from wavesim.sensor.camera_noise import Electronics
 from wavesim.sensor.frame_sets import BadPixelWarning, ExposureWarning, read_frames
 from wavesim.sensor.frames import write_frame
+from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.pixels.maps import read_map
 from wavesim.sensor.pixels.non_uniformity import PixelErrors
 from wavesim.sensor.sensor import frames_of_light

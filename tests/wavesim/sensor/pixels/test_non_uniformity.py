@@ -7,7 +7,8 @@ import pytest
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Sensor
-from wavesim.sensor.exposures import Electronics, estimate_intensity
+from wavesim.sensor.camera_noise import Electronics
+from wavesim.sensor.merged_exposures import estimate_intensity
 from wavesim.sensor.pixels.non_uniformity import ALIKE, PixelErrors
 from wavesim.sensor.sensor import frames_of_light
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wavesim.calibration.joint.step import DAMPING, LEAST_INFORMATION, GaussNewtonStep
+from wavesim.calibration.joint.gauss_newton_step import DAMPING, LEAST_INFORMATION, GaussNewtonStep
 
 OBJECT, PIXELS, PARAMETERS = 6, 80, 4
 TYPICAL = np.array([1.0, 0.5, 2.0, 1.0])
@@ -50,7 +50,7 @@ def rng() -> np.random.Generator:
 def test_the_step_solves_the_dense_equations(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wavesim.calibration.joint.step.TOLERANCE", 0.0)
+    monkeypatch.setattr("wavesim.calibration.joint.gauss_newton_step.TOLERANCE", 0.0)
     linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
     joint = step_of(columns, linear)
     both = np.hstack([linear.matrix, columns.T])
@@ -67,7 +67,7 @@ def test_what_an_object_undoes_is_solved_in_few_rounds(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The step is the same in the end: a parameter that an object undoes but for a little goes far."""
-    monkeypatch.setattr("wavesim.calibration.joint.step.TOLERANCE", 0.0)
+    monkeypatch.setattr("wavesim.calibration.joint.gauss_newton_step.TOLERANCE", 0.0)
     linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
     change = rng.standard_normal(OBJECT)
     columns[0] = 10.0 * linear.matrix @ change + 0.3 * rng.standard_normal(PIXELS)

@@ -13,8 +13,8 @@ from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.propagator import FreeSpacePropagator
-from wavesim.rays import edges
-from wavesim.rays.edges import Edge, fresnel_edge, light_edge
+from wavesim.rays import edge_diffraction
+from wavesim.rays.edge_diffraction import Edge, fresnel_edge, light_edge
 from wavesim.rays.ray_bundles import open_pupil
 from wavesim.scene.scene import Scene
 
@@ -94,7 +94,7 @@ def test_some_arms_tell_of_the_others(paper_lens: Lens, monkeypatch: pytest.Monk
     share = np.linspace(0.3, 1.03, 2000)
     stop = pupil.points(share, turn)[:, ::-1]
     some = light_edge(scene, point, pupil, 12.7 / 16)
-    monkeypatch.setattr(edges, "EVERY", 1)
+    monkeypatch.setattr(edge_diffraction, "EVERY", 1)
     whole = light_edge(scene, point, pupil, 12.7 / 16)
     found, expected = (edge.factor(stop, 1e-3, edge.shadow) for edge in (some, whole))
     assert not np.array_equal(found, expected)

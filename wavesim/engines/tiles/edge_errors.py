@@ -103,8 +103,8 @@ def drawn_error(scene: Scene, tile: Tile, carrier: RayMap, sharp: float) -> floa
     resolved = carrier.edge.resolved_to(tile.width_mm)
     limit = 0.5e-3 * scene.wavelength_um / tile.pitch_mm
     cut = float(np.mean(np.any(np.abs(carrier.maps.at(carrier.rim_mm)[2:]) > limit, axis=0)))
-    # Energy that diffraction moves beyond x = 1 from a sharp edge, in the x of :mod:`wavesim.rays.edges`, as
-    # a fraction of all that it moves; beyond x it is this fraction over x.
+    # Energy that diffraction moves beyond x = 1 from a sharp edge, as a fraction of all that it moves; beyond
+    # x it is this fraction over x. The x is that of :mod:`wavesim.rays.edge_diffraction`.
     far_energy = 0.35
     unresolved = min(1.0, far_energy / resolved + cut)
     # Error of Fresnel's edge as a multiple of the squared error of a sharp edge: the next order in wavelength

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensdesign.errors import SamplingError
-from wavesim.calibration.gauss_newton import GaussNewton, curvature_directions
+from wavesim.calibration.trust_region import GaussNewton, curvature_directions
 
 SEEDS = st.integers(0, 2**31)
 

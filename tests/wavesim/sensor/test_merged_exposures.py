@@ -17,16 +17,10 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim.fields.field import Field
 from wavesim.runtime.threads import BLOCK
-from wavesim.sensor.exposures import (
-    Electronics,
-    SaturationWarning,
-    estimate_intensity,
-    expose,
-    exposure_seeds,
-    merged_intensity,
-)
+from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose, exposure_seeds
 from wavesim.sensor.frame_sets import planes_of_frames, read_frames, recorded_planes
 from wavesim.sensor.frames import AssumedWarning, Frame, FrameSettings, write_frame
+from wavesim.sensor.merged_exposures import estimate_intensity, merged_intensity
 from wavesim.sensor.sensor import frames_of_light, light_on_pixels, record, sensor_grid
 
 CAMERA = Electronics(full_well_electrons=10_000.0, read_noise_electrons=2.0, bits=12)

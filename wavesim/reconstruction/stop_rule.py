@@ -1,0 +1,68 @@
+"""Rule by which the iterations of the object solver end: at the noise, or where the misfit has converged.
+
+Iterations end at the noise once the misfit is no more than `AT_NOISE` times that of noise alone (discrepancy
+principle), and hardly falls any more. Slowly converging parts, such as smooth phase, still
+improve there as long as the misfit falls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+Stop = Literal["noise", "rest", "iterations"]
+
+STOPPED: dict[Stop, str] = {
+    "noise": "; stopped because the misfit reached the noise",
+    "rest": "; stopped because the misfit converged",
+    "iterations": "",
+}
+"""Text that describes each reason for the end of the iterations."""
+
+AT_NOISE, FAR = 1.01, 1.2
+"""Misfit over that of noise alone at which iterations have reached the noise, and above which they are far
+from it.
+"""
+
+EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
+"""Convergence: over `EARLY` iterations (`NEAR_EARLY` near the noise, `AT_NOISE_EARLY` at the noise) the
+misfit falls by less than the fraction `EARLY_GAIN`. At the noise, iterations also end where all further
+iterations together are expected to change the misfit by less than that.
+"""
+
+
+def stop_reason(misfits: Sequence[float], noise: float | None) -> Stop | None:
+    """Return the reason to stop, or None if iterations continue.
+
+    Parameters
+    ----------
+    misfits
+        Misfit of every iteration since the search began, or since its last change.
+    noise
+        Misfit that noise alone would leave; None if iterations need not end there.
+    """
+    if not misfits:
+        return None
+    over = misfits[-1] / noise if noise else math.inf
+    if over <= AT_NOISE and (_is_converged(misfits, AT_NOISE_EARLY) or expected_change(misfits) < EARLY_GAIN):
+        return "noise"
+    rests = len(misfits) > EARLY and _is_converged(misfits, NEAR_EARLY if over <= FAR else EARLY)
+    return "rest" if rests else None
+
+
+def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
+    """Return whether the misfit hardly changed over the last iterations."""
+    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
+
+
+def expected_change(misfits: Sequence[float]) -> float:
+    """Return the relative misfit change of further iterations, as a geometric series of the last three."""
+    changes = np.abs(np.diff(misfits[-4:]))
+    if len(changes) < 3 or not changes[0] > changes[1] > changes[2]:
+        return math.inf
+    # The larger ratio counts, because a single change is small where the inner iterations end.
+    ratio = max(changes[1] / changes[0], changes[2] / changes[1])
+    return float(changes[2] * ratio / ((1.0 - ratio) * misfits[-1]))
