@@ -5,7 +5,8 @@ the sum of b_m J_m(k r) exp(i m phi), J = (H1 + H2) / 2, and each order is scatt
 part of an order is a series in the number of passages inside (Debye series): R11 for what the surface
 returns at once, T12 R22^(p-1) T21 for what leaves after p chords. With H1 and H2 the Hankel functions of
 both kinds, x = k a, y = n x, all coefficients follow from matching u and du/dr at r = a. The sum over all p
-is the series of Lord Rayleigh and of Mie. Engines that carry light one way only are to reproduce p = 1.
+is the series of Lord Rayleigh and of Mie. Engines that carry light one way only should reproduce the term
+p = 1.
 
 Sources: E. A. Hovenac and J. A. Lock, "Assessing the contributions of surface waves and complex rays to
 far-field Mie scattering by use of the Debye series", J. Opt. Soc. Am. A 9, 781 (1992); C. F. Bohren and
@@ -37,8 +38,11 @@ RadialFunctions = tuple[Array, Array, Array, Array]
 SCENE_INDEX = 1.5195
 
 STOP_ANGLE = 0.5
-"""Angle in radians to which the scene's stop admits the beam. Beyond 0.567, rays from the axis fold; off-axis
-rays fold earlier."""
+"""Angle in radians to which the scene's stop admits the beam. Beyond 0.567, rays from an axial point cross
+each other (a caustic); those from other points do so at smaller angles."""
+
+OBJECT_DISTANCE = 1.5
+"""Distance of the object from the centre of a round body, in radii."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class Cylinder:
     """A dielectric cylinder in air, about x; E along x (TE).
 
     Coefficients are those of the outgoing waves b_m H1_m(k r) exp(i m phi), for m = 0 ... orders, per
-    incident b_m J_m(k r) exp(i m phi).
+    incident wave b_m J_m(k r) exp(i m phi).
 
     Attributes
     ----------
@@ -68,7 +72,7 @@ class Cylinder:
             validate_positive(name, getattr(self, name))
         if not (math.isfinite(self.index) and self.index >= 1.0):
             raise InputError(f"index = {self.index!r}: must be finite and at least 1")
-        # Largest size parameter for which the Bessel functions are checked.
+        # Largest size parameter up to which the Bessel functions were tested.
         largest_size = 2e4
         if not 0.1 <= self.size_parameter <= largest_size:
             raise InputError(
@@ -85,7 +89,7 @@ class Cylinder:
     def orders(self) -> int:
         """Highest order that the cylinder scatters."""
         x = self.size_parameter
-        # Orders beyond the size parameter x, in units of x^(1/3); the last one scatters less than 1e-16.
+        # Orders beyond the size parameter x, in units of x^(1/3) + 1; later coefficients are below 1e-16.
         edge_orders = 10.0
         return math.ceil(x + edge_orders * (x ** (1.0 / 3.0) + 1.0))
 
@@ -142,7 +146,7 @@ def matched_orders(
     outside, inside
         J, J', Y, Y' (or the functions that correspond to them) at x = k a and at n x.
     wronskians
-        n W(x) W(n x), with W that of J + i Y and J - i Y.
+        n W(x) W(n x), where W is the Wronskian of J + i Y and J - i Y.
 
     Returns
     -------
@@ -224,7 +228,7 @@ def transmitted_field(cylinder: Cylinder, beam: Beam, y_mm: ArrayLike, z_mm: Arr
 
 
 def total_field(cylinder: Cylinder, beam: Beam, y_mm: ArrayLike, z_mm: ArrayLike) -> ComplexArray:
-    """Return the total field outside: incident, reflected and transmitted; arguments as in the sum above."""
+    """Return the total field outside: incident, reflected and transmitted."""
     scattered = outgoing_field(cylinder, beam, cylinder.full_coefficients(), y_mm, z_mm)
     return np.asarray(beam.field(y_mm, z_mm) + scattered)
 
@@ -255,12 +259,12 @@ def cylinder_scene(
         If a value is not usable.
     """
     cylinder = Cylinder(radius_mm, SCENE_INDEX, wavelength_um)
-    beam = Beam(wavelength_um, spread, -1.5 * radius_mm)
+    beam = Beam(wavelength_um, spread, -OBJECT_DISTANCE * radius_mm)
     wavelength_mm = 1e-3 * wavelength_um
     if radius_mm < 15.0 * wavelength_mm:
         raise InputError(
             f"radius_mm = {radius_mm:g}: must be at least 15 wavelengths, {15.0 * wavelength_mm:g} mm; "
-            "the beam is wider than a smaller cylinder"
+            "a smaller cylinder is narrower than the beam"
         )
     if spread > 0.13:
         raise InputError(f"spread = {spread:g} rad: must be at most 0.13; the stop cuts a wider beam")
@@ -289,7 +293,7 @@ def round_lens(title: str, radius_mm: float, wavelength_um: float, stop_angle: f
 
     Its stop admits rays up to an angle (radians).
     """
-    stop = math.sin(math.asin(1.5 * math.sin(stop_angle)) - stop_angle)
+    stop = math.sin(math.asin(OBJECT_DISTANCE * math.sin(stop_angle)) - stop_angle)
     return Lens(
         title=title,
         wavelengths_um=(wavelength_um,),

@@ -34,6 +34,7 @@ from wavesim.forward.pixel_means import (
     tilt_changes,
 )
 from wavesim.runtime.threads import for_blocks, rows_in
+from wavesim.sensor.measurement import amplitude_bias
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -287,6 +288,34 @@ class LinearModel:
             np.stack(modelled) / math.sqrt(_sum(np.stack(modelled) ** 2)) if fits_scale else None
         )
         self._by_intensity = [slope / (2 * power) for slope in self._slopes]
+
+    def unbiased_residual(self) -> RealArray:
+        """Return the residuals less the bias that noise causes in measured amplitudes.
+
+        Planes without standard deviations keep their residuals.
+        """
+        planes = []
+        for plane, root, residual in zip(self.model.recorded, self._root_weights, self.residual, strict=True):
+            if plane.sigma is None:
+                planes.append(residual)
+                continue
+            left = np.divide(residual * self.size, root, out=np.zeros(residual.shape), where=root > 0.0)
+            bias = amplitude_bias(plane, plane.amplitude - left)
+            planes.append((residual - root * bias / self.size).astype(residual.dtype))
+        return np.stack(planes)
+
+    def residual_variances(self, model_error: float) -> RealArray | None:
+        """Return the variance of each residual: that of the noise, and a relative error of the amplitudes.
+
+        It is None if a plane has no standard deviations.
+        """
+        variances = []
+        for plane, root in zip(self.model.recorded, self._root_weights, strict=True):
+            if plane.sigma is None:
+                return None
+            sigma = np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
+            variances.append(root**2 * (sigma**2 + np.float32(model_error**2) * plane.amplitude**2))
+        return np.stack(variances) / np.float32(self.size**2)
 
     def without_scale(self, changes: RealArray) -> RealArray:
         """Return changes of the residuals without the part that a change of the scale would cause."""

@@ -1,9 +1,9 @@
-"""Light around the axis of a lens as a sum over all plane waves: reference solutions on whole planes.
+"""Light around the axis of a lens as a sum over all plane waves: reference fields for a whole exit plane.
 
 Surfaces refract like their tangent planes, as in the wave propagation method. The plane waves of a medium are
-summed by quadrature, so that there is neither a band limit nor sampling at the aperture's rim. A rotationally
-symmetric field is computed along a radius: the light of a point on the axis, or of rings around it. On a line
-the field is symmetric about the axis.
+summed by quadrature, so that the band is not limited and the aperture's rim is not made of samples. A field of
+rotational symmetry is computed along a radius: the light of a point on the axis, or of rings around it. On a
+line the field is symmetric about the axis.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
 
-PANEL_WAVES, BLOCKS = 1.9, 200
+PANEL_WAVES, ANGLES_AT_ONCE = 1.9, 200
 """Width of a panel on a surface in wavelengths; number of angles that are summed at a time."""
 
-OVERFILLED, WINDOW = 1.1, 0.4
-"""Largest sine of the light of rings over that of the aperture; radius at which rings fall to 1/e over half
-of the patch.
-"""
+OVERFILLED = 1.1
+"""Largest direction sine of the light of rings, relative to the numerical aperture."""
+
+RING_RADIUS = 0.4
+"""Radius at which the amplitude of rings is 1/e, relative to half of the patch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,8 @@ def axial_case(lens: Lens, patch_mm: float, **where: Any) -> AnalyticCase:
     Returns
     -------
     AnalyticCase
-        `exact` is the sum over all plane waves. `uncertainty` is the possible effect of curved surfaces, and
-        of the transmission of light from points beside the axis.
+        `exact` is the sum over all plane waves. `uncertainty` is the estimated error of two approximations:
+        tangent planes in place of the surfaces, and the transmission of light from the axis for all light.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def rings(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
     """Return random rings around the axis that fill the aperture evenly and fade out within the grid."""
     rng = np.random.default_rng(20261123)
     radius = _radius(grid)
-    fade = WINDOW * min(grid.half_widths_mm)
+    fade = RING_RADIUS * min(grid.half_widths_mm)
     most = 2e3 * math.pi / wavelength_um * OVERFILLED * numerical_aperture
     values = np.zeros(grid.shape, complex)
     for q in most * (np.arange(count := math.ceil(most * fade)) + 0.5) / count:
@@ -166,7 +167,7 @@ def _radiated(source: _Sheet, sources: ComplexArray, k: float, target: _Sheet, i
     apart = math.hypot(np.max(source.r_mm) + np.max(target.r_mm), np.max(target.z_mm) - bottom)
     angles, weights = panel_nodes(0.0, 0.5 * math.pi, 4.0 * math.pi / (k * apart))
     found = np.zeros(len(target.r_mm), complex)
-    for part in np.array_split(np.arange(len(angles)), math.ceil(len(angles) / BLOCKS)):
+    for part in np.array_split(np.arange(len(angles)), math.ceil(len(angles) / ANGLES_AT_ONCE)):
         q, kz = k * np.sin(angles[part]), k * np.cos(angles[part])
         across, lean = np.outer(q, source.r_mm), 1j * (q / kz)[:, None] * source.slope
         waves = 2.0 * (np.cos(across) + lean * np.sin(across)) if is_line else j0(across) + lean * j1(across)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.special
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
@@ -138,6 +139,45 @@ def intensity_deviation(plane: Measurement) -> Array:
     sigma = plane.sigma.astype(float)
     is_dark = plane.amplitude < 2.0 * DARK * sigma
     return np.asarray(np.where(is_dark, 4.0 * DARK * sigma**2, 2.0 * plane.amplitude * sigma))
+
+
+def amplitude_bias(plane: Measurement, modelled: Array) -> Array:
+    """Return the mean of the measured amplitude less the amplitude without noise, for each pixel.
+
+    The measured amplitude is the root of an intensity with normal noise of the deviation s, clipped at 0. For
+    a modelled intensity I the mean of the root is, with x = I / s and the parabolic cylinder function D,
+
+        sqrt(s) exp(-x^2 / 4) D_{-3/2}(-x) / (2 sqrt(2)).
+
+    For bright pixels the bias is -s^2 / (8 I^{3/2}), and dark pixels seem to be bright.
+
+    Parameters
+    ----------
+    plane
+        Measured plane with standard deviations. The bias is 0 in pixels that are not known.
+    modelled : ndarray, shape (ny, nx)
+        Modelled amplitudes, with the background.
+
+    Raises
+    ------
+    InputError
+        If the plane has no `sigma`.
+
+    References
+    ----------
+    I. S. Gradshteyn and I. M. Ryzhik, "Table of Integrals, Series, and Products", 3.462.1.
+    """
+    deviation = intensity_deviation(plane)
+    known = np.isfinite(deviation) & (deviation > 0.0)
+    deviation = np.where(known, deviation, 1.0)
+    intensity = np.maximum(modelled.astype(float), 0.0) ** 2 / deviation
+    # Ratio of intensity to its deviation above which the first term of the series is accurate to 1e-5.
+    bright = 15.0
+    dim = np.minimum(intensity, bright)
+    mean = np.exp(-0.25 * dim**2) * scipy.special.pbdv(-1.5, -dim)[0] / (2.0 * math.sqrt(2.0))
+    series = -0.125 / np.maximum(intensity, bright) ** 1.5
+    bias = np.where(intensity < bright, mean - np.sqrt(dim), series)
+    return np.asarray(np.where(known, np.sqrt(deviation) * bias, 0.0))
 
 
 def amplitude_unit(recorded: Sequence[Measurement]) -> float:

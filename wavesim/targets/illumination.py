@@ -76,8 +76,9 @@ def plane_wave(
     steepest = max(abs(cycles_x), abs(cycles_y))
     if steepest * grid.pitch_mm >= 0.5:
         raise SamplingError(
-            f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: {steepest:.4g} cycles/mm are more "
-            f"than a pitch of {1e3 * grid.pitch_mm:.4g} um samples; use one below {500.0 / steepest:.4g} um"
+            f"tilt_x_deg = {tilt_x_deg:g}, tilt_y_deg = {tilt_y_deg:g}: the wave has {steepest:.4g} "
+            f"cycles/mm, too many for a pitch of {1e3 * grid.pitch_mm:.4g} um; use a pitch below "
+            f"{500.0 / steepest:.4g} um"
         )
     down = np.exp(2j * math.pi * cycles_y * (grid.y_mm - grid.centre_mm[1]))
     if grid.is_line:
@@ -119,14 +120,15 @@ def gaussian_beam(
     validate_positive("waist_radius_mm", waist_radius_mm)
     if not math.isfinite(beyond_waist_mm):
         raise InputError(f"beyond_waist_mm = {beyond_waist_mm!r}: must be finite")
-    # Waist radius in wavelengths below which the paraxial Gaussian beam does not hold: about 9 degrees.
+    # Smallest waist radius in wavelengths. The beam then diverges by 9 degrees, the limit of the paraxial
+    # formula.
     smallest_waist = 2.0
     smallest = smallest_waist * 1e-3 * wavelength_um
     if waist_radius_mm < smallest:
         raise InputError(
             f"waist_radius_mm = {waist_radius_mm:g}: must be {smallest:.4g} or more for a paraxial beam"
         )
-    # The spectrum is that of the waist at any distance.
+    # Propagation does not change the width of the spectrum, so that the waist determines the sampling.
     validate_sampling(grid, 1e3 * waist_radius_mm, "a Gaussian waist")
     wavenumber = 2e3 * math.pi / wavelength_um
     spread = complex(waist_radius_mm**2, 2.0 * beyond_waist_mm / wavenumber)
@@ -193,8 +195,8 @@ def measured_field(
     for name, have, need in (("x", source.x_mm, grid.x_mm), ("y", source.y_mm, grid.y_mm)):
         if need[-1] - need[0] > (have[-1] - have[0]) * (1.0 + 1e-9):
             raise InputError(
-                f"measured field {path}: its samples span {have[-1] - have[0]:.4g} mm along {name}, the "
-                f"grid's {need[-1] - need[0]:.4g} mm; give a smaller grid or a larger measurement"
+                f"measured field {path}: its samples span {have[-1] - have[0]:.4g} mm along {name}; the "
+                f"grid needs {need[-1] - need[0]:.4g} mm; give a smaller grid or a larger measurement"
             )
     _check_frequencies(values, source, grid)
     return Field(grid, _splined(values, source, grid), wavelength_um)

@@ -14,7 +14,7 @@ from wavesim.fields.tilted_planes import TiltedPropagator
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
 from wavesim.forward.pixel_means import PixelMeans
-from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.measurement import Measurement, recorded_intensity
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +121,22 @@ def test_the_adjoint_is_that_of_the_pixels_and_can_be_repeated(samples: CachedSa
         total = spectrum(4)
         samples.add_adjoint(change, total)
         assert total == pytest.approx(expected)
+
+
+def test_residuals_without_bias_have_the_mean_0_where_few_electrons_fall() -> None:
+    """Of the true object, over many draws of noise, whose root is biased."""
+    engine, lit = small_twin()
+    t = 0.7 + 0.2 * np.random.default_rng(7).standard_normal(lit.grid.shape)
+    blank = [Measurement(0.3, np.ones(engine.scene.exit_grid.shape))]
+    intensity = ForwardModel(engine, lit, blank, 1.0, 1.0).amplitudes(t.astype(complex))[0].astype(float) ** 2
+    electrons = intensity * 4.0 / np.median(intensity)
+    random, draws = np.random.default_rng(8), 40
+    plain, corrected = (np.zeros(intensity.shape) for _ in range(2))
+    for _ in range(draws):
+        noisy = electrons + np.sqrt(electrons + 1.0) * random.standard_normal(electrons.shape)
+        scale = np.median(intensity) / 4.0
+        plane = recorded_intensity(0.3, noisy * scale, (np.maximum(noisy, 0.0) + 1.0) * scale**2)
+        linear = LinearModel(ForwardModel(engine, lit, [plane], 1.0, 1.0), t, False)
+        plain += linear.residual[0] / draws
+        corrected += linear.unbiased_residual()[0] / draws
+    assert abs(corrected.mean()) < 0.2 * abs(plain.mean())

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from lensdesign.errors import InputError
 from wavesim.sensor.measurement import (
     Measurement,
+    amplitude_bias,
     intensity_deviation,
     noise_misfit,
     recorded_intensity,
@@ -68,3 +69,21 @@ def test_an_intensity_without_a_usable_variance_is_refused() -> None:
     for variance in (np.zeros(3), np.ones(4), np.full(3, np.nan)):
         with pytest.raises(InputError, match="variance"):
             recorded_intensity(0.0, np.ones(3), variance)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3, 2.0, 14.9, 15.1, 60.0])
+def test_the_bias_of_an_amplitude_is_that_of_the_root_of_noisy_intensities(level: float) -> None:
+    """Against the integral over normal noise; level: intensity over its standard deviation."""
+    deviation = 3.0
+    noise = np.linspace(-9.0, 9.0, 200_001)
+    density = np.exp(-0.5 * noise**2)
+    mean = np.sum(density * np.sqrt(np.maximum(level + noise, 0.0))) / np.sum(density)
+    expected = np.sqrt(deviation) * (mean - np.sqrt(level))
+    plane = recorded_intensity(0.0, np.array([[level * deviation]]), np.array([[deviation**2]]))
+    found = amplitude_bias(plane, np.sqrt([[level * deviation]]))
+    assert found[0, 0] == pytest.approx(expected, rel=1e-2, abs=1e-5)
+
+
+def test_unknown_pixels_have_no_bias() -> None:
+    plane = recorded_intensity(0.0, np.array([[4.0, 4.0]]), np.array([[1.0, np.inf]]))
+    assert amplitude_bias(plane, np.full((1, 2), 2.0))[0, 1] == 0.0

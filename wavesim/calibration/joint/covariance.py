@@ -1,8 +1,18 @@
 """Covariance of the estimates of a joint calibration; its diagonal holds the squared standard deviations.
 
-The object is unknown, too, and is eliminated from the normal equations by block conjugate gradients. The
-prior of the parameters is included. Clipped noise of dark pixels can imitate a background, which adds to the
-variance of backgrounds.
+The object is unknown, too. Block conjugate gradients eliminate it from the effects of the parameters. With
+the remaining effects D, the residuals' variances V and the prior's precision P, the estimates are
+(D D' + P)^-1 D r for residuals r. Their covariance is
+
+    (D D' + P)^-1 (D V D' + P S P) (D D' + P)^-1,
+
+with the prior's variances S. It holds for any weights of the pixels (a sandwich estimator). Clipped noise of
+dark pixels can imitate a background, which adds to the variance of backgrounds.
+
+References
+----------
+H. White, "A heteroskedasticity-consistent covariance matrix estimator and a direct test for
+heteroskedasticity", Econometrica 48, 817 (1980).
 """
 
 from __future__ import annotations
@@ -23,7 +33,7 @@ ELIMINATION_ITERATIONS = 20
 
 
 def residual_variance(misfit: float, pixels: int) -> float:
-    """Return the variance of the residuals on which the estimates and their covariance are based.
+    """Return the variance of the residuals that scales the prior of the estimates.
 
     Parameters
     ----------
@@ -33,8 +43,7 @@ def residual_variance(misfit: float, pixels: int) -> float:
         Number of valid pixels.
     """
     # Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise,
-    # they are equal in many pixels and average out less. The number was fitted to the normalized errors of
-    # six nominal benches (`benchmarks/calibration_errors.py`).
+    # they are equal in many pixels and average out less: the prior is weighted as if they were noise.
     independent_errors = 60
     return misfit**2 / pixels + MODEL_ERROR**2 / independent_errors
 
@@ -64,10 +73,20 @@ def covariance_of_estimates(
     ndarray, shape (parameters, parameters)
         Covariance in the units of the parameters.
     """
-    curvature = equations.reduced_curvature(ELIMINATION_ITERATIONS if object_is_free else 0)
-    covariance = np.linalg.inv(curvature) * equations.variance
+    effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0)
+    prior = np.diag(equations.prior_precision)
+    inverse = np.linalg.inv(np.asarray(effects @ effects.T, float) + prior)
+    variances = equations.linear.residual_variances(MODEL_ERROR)
+    if variances is None:  # the residuals are the only evidence of the noise
+        return np.asarray(inverse * equations.variance)
+    misfit = equations.linear.misfit
+    # Residuals larger than the noise are errors of the model.
+    excess = max(misfit**2 / float(np.sum(variances, dtype=float)), 1.0)
+    weighted = effects * (np.float32(excess) * variances.ravel())
+    # The precision of the prior is its variance's inverse, times the variance of a residual.
+    scatter = np.asarray(weighted @ effects.T, float) + equations.variance * prior
     background = background_of_clipping(parameters, recorded)
-    return np.asarray(covariance + np.diag(background**2), float)
+    return np.asarray(inverse @ scatter @ inverse + np.diag(background**2))
 
 
 def background_of_clipping(parameters: Sequence[Parameter], recorded: Sequence[Measurement]) -> Array:

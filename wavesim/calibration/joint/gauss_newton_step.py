@@ -54,6 +54,8 @@ class GaussNewtonStep:
         By index of a parameter, the known change of the transmission that compensates a unit of it. Only
         samples that cannot follow contain information on such a parameter. Conjugate gradients alone would
         need many iterations to find such a change.
+    residual : ndarray, shape (planes, ny, nx), optional
+        Residuals; default: those of the linear model.
     """
 
     def __init__(
@@ -66,9 +68,10 @@ class GaussNewtonStep:
         transmission: NDArray[Any],
         object_is_free: bool = True,
         compensations: Mapping[int, NDArray[Any]] = MappingProxyType({}),
+        residual: RealArray | None = None,
     ) -> None:
         self.linear, self.is_real = linear, not np.iscomplexobj(transmission)
-        residual = linear.without_scale(linear.residual)
+        residual = linear.without_scale(linear.residual if residual is None else residual)
         descent = self._object_part(linear.adjoint_to_object(residual))
         self.free_samples = linear.model.lit & object_is_free
         if self.is_real:
@@ -124,15 +127,15 @@ class GaussNewtonStep:
             bench_direction = bench_next + energy / previous_energy * bench_direction
         return solution
 
-    def reduced_curvature(self, most_iterations: int) -> Array:
-        """Return the curvature of the parameters with the object eliminated, shape (parameters, parameters).
+    def reduced_columns(self, most_iterations: int) -> RealArray:
+        """Return the effects of the parameters with the object eliminated, shape (parameters, pixels).
 
         The object may change with the parameters, so a parameter is determined only by the part of its effect
         that no change of the object can make. With the columns :math:`C` of the parameters, and the
-        projection :math:`P` onto the changes that the object can make, the result is
-        :math:`C^T (1 - P) C` plus the curvature of the prior. Block conjugate gradients build the projection:
-        each iteration takes the gradients of all columns at once, and makes their effects orthogonal to those
-        of the iteration before. The result is an upper bound that falls with every iteration.
+        projection :math:`P` onto the changes that the object can make, the result is :math:`(1 - P) C`. Block
+        conjugate gradients build the projection: each iteration takes the gradients of all columns at once,
+        and makes their effects orthogonal to those of the iteration before. The lengths of the results are
+        upper bounds that fall with every iteration.
 
         Combinations of parameters that the frames determine less well than the prior are not followed.
 
@@ -163,7 +166,7 @@ class GaussNewtonStep:
                 effects -= _combined(previous, _products(effects, previous))
             previous = _orthonormal(effects)
             remaining -= _combined(previous, _products(remaining, previous))
-        return _products(remaining, remaining) + np.diag(self.prior_precision)
+        return remaining
 
     def _determined(self, columns: RealArray) -> RealArray:
         """Return unit mixtures of columns with more than `LEAST_INFORMATION` of the prior's information."""

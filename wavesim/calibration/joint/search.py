@@ -290,6 +290,7 @@ class JointSearch:
             fit.transmission,
             object_is_free,
             self._compensations(fit, self.parameters) if object_is_free else {},
+            linear.unbiased_residual(),
         )
         equations.damping = np.zeros_like(equations.damping)
         return equations, values + equations.solve(ESTIMATE_ITERATIONS)

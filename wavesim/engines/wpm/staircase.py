@@ -57,7 +57,7 @@ class Staircase:
         Raises
         ------
         SamplingError
-            If the energy grows: samples in two media do not conserve energy together.
+            If the energy grows: samples that each follow their own medium do not conserve it.
         """
         energy_in = _energy(field)
         for length, medium, factor in self._steps():
@@ -95,7 +95,7 @@ class Staircase:
     def _validate_energy(self, energy_in: float, energy_out: float) -> None:
         first, last = self.media[0].index, self.media[-1].index
         energy_in *= max(1.0, first / last, last / first)
-        # Largest ratio of energies behind and in front of the stairs, apart from that of the indices.
+        # Largest growth of the energy through the stairs, after the ratio of the indices.
         most_growth = 1.5
         if energy_out > most_growth * energy_in:
             raise SamplingError(
@@ -105,7 +105,7 @@ class Staircase:
 
     def _steps(self, adjoint: bool = False) -> Iterator[tuple[float, NDArray[np.int8], Array]]:
         """Yield each step's length, the medium of each sample, and the factor of the crossed surfaces."""
-        # The last step has no length; it crosses what the previous one has left.
+        # The last step has the length 0, and applies the surfaces behind the last middle.
         borders = [*self.planes, self.planes[-1]]
         middles = [-math.inf] + [0.5 * (low + high) for low, high in pairwise(borders)]
         steps = list(zip(pairwise(borders), pairwise(middles), strict=True))
@@ -123,7 +123,7 @@ def _energy(field: ComplexArray) -> float:
 
 
 def planes(heights_mm: Sequence[tuple[float, float]], step_mm: float) -> list[float]:
-    """Return evenly spaced planes that cover the surfaces, and none between them."""
+    """Return positions of planes, evenly spaced within the depth of each surface, and none in the gaps."""
     found: list[float] = []
     for low, high in sorted(heights_mm):
         low = max(low, found[-1]) if found else low

@@ -40,7 +40,7 @@ from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import Source, SourceMode
-from wavesim.sensor.measurement import Measurement, weights_of
+from wavesim.sensor.measurement import Measurement
 
 MOUNTING = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg", "working_distance_mm")
 
@@ -172,7 +172,9 @@ def score_test(
         columns[name] = column + linear.jacobian_times_object(following_changes[-1])
     remaining = np.stack([column.ravel() for column in columns.values()])
     residual = linear.residual.ravel()
-    weighted = remaining * _variances(recorded, linear, model_error)
+    variances = linear.residual_variances(model_error)
+    assert variances is not None
+    weighted = remaining * variances.ravel()
     noise, hessian = (np.asarray(part @ remaining.T, float) for part in (weighted, remaining))
     gradient = np.asarray(remaining @ residual, float)
     unit = 1.0 / np.sqrt(np.diag(hessian))  # parameters have units of their own
@@ -341,14 +343,3 @@ def _following_change(
         before, energy = energy, float(np.vdot(descent, descent).real)
         direction = descent + np.float32(energy / before) * direction
     return change_of_object
-
-
-def _variances(recorded: Sequence[Measurement], linear: LinearModel, model_error: float) -> RealArray:
-    """Return the variances of the weighted residuals."""
-    variances = []
-    for plane, weight in zip(recorded, weights_of(recorded), strict=True):
-        assert plane.sigma is not None
-        assert weight is not None
-        sigma = np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
-        variances.append(weight * (sigma**2 + np.float32(model_error**2) * plane.amplitude**2))
-    return np.asarray(np.stack(variances).ravel() / np.float32(linear.size**2))
