@@ -1,9 +1,9 @@
 """Light around the axis of a lens as a sum over all plane waves: reference fields for a whole exit plane.
 
 Surfaces refract like their tangent planes, as in the wave propagation method. The plane waves of a medium are
-summed by quadrature, so that the band is not limited and the aperture's rim is not made of samples. A field of
-rotational symmetry is computed along a radius: the light of a point on the axis, or of rings around it. On a
-line the field is symmetric about the axis.
+summed by quadrature, so that the band is not limited and the aperture's rim is not made of samples. A field
+of rotational symmetry is computed along a radius: the light of a point on the axis, or of rings around it. On
+a line the field is symmetric about the axis.
 """
 
 from __future__ import annotations
