@@ -35,8 +35,8 @@ def with_glasses(specification: Specification, text: str) -> Specification:
         names = tuple(name.strip() for name in text.split(",") if name.strip())
         for name in names:
             validate_known(specification, first, name)
-    if not names:
-        raise InputError(f"--glasses {text}: names no glass")
+        if not names:
+            raise InputError(f"--glasses {text}: names no glass")
     kept = tuple(v for v in specification.variables if not (v.parameter == "material" and v.surface == first))
     chosen = VariableRange(parameter="material", surface=first, choices=names)
     return specification.model_copy(update={"variables": (*kept, chosen)})
@@ -49,11 +49,19 @@ def _catalogue_glasses(specification: Specification, surface: int, name: str) ->
     if not names:
         allowed = ", ".join(sorted({catalogue for _, catalogue in known}))
         raise InputError(f"--glasses {CATALOGUE}{name}: there is no such catalogue; allowed: {allowed}")
-    found = []
-    for glass in names:
-        try:
-            validate_known(specification, surface, glass)
-        except InputError:
-            continue
-        found.append(glass)
-    return tuple(found)
+    usable = tuple(glass for glass in names if _is_known(specification, surface, glass))
+    if not usable:
+        raise InputError(
+            f"--glasses {CATALOGUE}{name}: no glass of this catalogue has all data that the specification "
+            "requires"
+        )
+    return usable
+
+
+def _is_known(specification: Specification, surface: int, glass: str) -> bool:
+    """Return whether a glass has all data that the specification requires."""
+    try:
+        validate_known(specification, surface, glass)
+    except InputError:
+        return False
+    return True

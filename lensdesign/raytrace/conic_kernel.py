@@ -2,8 +2,14 @@
 
 :func:`through_conic` traces a block of rays from one array to another as if no ray failed, in loops without
 branches that the compiler vectorizes. It stores a margin for each ray and counts the rays whose margin is not
-above 0. If there are any, or rays that failed before, :func:`resolve_failures` finds the reason for each and
-restores the failed rays.
+above 0. If there are any, or rays that failed before, :func:`resolve_failures` finds the reason for each.
+Rays that miss keep their values; those that are clipped or totally reflected end on the surface with the
+direction that they had.
+
+In all functions `c` and `k` are curvature and conic constant, `z0` is the vertex of the surface, `n1` the
+index in front of it, `ratio` that index over the one behind, and `limit` the squared semi-diameter. The
+arrays `ray` and `after` hold the coordinates before and behind the surface, a block of each coordinate after
+the other. `state` holds a status and a surface for each ray.
 """
 
 from __future__ import annotations
@@ -83,7 +89,7 @@ def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
         gain = (math.sqrt(square_out) - work[2 * BLOCK + i]) / normal2
         within = limit - r2
         least = normal_z if normal_z < within else within
-        least = least if least < square_out else square_out  # NaN, too
+        least = least if least < square_out else square_out  # NaN is chosen, too: such a ray has failed
         uncertain += 0 if least > 0.0 else 1
         after[X + i] = x
         after[Y + i] = y
@@ -101,7 +107,7 @@ def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
 
 @_jit
 def resolve_failures(ray, after, work, state, surface, z0, c, k, ratio, limit, count):
-    """Set the status of rays that failed at a conic, restore failed rays, and return their number."""
+    """Set the status of rays that failed at a conic, put failed rays back, and return their number."""
     for i in range(count):
         if state[i] != OK or work[i] > 0.0:
             continue
@@ -116,7 +122,7 @@ def resolve_failures(ray, after, work, state, surface, z0, c, k, ratio, limit, c
             state[i] = CLIPPED
         elif square_out < 0.0:
             state[i] = TOTAL_REFLECTION
-        else:
+        else:  # the margin is exactly 0: the ray passes
             continue
         state[BLOCK + i] = surface
         if state[i] != MISSED:

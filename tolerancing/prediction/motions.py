@@ -25,11 +25,12 @@ class Motions:
     """Response of n rays to q motions of a lens with s surfaces.
 
     The motions are, in this order: rotations about x, y and z in radians and shifts of each station; terms of
-    the shapes; indices; the ratio of wavelengths; and a unit of each figure.
+    the shapes; indices; the ratio of wavelengths; and the amplitude of each figure term.
 
     Attributes
     ----------
     paths : Paths
+        Nominal paths of the rays.
     figures : sequence of Figures
         Sag errors that changes cause.
     """
@@ -42,7 +43,7 @@ class Motions:
         return 6 * (self.paths.layout.surfaces + 2)
 
     def _position(self, numbers: slice) -> slice:
-        """Return the motions for numbers that follow the poses in the layout."""
+        """Return the motions that are system parameters, for a slice of those behind the poses."""
         shift = self._first_term - POSE * (self.paths.layout.surfaces + 2)
         return slice(numbers.start + shift, numbers.stop + shift)
 
@@ -93,7 +94,7 @@ class Motions:
 
     @cached_property
     def slide(self) -> Array:
-        """Derivatives of the path by x and y on the surfaces and by motions, shape (n, 2 s, q)."""
+        """Mixed second derivatives of the path by x, y on a surface and by a motion, shape (n, 2 s, q)."""
         paths, tangents = self.paths, self.paths.tangents
         bent = paths.hessian @ self.points
         for k in range(len(paths.shapes)):
@@ -112,7 +113,11 @@ class Motions:
 
     @cached_property
     def second(self) -> Array:
-        """Second derivatives of the path for fixed object and sensor points, shape (n, q, q)."""
+        """Second derivatives of the path for fixed object and sensor points, shape (n, q, q).
+
+        The ray slides along the surfaces to where its path is stationary. With the path V of motions i and j
+        and of the ray's positions w on the surfaces, the result is V_ij - V_iw V_ww^-1 V_wj.
+        """
         paths, points, slide = self.paths, self.points, self.slide
         found = np.swapaxes(points, 1, 2) @ (paths.hessian @ points)
         found -= np.swapaxes(slide, 1, 2) @ np.linalg.solve(paths.sliding, slide)
@@ -123,7 +128,7 @@ class Motions:
         crossed[:, ratio, self._indices] = paths.lengths
         for k, columns, sag in self._sags:
             gradient = paths.gradient[:, k + 1]
-            # The sag is along the axis of the surface, which rotates.
+            # A rotated surface also rotates the direction of its sag.
             turned = np.cross(np.array([0.0, 0.0, 1.0]), gradient)
             crossed[:, 6 * k + 6 : 6 * k + 9, columns] += turned[:, :, None] * sag[:, :1]
         found += crossed + np.swapaxes(crossed, 1, 2)
@@ -137,7 +142,8 @@ class Motions:
 def motions_of(changes: Changes) -> Array:
     """Return the motions of which each of d changes consists, shape (q, d)."""
     layout, first = changes.layout, changes.first
-    # Numbers of a pose that are its first-order rotations about x, y and z, and its shifts.
+    # Positions among the 12 numbers of a pose: matrix elements that are rotations about x, y and z to first
+    # order, and then the shift.
     of_pose = (7, 2, 3, 9, 10, 11)
     poses = POSE * np.arange(layout.surfaces + 2)[:, None] + np.array(of_pose)
     rest = np.arange(POSE * (layout.surfaces + 2), layout.size)
@@ -147,11 +153,11 @@ def motions_of(changes: Changes) -> Array:
 
 
 def pair_weights(changes: Changes) -> sparse.csr_array:
-    """Return the matrix of the chain rule for second derivatives by changes.
+    """Return the matrix of the chain rule, which yields second derivatives by pairs of changes.
 
-    It multiplies the second derivatives by motions, followed by the first derivatives by numbers. Its shape
-    is (d (d + 1) / 2, q^2 + numbers); rows are pairs of changes (i, j), i <= j, in the order of
-    `numpy.triu_indices`.
+    It multiplies one vector: the second derivatives by motions, followed by the first derivatives by the
+    numbers of the system. Its shape is (d (d + 1) / 2, q^2 + numbers); rows are pairs of changes (i, j),
+    i <= j, in the order of `numpy.triu_indices`.
     """
     moved = sparse.csr_array(motions_of(changes).T)
     i, j = np.triu_indices(changes.count)
@@ -188,7 +194,7 @@ def _rotations(points: Array) -> Array:
 def _sag_bends(shape: Shape, heights_mm: Array) -> Array:
     """Return second derivatives of a sag by the terms of its shape, shape (n, terms, terms).
 
-    A complex step computes them to rounding; the points must be real.
+    They are computed by a complex step, accurate to rounding errors; the points must be real.
     """
     names = shape.TERMS[: shape.terms.shape[-1]]
     x, y = heights_mm[:, 0], heights_mm[:, 1]

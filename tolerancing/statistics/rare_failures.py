@@ -8,15 +8,15 @@ merit k and s_k the standard deviation of the residuals of the fit,
     p = 1 - prod_k Phi(m_k / s_k).
 
 Trials of the lens itself are drawn from the modelled trials with probabilities q proportional to the square
-root of p, which is optimal if p is right. A fixed fraction of them is drawn uniformly, so that a failure that
-the model does not predict gets no large weight (Owen and Zhou, J. Am. Stat. Assoc. 95, 135, 2000). With N
+root of p, which is optimal if p is right. A fixed fraction of them is drawn uniformly, so that no weight
+exceeds the inverse of this fraction (Owen and Zhou, J. Am. Stat. Assoc. 95, 135, 2000). With N
 modelled trials, n scored trials, and f_i = 1 for a scored trial that fails,
 
     estimate = (1 / n) sum_i f_i / (N q_i),
 
 which is unbiased for any model. Its variance includes that of the n terms and that of the sample of N trials.
 The interval is Wilson's for the number of trials with this variance (Korn and Graubard, Survey Methodology
-24, 193, 1998). If no trial failed, it is the interval of the uniformly drawn trials.
+24, 193, 1998). If no trial failed, only the uniformly drawn trials count.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ class RareYield:
     trials, failed
         Number of trials of the lens that were scored, and number of those that failed.
     plain_trials
-        Number of plain trials that would give the same interval width.
+        Number of plain trials whose yield has the same standard error; if no trial failed, the number of
+        uniformly drawn trials.
     modelled_yield
         Yield predicted by the model alone.
     cross_validated_r_squared : ndarray, shape (merits,)
@@ -124,8 +125,8 @@ def rare_yield(store: Store, trials: int, *, progress: Callable[[int], None] | N
     loaded, stored = store.loaded, store.trials()
     study, response = loaded.study, fit_response(stored.values, stored.scores)
     rng = np.random.default_rng(np.random.SeedSequence(study.seed, spawn_key=(0, 0, 2)))
-    modelled = 400_000
-    values = modelled_trials(study, modelled, rng)
+    modelled_count = 400_000
+    values = modelled_trials(study, modelled_count, rng)
     probabilities = failure_probabilities(study, response, stored.values, stored.scores, values)
     drawn, weights = draw_trials(probabilities, trials, rng)
     scorer = StudyScorer(context_of(loaded.lens, study), study, progress)
@@ -133,7 +134,7 @@ def rare_yield(store: Store, trials: int, *, progress: Callable[[int], None] | N
     first_number = 1 << 24
     scores = scorer(values[drawn], range(first_number, first_number + trials))
     passed = all_passed(study.merits, scores)
-    failures, error, plain = weighted_failures(~passed, weights, modelled)
+    failures, error, plain = weighted_failures(~passed, weights, modelled_count)
     low, high = wilson(1.0 - failures, plain)
     return RareYield(
         study=study,
@@ -179,15 +180,16 @@ def failure_probabilities(
         Probabilities, 0 to 1.
     """
     residuals = scores - response.predict(values)
-    # The error for new trials exceeds the residuals by the root of the ratio of both unexplained variances.
+    # Residuals of fitted trials are smaller than errors of new ones, by the root of the ratio of the
+    # variances that the model does not explain in each.
     unexplained = 1.0 - response.r_squared
     ratio = (1.0 - response.cross_validated_r_squared) / np.maximum(unexplained, 1e-12)
-    spread = np.sqrt(np.nanmean(residuals**2, axis=0) * np.maximum(ratio, 1.0))
-    predicted, good = response.predict(modelled), np.ones(len(modelled))
+    sigma = np.sqrt(np.nanmean(residuals**2, axis=0) * np.maximum(ratio, 1.0))
+    predicted, pass_probability = response.predict(modelled), np.ones(len(modelled))
     for k, merit in enumerate(study.merits):
         margin = merit.margin(predicted[:, k])
-        good *= ndtr(margin / spread[k]) if spread[k] > 0.0 else margin >= 0.0
-    return np.asarray(1.0 - good)
+        pass_probability *= ndtr(margin / sigma[k]) if sigma[k] > 0.0 else margin >= 0.0
+    return np.asarray(1.0 - pass_probability)
 
 
 def draw_trials(probabilities: Array, count: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
@@ -231,13 +233,12 @@ def weighted_failures(failed: NDArray[np.bool_], weights: Array, modelled: int) 
     Returns
     -------
     fraction, standard_error, plain_trials : float
-        Fraction of failures, its standard error, and the number of plain trials with the same error.
+        Fraction of failures, its standard error, and the number of plain trials with the same error. If all
+        trials pass or all fail, the error is 0, and the last is the number of uniformly drawn trials.
     """
     n, terms = len(failed), np.where(failed, weights, 0.0)
     fraction = min(float(terms.mean()), 1.0)
     if not 0.0 < fraction < 1.0:
         return fraction, 0.0, UNIFORM_FRACTION * n
     variance = float(terms.var(ddof=1)) / n + fraction * (1.0 - fraction) / modelled
-    if variance == 0.0:
-        return fraction, 0.0, float(n)
     return fraction, math.sqrt(variance), fraction * (1.0 - fraction) / variance

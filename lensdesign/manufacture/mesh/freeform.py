@@ -21,10 +21,10 @@ from lensdesign.manufacture.mesh.rings import (
     BALANCE,
     MAX_TRIANGLES,
     ChordErrors,
-    area_factor,
     circle,
+    cumulative_ring_count,
     edge_error,
-    ring_density,
+    equal_area_circumradius,
     ring_faces,
     ring_parameters,
 )
@@ -98,7 +98,7 @@ def _ring_order(rings: Sequence[int], count: int) -> NDArray[np.int64]:
 
 def _end_points(rim: Array, end: Array, count: int) -> Array:
     """Return the rings of flat ring and bevel, which follow the rim; shape (len(end) * count, 3)."""
-    x, y = area_factor(count) * circle(count)
+    x, y = equal_area_circumradius(count) * circle(count)
     rings = [np.column_stack([r * x, r * y, rim[:, 2] + rise]) for r, rise in end]
     return np.concatenate([np.empty((0, 3)), *rings])
 
@@ -114,21 +114,21 @@ def _flange_points(element: Element, ends: Sequence[Array], optical: Sequence[Ar
             f"{float(np.max(front)):.6g} to {float(np.min(back)):.6g} mm, too short for the edge; raise "
             "thickness_mm, or lower the bevels, the flange or the perturbation"
         )
-    x, y = area_factor(count) * circle(count)
+    x, y = equal_area_circumradius(count) * circle(count)
     rings = [np.column_stack([r * x, r * y, np.full(count, z)]) for r, z in corners]
     return np.concatenate([np.empty((0, 3)), *rings])
 
 
 def _points(side: HeightSurface, radii: Array, count: int) -> Array:
     """Return the vertex and the ring points of a surface; each ring has the area of its circle."""
-    ring = area_factor(count) * circle(count)
+    ring = equal_area_circumradius(count) * circle(count)
     x, y = (np.concatenate([[0.0], np.outer(radii, axis).ravel()]) for axis in ring)
     return np.stack([x, y, _finite_heights(side, x, y)], axis=-1)
 
 
 def _level_rim(side: HeightSurface, rim: Array, count: int) -> None:
     """Set the corners of the rim to the heights of its circle, which a flat ring or bevel follows."""
-    x, y = rim[:, :2].T / area_factor(count)
+    x, y = rim[:, :2].T / equal_area_circumradius(count)
     rim[:, 2] = _finite_heights(side, x, y)
 
 
@@ -150,7 +150,7 @@ def _ring_radii(side: HeightSurface, meridian: SurfaceMeridian, error_mm: float,
     end_mm, finest = meridian.end_mm, side.finest_mm
     # Below a quarter of a figure's cell, chord errors are proportional to the square of the spacing.
     shortest = 0.0 if math.isinf(finest) else 0.25 * finest / end_mm
-    density = ring_density(errors, end_mm, min(1e-5, error_mm / end_mm), shortest)
+    density = cumulative_ring_count(errors, end_mm, min(1e-5, error_mm / end_mm), shortest)
     _check_triangle_count(side, density[1][-1] / math.sqrt(error_mm), count, error_mm)
     rings = ring_parameters(errors, density, end_mm, error_mm)
     radii = meridian.points(rings)[1:, 0]

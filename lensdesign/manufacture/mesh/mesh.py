@@ -27,15 +27,15 @@ from lensdesign.manufacture.mesh.freeform import freeform_mesh
 from lensdesign.manufacture.mesh.rings import (
     BALANCE,
     MAX_TRIANGLES,
-    area_factor,
     azimuths,
     balanced_profile,
+    cumulative_ring_count,
     edge_error,
+    equal_area_circumradius,
     meridian_chord_errors,
     revolve,
-    ring_density,
+    ring_chord_radius_mm,
     ring_parameters,
-    sloping_radius_mm,
 )
 from lensdesign.manufacture.mesh.writing import MESH_SUFFIXES, encode_meshes
 
@@ -212,7 +212,8 @@ def _check_size(elements: Sequence[Element], chord_error_um: float) -> None:
     triangles = 0.0
     for element in elements:
         densities = (
-            ring_density(meridian_chord_errors(m), m.end_mm)[1][-1] for m in (element.front, element.back)
+            cumulative_ring_count(meridian_chord_errors(m), m.end_mm)[1][-1]
+            for m in (element.front, element.back)
         )
         rings = sum(densities) / math.sqrt(BALANCE * error_mm) + 2.0
         triangles += 2.0 * rings * _azimuths(elements, error_mm, error_mm)
@@ -231,7 +232,7 @@ def _check_size(elements: Sequence[Element], chord_error_um: float) -> None:
 
 def _azimuths(elements: Sequence[Element], error_mm: float, allowed_mm: float) -> int:
     """Return the number of meridians; it is equal for all elements so that cemented surfaces match."""
-    slopes = max(sloping_radius_mm(m) for e in elements for m in (e.front, e.back))
+    slopes = max(ring_chord_radius_mm(m) for e in elements for m in (e.front, e.back))
     # Largest distance of the ground edge's facets from its cylinder, unless the chord error is larger.
     edge_error_mm = 1e-2
     # Facets of the edge deviate by two thirds of their sagitta.
@@ -276,7 +277,7 @@ def _symmetric_mesh(element: Element, error_mm: float, count: int) -> LensMesh:
 
 def _rings(meridian: SurfaceMeridian, error_mm: float) -> Array:
     errors, end_mm = meridian_chord_errors(meridian), meridian.end_mm
-    return ring_parameters(errors, ring_density(errors, end_mm), end_mm, error_mm)
+    return ring_parameters(errors, cumulative_ring_count(errors, end_mm), end_mm, error_mm)
 
 
 def _measured_error(meridian: SurfaceMeridian, profile: Array, count: int, has_rim: bool) -> float:
@@ -290,7 +291,7 @@ def _measured_error(meridian: SurfaceMeridian, profile: Array, count: int, has_r
     beyond = radial[:, 0] > meridian.end_mm
     greatest = float(np.max(meridian.distances(radial[~beyond]), initial=0.0))
     if has_rim:
-        inner = meridian.end_mm * area_factor(count) * math.cos(math.pi / count)
+        inner = meridian.end_mm * equal_area_circumradius(count) * math.cos(math.pi / count)
         return max(greatest, float(meridian.distances(np.array([[inner, profile[-1, 1]]]))[0]))
     tangent, off = meridian.tangents(1.0), radial[beyond] - meridian.points(1.0)
     across = off[:, 0] * tangent[1] - off[:, 1] * tangent[0]
@@ -299,7 +300,7 @@ def _measured_error(meridian: SurfaceMeridian, profile: Array, count: int, has_r
 
 def _sector_points(profile: Array, count: int, divisions: int = 20) -> Array:
     """Return points on all facets of one sector of a surface, shape (n, 3)."""
-    angle, factor = 2.0 * math.pi / count, area_factor(count)
+    angle, factor = 2.0 * math.pi / count, equal_area_circumradius(count)
     r, z = factor * profile[:, 0], profile[:, 1]
     one = np.stack([r, np.zeros(len(profile)), z], axis=-1)
     other = np.stack([r * math.cos(angle), r * math.sin(angle), z], axis=-1)

@@ -1,8 +1,9 @@
 """Rings and azimuths of a mesh about the axis: their number, positions, and the triangles between them.
 
 The chord error of a triangle is proportional to the square of its sides, so the square root of the chord
-error is additive along a meridian. Vertices straddle the surface instead of lying on it: they are displaced
-by the mean distance of the facets, so that the volume of the mesh is correct to higher order.
+error is additive along a meridian. Vertices lie slightly off the surface: they are displaced by the mean
+distance of the facets, which then cross the surface, so that the volume of the mesh is correct to higher
+order.
 """
 
 from __future__ import annotations
@@ -17,12 +18,15 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.meridian import SurfaceMeridian
 
 ChordErrors = Callable[[Array], Array]
-"""Largest distance of a meridian from each of its chords between successive parameters 0 ... 1."""
+"""Largest distance of a meridian from each of its chords between successive parameters (from 0 to 1)."""
 
 MAX_TRIANGLES = 20_000_000
 
 BALANCE = 0.72
-"""Fraction of the chord error for each of meridian and azimuth; vertices deviate by two thirds of both."""
+"""Fraction of the allowed error for the chords of a meridian, and for those of a ring.
+
+After the vertices are displaced, two thirds of the sum of both errors remain.
+"""
 
 
 def meridian_chord_errors(meridian: SurfaceMeridian) -> ChordErrors:
@@ -40,7 +44,7 @@ def _offsets(meridian: SurfaceMeridian, t: Array) -> Array:
     return np.asarray(across / np.linalg.norm(chord, axis=1)[:, None])
 
 
-def ring_density(
+def cumulative_ring_count(
     chord_errors: ChordErrors, end_mm: float, resolved: float = 1e-5, shortest: float = 0.0
 ) -> tuple[Array, Array]:
     """Return parameters t along a meridian and the cumulative sum of sqrt(chord error) at each.
@@ -68,7 +72,8 @@ def ring_parameters(
     Parameters
     ----------
     chord_errors, density, end_mm
-        Chord errors of the meridian, result of :func:`ring_density`, and radial height of its end in mm.
+        Chord errors of the meridian, result of :func:`cumulative_ring_count`, and radial height of its end in
+        mm.
     error_mm
         Largest allowed chord error in mm.
     """
@@ -92,14 +97,17 @@ def azimuths(radius_mm: float, error_mm: float) -> int:
     return max(12, 4 * math.ceil(0.125 * math.pi / math.asin(sine)))
 
 
-def sloping_radius_mm(meridian: SurfaceMeridian) -> float:
-    """Return the maximum of radial height times sine of slope, which determines the error of ring chords."""
+def ring_chord_radius_mm(meridian: SurfaceMeridian) -> float:
+    """Return the maximum of radial height times sine of slope.
+
+    The chord error of a ring is this radius times 1 - cos(pi / n) for n meridians.
+    """
     t = np.linspace(0.0, 1.0, 257)
     tangent = meridian.tangents(t)
     return float(np.max(meridian.points(t)[:, 0] * np.abs(tangent[:, 1]) / np.linalg.norm(tangent, axis=1)))
 
 
-def area_factor(count: int) -> float:
+def equal_area_circumradius(count: int) -> float:
     """Return the circumradius of the regular polygon whose area is that of the unit circle."""
     angle = 2.0 * math.pi / count
     return math.sqrt(angle / math.sin(angle))
@@ -107,7 +115,7 @@ def area_factor(count: int) -> float:
 
 def edge_error(radius_mm: float, count: int) -> float:
     """Return the largest distance in mm of a regular polygon from the circle of the same area."""
-    factor = area_factor(count)
+    factor = equal_area_circumradius(count)
     return radius_mm * max(factor - 1.0, 1.0 - factor * math.cos(math.pi / count))
 
 
@@ -149,7 +157,7 @@ def revolve(profile: Array, count: int) -> tuple[Array, NDArray[np.int64]]:
 
     Rings are regular polygons with the area of the circle of radius r.
     """
-    x, y = area_factor(count) * circle(count)
+    x, y = equal_area_circumradius(count) * circle(count)
     r, z = profile[1:-1, 0, None], profile[1:-1, 1, None]
     rings = np.stack(np.broadcast_arrays(r * x, r * y, z), axis=-1)
     poles = np.array([[0.0, 0.0, profile[0, 1]], [0.0, 0.0, profile[-1, 1]]])
