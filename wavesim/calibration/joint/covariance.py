@@ -31,6 +31,11 @@ from wavesim.sensor.measurement import DARK, Measurement
 ELIMINATION_ITERATIONS = 20
 """Largest number of iterations that eliminate the object from the covariance."""
 
+INDEPENDENT_ERRORS = 60
+"""Number of independent errors of engine and pixels. Unlike noise, they are equal in many pixels, and average
+out less.
+"""
+
 
 def residual_variance(misfit: float, pixels: int) -> float:
     """Return the variance of the residuals that scales the prior of the estimates.
@@ -42,10 +47,7 @@ def residual_variance(misfit: float, pixels: int) -> float:
     pixels
         Number of valid pixels.
     """
-    # Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise,
-    # they are equal in many pixels and average out less: the prior is weighted as if they were noise.
-    independent_errors = 60
-    return misfit**2 / pixels + MODEL_ERROR**2 / independent_errors
+    return misfit**2 / pixels + MODEL_ERROR**2 / INDEPENDENT_ERRORS
 
 
 def covariance_of_estimates(
@@ -74,17 +76,16 @@ def covariance_of_estimates(
         Covariance in the units of the parameters.
     """
     effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0)
-    prior = np.diag(equations.prior_precision)
-    inverse = np.linalg.inv(np.asarray(effects @ effects.T, float) + prior)
+    prior, curvature = np.diag(equations.prior_precision), np.asarray(effects @ effects.T, float)
+    inverse = np.linalg.inv(curvature + prior)
     variances = equations.linear.residual_variances(MODEL_ERROR)
     if variances is None:  # the residuals are the only evidence of the noise
         return np.asarray(inverse * equations.variance)
-    misfit = equations.linear.misfit
-    # Residuals larger than the noise are errors of the model.
-    excess = max(misfit**2 / float(np.sum(variances, dtype=float)), 1.0)
-    weighted = effects * (np.float32(excess) * variances.ravel())
+    # Residuals beyond the noise are errors of the model.
+    excess = max(equations.linear.misfit**2 - float(np.sum(variances, dtype=float)), 0.0)
+    noise = np.asarray((effects * variances.ravel()) @ effects.T, float)
     # The precision of the prior is its variance's inverse, times the variance of a residual.
-    scatter = np.asarray(weighted @ effects.T, float) + equations.variance * prior
+    scatter = noise + excess / INDEPENDENT_ERRORS * curvature + equations.variance * prior
     background = background_of_clipping(parameters, recorded)
     return np.asarray(inverse @ scatter @ inverse + np.diag(background**2))
 

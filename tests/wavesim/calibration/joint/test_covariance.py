@@ -72,9 +72,9 @@ def test_residuals_beyond_the_noise_widen_the_covariance() -> None:
     linear = Linear(np.full(PIXELS, 0.01))
     equations: Any = Equations(columns, typical, 0.01, linear)
     alone = covariance_of_estimates(equations, NO_PARAMETERS, (), object_is_free=True)
-    linear.misfit = 2.0 * np.sqrt(0.01 * PIXELS)
+    linear.misfit = np.sqrt(0.01 * PIXELS + 20.0 * 60 * 0.01)
     assert covariance_of_estimates(equations, NO_PARAMETERS, (), object_is_free=True) == pytest.approx(
-        4.0 * alone, rel=1e-3
+        21.0 * alone, rel=1e-3
     )
 
 
