@@ -17,7 +17,7 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths
 from tolerancing.prediction.motions import pair_weights, second_by_pairs
 from tolerancing.prediction.paths import Layout, Paths
-from tolerancing.prediction.system import _Numbers, changes_of
+from tolerancing.prediction.system import _Numbers, amounts_of, changes_of
 
 PARAMETERS = [
     ("lens", "decenter_x_mm", 0.02),
@@ -183,7 +183,7 @@ def test_amounts_of_irregularities_are_those_of_their_figures() -> None:
     shapes = np.zeros((2, 11))
     shapes[:, 1] = 1.0
     batch = PerturbationBatch(tuple(asked), np.array([[0.3, 0.01], [0.6, 0.0]]), 0.0, {0: shapes})
-    amounts = changes.amounts(batch)
+    amounts = amounts_of(batch)
     assert changes.count == 12
     np.testing.assert_allclose(amounts[:, -1], [0.01, 0.0])
     np.testing.assert_allclose(amounts[1, :11], 2.0 * amounts[0, :11])
