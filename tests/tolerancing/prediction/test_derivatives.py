@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import DESIGNS
 
-from lensdesign import Lens, load_design
+from lensdesign import Lens
 from lensdesign.errors import DesignError
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.perturbations.batch import batch_of
@@ -16,11 +15,6 @@ from tolerancing.prediction.system import amounts_of
 from wavesim import PupilSampler, refocus, rms_waves
 
 FIELD = (0.4, 1.1)
-
-
-@pytest.fixture(scope="module")
-def lens() -> Lens:
-    return load_design(DESIGNS / "paper_singlet.toml")
 
 
 def asked(*names: tuple[str, str]) -> list[PerturbedParameter]:

@@ -40,11 +40,6 @@ def parameters() -> list[PerturbedParameter]:
 
 
 @pytest.fixture(scope="module")
-def lens() -> Lens:
-    return load_design(DESIGNS / "paper_singlet.toml")
-
-
-@pytest.fixture(scope="module")
 def paths(lens: Lens) -> Paths:
     return nominal_paths(lens, [(0.3, 1.0)], POINTS, 0.532, 3.0)
 
