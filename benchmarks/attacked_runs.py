@@ -6,6 +6,7 @@ The part of `benchmarks.attack` whose attempts take processes of their own.
 from __future__ import annotations
 
 import os
+import random
 import resource
 import shutil
 import signal
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.attack import ROOT, Tally, damage, write_study
-from benchmarks.study_faults import count, start, stored_rows
+from benchmarks.study_faults import kill_often, start, stored_rows
 from benchmarks.study_speed import RAYS
 from benchmarks.timing import DESIGNS
 
@@ -26,36 +27,14 @@ TRIALS = 4000
 
 def killed_runs(folder: Path, rng: np.random.Generator, kills: int) -> Tally:
     """A run that is killed at random and resumed: all trials that it reported as stored are in the store."""
-    study, tally = _rays(folder), Tally()
-    start(folder, folder / "unbroken", TRIALS).communicate()
-    whole, printed_before = stored_rows(folder / "unbroken"), 0
-    for kill in range(1, kills + 1):
-        tally.tried += 1
-        store = folder / "store"
-        run = start(folder, store, TRIALS * kill // kills)
-        assert run.stdout is not None
-        first = run.stdout.readline()
-        time.sleep(rng.uniform(0.0, 0.3))
-        if run.poll() is None:
-            os.killpg(run.pid, signal.SIGKILL)
-        printed = [int(line) for line in (first + run.communicate()[0]).split()]
-        held = count(store)
-        if held < printed_before + (printed[-1] if printed else 0) or not set(stored_rows(store)) <= set(
-            whole
-        ):
-            tally.wrong.append(f"kill {kill}: rows lost or changed ({study.name})")
-        printed_before = held
-    start(folder, folder / "store", TRIALS).communicate()
-    if stored_rows(folder / "store") != whole:
-        tally.wrong.append("the rows in the end are not those of an unbroken run")
-    return tally
+    _rays(folder)
+    rows = kill_often(folder, kills, TRIALS, random.Random(int(rng.integers(2**31))))
+    return Tally(tried=kills, wrong=[f"killed runs: {row.name}" for row in rows if row.met == "NO"])
 
 
-def _rays(folder: Path) -> Path:
+def _rays(folder: Path) -> None:
     shutil.copy(DESIGNS / "paper_singlet.toml", folder)
-    study = folder / "study.toml"
-    study.write_text(RAYS.replace("arms = 21", "arms = 60"))
-    return study
+    (folder / "study.toml").write_text(RAYS.replace("arms = 21", "arms = 60"))
 
 
 def damaged_logs(folder: Path, rng: np.random.Generator, attempts: int) -> Tally:

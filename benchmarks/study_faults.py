@@ -34,19 +34,19 @@ def main() -> None:
         shutil.copy(DESIGNS / "paper_singlet.toml", folder)
         # Finer chunks of dearer trials than usual, so that a run is killed within them, not between.
         (folder / "study.toml").write_text(RAYS.replace("arms = 21", "arms = 60"))
-        rows = kill_often(folder)
+        rows = kill_often(folder, KILLS, TRIALS, random.Random(SEED))
     print_table(f"{KILLS} kills of a run of {TRIALS} trials with two workers", rows)
     if any(row.met == "NO" for row in rows):
         raise SystemExit(1)
 
 
-def kill_often(folder: Path) -> list[Row]:
+def kill_often(folder: Path, kills: int, trials: int, rng: random.Random) -> list[Row]:
     """Kill a run and start it again, let it finish, and compare with an unbroken one."""
-    rng, store = random.Random(SEED), folder / "store"
+    store = folder / "store"
     lost, gained, logs, last = 0, 0, 0, 0
-    for kill in range(1, KILLS + 1):
+    for kill in range(1, kills + 1):
         # The study grows from kill to kill, or it would be done long before the last one.
-        process = start(folder, store, TRIALS * kill // KILLS)
+        process = start(folder, store, trials * kill // kills)
         first = ""
         if kill % 4:  # most while it writes, the others while it starts
             assert process.stdout is not None
@@ -60,14 +60,14 @@ def kill_often(folder: Path) -> list[Row]:
         lost += max(last + (printed[-1] if printed else 0) - held, 0)
         gained += held > last
         last = held
-    start(folder, store, TRIALS).communicate()
-    start(folder, folder / "unbroken", TRIALS).communicate()
+    start(folder, store, trials).communicate()
+    start(folder, folder / "unbroken", trials).communicate()
     broken, whole = stored_rows(store), stored_rows(folder / "unbroken")
     return [
         Row("kills after which the store held more than before", gained),
         Row("kills that left a log to be played in", logs),
         Row("trials lost that a run had reported as stored", lost, at_most=0),
-        Row("trials in the end", len(broken), at_least=TRIALS, at_most=TRIALS),
+        Row("trials in the end", len(broken), at_least=trials, at_most=trials),
         Row("rows that differ from those of an unbroken run", len(set(broken) ^ set(whole)), at_most=0),
         Row("faults that SQLite finds in the file", faults(store), at_most=0),
     ]

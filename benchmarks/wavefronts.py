@@ -27,6 +27,7 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction import arrival_differentials, differentials, predict, predict_rays
 from tolerancing.prediction.derivatives import ARMS, RINGS, FieldDifferentials, nominal_paths
 from tolerancing.prediction.paths import Paths
+from tolerancing.prediction.system import amounts_of
 from tolerancing.statistics.yields import yield_of
 from tolerancing.study.evaluate import context_of, sample_perturbations
 
@@ -134,7 +135,7 @@ def spreads_beside_others(lens: Lens) -> None:
     seconds["Optiland"] = time.perf_counter() - began
     batch = PerturbationBatch(tuple(moved), values * units, 0.0)
     began = time.perf_counter()
-    rays = known.arrival(known.changes.amounts(batch))
+    rays = known.arrival(amounts_of(batch))
     predicted = np.max(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), axis=1)
     seconds["derivatives"] += time.perf_counter() - began
     began = time.perf_counter()

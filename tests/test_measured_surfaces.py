@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_twins import small_spot, stopped_down
 
-from lensdesign import Lens, ObjectSpace, Pose, Sensor, SurfacePerturbation, load_design
+from lensdesign import Pose, SurfacePerturbation, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens import figure_from_zernike
 from lensdesign.raytrace.bundles import launch
@@ -102,33 +103,15 @@ def test_path_difference_follows_from_the_nominal_rays(surface: int) -> None:
 
 
 def small_scene(figure_um: dict[int, float]) -> Scene:
-    """The paper's lens at an eighth of its size, stopped down, on the full plane."""
-    front, back = PAPER.surfaces
-    lens = Lens(
-        wavelengths_um=(WAVELENGTH_UM,),
-        object=ObjectSpace(field_diameter_mm=0.02, numerical_aperture=0.06, working_distance_mm=13.5 / 8),
-        sensor=Sensor(pixel_pitch_um=1.0, pixels=(100, 100), plane_distances_mm=(0.25,)),
-        surfaces=(
-            front.replaced(radius_mm=42.3 / 8, thickness_mm=9.7 / 8, semi_diameter_mm=0.1),
-            back.replaced(radius_mm=-12.0 / 8, semi_diameter_mm=10.0 / 8),
-        ),
-    )
-    if figure_um:
-        table = {"semi_diameter_mm": 0.1, "zernike_um": figure_um}
-        lens = lens.with_surface(0, figure=table)
-    grids = Grid((24, 24), 0.0015, -13.5 / 8), Grid((150, 150), 0.003, 9.7 / 8 + 0.25)
-    return Scene(lens, *grids, WAVELENGTH_UM)
-
-
-def spot(grid: Grid) -> Field:
-    values = np.exp(-0.5 * grid.radius_squared_mm2() / 0.004**2)
-    return Field(grid, values.astype(complex), WAVELENGTH_UM)
+    """A stopped-down lens with a measured figure on its front."""
+    figure = {"semi_diameter_mm": 0.1, "zernike_um": figure_um} if figure_um else None
+    return stopped_down(front={"figure": figure})
 
 
 def test_engines_agree_on_an_astigmatic_and_comatic_figure() -> None:
     """Exit fields change by more than half with the figure, and in the same way for all."""
     bare, made = small_scene({}), small_scene({3: 0.15, 7: 0.1})
-    source = spot(bare.object_grid)
+    source = small_spot(bare.object_grid)
     fields = {
         name: [build(scene).forward(source).values for scene in (bare, made)]
         for name, build in (

@@ -67,10 +67,6 @@ class Objective:
             value = min(value, limits.max_spread_deg) if isinstance(limits.max_spread_deg, float) else value
         return specification.model_copy(update={"constraints": limits.replaced(**{self.limit: value})})
 
-    def better(self, one: float, other: float) -> bool:
-        """Return whether one value is better than another."""
-        return one > other if self.larger_is_better else one < other
-
 
 OBJECTIVES = {
     found.name: found

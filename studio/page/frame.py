@@ -15,7 +15,7 @@ from studio import panes
 from studio.model.bench import Workbench
 from studio.panes.common import ScriptPart, follow, text
 from studio.panes.rays import field_heights
-from studio.panes.themes import Dresser, dressed
+from studio.panes.themes import FIELDS, apply_theme
 
 HERE = Path(__file__).parent
 PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
@@ -39,21 +39,21 @@ class Bar(ScriptPart):
 
 def page(bench: Workbench) -> pn.Template:
     """Return the whole page for one tab of a browser."""
-    dressers: list[Dresser] = []
-    template = pn.Template((HERE / "page.html").read_text(encoding="utf-8"))
+    template, main = pn.Template((HERE / "page.html").read_text(encoding="utf-8")), _main(bench)
     template.add_variable("page_css", (HERE / "page.css").read_text(encoding="utf-8"))
-    template.add_panel("bar", _bar(bench, dressers))
+    template.add_panel("bar", _bar(bench, main))
     template.add_panel("side", _side(bench))
-    template.add_panel("main", _main(bench, dressers))
+    template.add_panel("main", main)
     template.add_panel("summary", _summary(bench))
-    dressed(dressers, "light")
     return template
 
 
-def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
+def _bar(bench: Workbench, main: pn.Column) -> Bar:
+    """Return the bar of a page, which applies its theme to the main part."""
+
     def received(message: dict[str, Any]) -> None:
         if message.get("theme") in ("light", "dark"):
-            dressed(dressers, message["theme"])
+            apply_theme(main, message["theme"])
             return
         action = message.get("action")
         bar.param.update(message="", is_bad=False)
@@ -98,15 +98,15 @@ def _tabs(*tabs: tuple[str, Any]) -> pn.Tabs:
     return pn.Tabs(*tabs, sizing_mode="stretch_width", margin=0, dynamic=True, stylesheets=[PARTS])
 
 
-def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
+def _main(bench: Workbench) -> pn.Column:
     return _styled(
         pn.Column(
-            _card(_legend(bench), panes.layout(bench, dressers)),
+            _card(_legend(bench), panes.layout(bench)),
             _tabs(
-                ("Live", _live(bench, dressers)),
+                ("Live", _live(bench)),
                 ("Optimize", _card(panes.optimize(bench))),
-                ("Explore", _card(panes.explore(bench, dressers))),
-                ("Tolerances", _card(panes.tolerances(bench, dressers))),
+                ("Explore", _card(panes.explore(bench))),
+                ("Tolerances", _card(panes.tolerances(bench))),
                 ("Compare", _card(panes.compare(bench))),
                 ("Export", _card(panes.export(bench))),
                 ("Reconstructions", _card(panes.result_folder_pane(bench))),
@@ -115,28 +115,23 @@ def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
     )
 
 
-def _live(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
+def _live(bench: Workbench) -> pn.Column:
     planes = min(2, len(bench.lens.sensor.plane_distances_mm))
     row = partial(pn.Row, sizing_mode="stretch_width", margin=0, styles={"gap": "1px"})
     return pn.Column(
         row(
-            _card(_head("Spread", "against field, and the sensor's limit"), panes.spread(bench, dressers)),
+            _card(_head("Spread", "against field, and the sensor's limit"), panes.spread(bench)),
             *(
-                _card(
-                    _head(f"Footprint H{k + 1}", "spots on the sensor"), panes.footprint(bench, k, dressers)
-                )
+                _card(_head(f"Footprint H{k + 1}", "spots on the sensor"), panes.footprint(bench, k))
                 for k in range(planes)
             ),
         ),
         row(
-            *(
-                _card(_head("Wavefront" if k == 0 else "&nbsp;"), panes.wavefront(bench, k, dressers))
-                for k in range(3)
-            ),
+            *(_card(_head("Wavefront" if k == 0 else "&nbsp;"), panes.wavefront(bench, k)) for k in range(3)),
         ),
         row(
-            _card(_head("Contrast", "of lines, as it is"), panes.contrast(bench, dressers)),
-            _card(_head("Patch", "of a chart, reconstructed"), panes.patch(bench, dressers)),
+            _card(_head("Contrast", "of lines, as it is"), panes.contrast(bench)),
+            _card(_head("Patch", "of a chart, reconstructed"), panes.patch(bench)),
         ),
         sizing_mode="stretch_width",
         styles={"gap": "1px"},
@@ -144,8 +139,6 @@ def _live(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
 
 
 def _legend(bench: Workbench) -> pn.pane.HTML:
-    from studio.panes.themes import FIELDS
-
     pane = pn.pane.HTML("", sizing_mode="stretch_width", margin=0, stylesheets=[PARTS])
 
     def update() -> None:
@@ -187,9 +180,7 @@ def _styled(column: pn.Column) -> pn.Column:
 
 def notebook_view(bench: Workbench) -> pn.Row:
     """Return the panes of the page side by side."""
-    dressers: list[Dresser] = []
-    side, main, summary = _side(bench), _main(bench, dressers), _summary(bench)
+    side, main, summary = _side(bench), _main(bench), _summary(bench)
     side.width = summary.width = 330
     side.sizing_mode = summary.sizing_mode = "fixed"
-    dressed(dressers, "light")
     return pn.Row(side, main, summary, sizing_mode="stretch_width")

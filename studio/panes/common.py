@@ -1,4 +1,4 @@
-"""Common parts of panes: their workbench, updates after changes, and escaped text."""
+"""Common parts of panes: their workbench, updates after changes, jobs, messages and escaped text."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import panel as pn
 from bokeh.io import curdoc
 from panel.custom import JSComponent
 from panel.io.document import hold
@@ -16,6 +17,7 @@ from tornado.ioloop import IOLoop
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
+from studio.model.jobs import Job
 
 HERE = Path(__file__).parent
 
@@ -75,6 +77,32 @@ def follow(bench: Workbench, owner: Any, update: Callable[[], None]) -> None:
     update()
 
 
+def follow_result(
+    bench: Workbench, owner: Any, result: Callable[[], Any], draw: Callable[[Any], None]
+) -> None:
+    """Follow a workbench with a function that draws a result, which is called when the result has changed.
+
+    Parameters
+    ----------
+    bench, owner
+        See :func:`follow`.
+    result
+        Function that returns the present result; None: nothing to draw yet.
+    draw
+        Function that draws a result.
+    """
+    last: Any = None
+
+    def update() -> None:
+        nonlocal last
+        found = result()
+        if found is not None and found is not last:
+            last = found
+            draw(found)
+
+    follow(bench, owner, update)
+
+
 class _PageUpdates:
     """Updates of one page after a change of its workbench."""
 
@@ -106,3 +134,48 @@ _PAGE_UPDATES: weakref.WeakKeyDictionary[Any, _PageUpdates] = weakref.WeakKeyDic
 def text(value: object) -> str:
     """Return a value as escaped text for markup."""
     return escape(visible(str(value)))
+
+
+def message_pane() -> pn.pane.HTML:
+    """Return an empty pane for messages."""
+    return pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+
+
+def message(markup: str, is_bad: bool = False) -> str:
+    """Return the markup of a message; that of a failure is marked."""
+    kind = ' class="miss"' if is_bad else ""
+    return f'<div class="text-block"><p{kind}>{markup}</p></div>'
+
+
+class JobPane:
+    """Buttons that start and stop a job of a pane, and a message about it.
+
+    Parameters
+    ----------
+    bench
+        Workbench of the pane.
+    run, cancel
+        Labels of the buttons.
+    """
+
+    def __init__(self, bench: Workbench, run: str, cancel: str = "Stop") -> None:
+        self.bench = bench
+        self.job: Job | None = None
+        self.run = pn.widgets.Button(name=run, button_type="primary", align="end")
+        self.cancel = pn.widgets.Button(name=cancel, disabled=True, align="end")
+        self.message = message_pane()
+        self.cancel.on_click(lambda _: self.job and self.job.cancel())
+
+    @property
+    def is_running(self) -> bool:
+        """True while the job runs."""
+        return self.job is not None and self.job.state == "running"
+
+    def enable_buttons(self) -> None:
+        """Enable the button that is of use now."""
+        if self.run.disabled is not self.is_running:
+            self.run.disabled, self.cancel.disabled = self.is_running, not self.is_running
+
+    def show_error(self, error: Exception) -> None:
+        """Show why a job cannot start."""
+        self.message.object = message(text(error), is_bad=True)

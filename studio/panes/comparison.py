@@ -13,7 +13,7 @@ from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.compared import compared
-from studio.panes.common import bench_of, follow, text
+from studio.panes.common import bench_of, follow, message, message_pane, text
 
 
 def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
@@ -39,10 +39,10 @@ def compare(lens: Workbench | Lens) -> pn.Column:
     name = pn.widgets.TextInput(name="design file to compare", placeholder="designs/feasible_singlet.toml")
     add = pn.widgets.Button(name="Add", align="end")
     clear = pn.widgets.Button(name="Clear", align="end")
-    message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
-    table = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    note = message_pane()
+    table = message_pane()
     form = pn.Row(name, add, clear, sizing_mode="stretch_width", margin=(6, 6, 0, 6))
-    pane = pn.Column(form, message, table, sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(form, note, table, sizing_mode="stretch_width", margin=0)
     last_state: list[Any] = [None]
 
     def update() -> None:
@@ -53,14 +53,14 @@ def compare(lens: Workbench | Lens) -> pn.Column:
         table.object = comparison(["this lens", *others], [bench.figures.lens, *others.values()])
 
     def add_design(_: object) -> None:
-        message.object = ""
+        note.object = ""
         path = Path(name.value.strip())
         try:
             if len(others) + 1 >= 3:  # at most three designs are compared
                 others.pop(next(iter(others)))
             others[path.name] = load_design(path)
         except TransferLensError as error:
-            message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
+            note.object = message(text(error), is_bad=True)
         update()
 
     def clear_designs(_: object) -> None:

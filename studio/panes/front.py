@@ -15,8 +15,8 @@ from studio.model.bench import Workbench
 from studio.model.built import manufacturing_quality
 from studio.model.jobs import Job
 from studio.model.searches import Search, run_exploration, variables_of
-from studio.panes.common import bench_of, follow, text
-from studio.panes.themes import Dresser, Theme, chart, dressed
+from studio.panes.common import JobPane, bench_of, follow, message, text
+from studio.panes.themes import Theme, ThemedChart, chart
 
 OBJECTIVES = {
     "thickness": "thickness_mm",
@@ -29,44 +29,34 @@ OBJECTIVES = {
 """Objectives and the columns of their values."""
 
 
-def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
+def explore(lens: Workbench | Lens) -> pn.Column:
     """Return a pane that explores two objectives in a child process; a click on a lens loads it."""
-    bench, own = bench_of(lens), [] if dressers is None else dressers
-    pane = _Explore(bench, own).view
-    if dressers is None:
-        dressed(own, "light")
-    return pane
+    return _Explore(bench_of(lens)).view
 
 
-class _Explore:
+class _Explore(JobPane):
     """Widgets, the running exploration, and the lenses found so far."""
 
-    def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
+    def __init__(self, bench: Workbench) -> None:
         from bokeh.models import ColumnDataSource
 
-        self.bench = bench
-        self.job: Job | None = None
+        super().__init__(bench, "Explore")
         self.texts: list[str] = []
         self.over = ("thickness", "spread")
         names = list(OBJECTIVES)
         self.abscissa = pn.widgets.Select(name="across", options=names, value="thickness", width=140)
         self.ordinate = pn.widgets.Select(name="upward", options=names, value="spread", width=140)
         self.count = pn.widgets.IntInput(name="lenses", value=12, start=2, end=200, width=90)
-        self.run = pn.widgets.Button(name="Explore", button_type="primary", align="end")
-        self.cancel = pn.widgets.Button(name="Stop", disabled=True, align="end")
-        self.message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.source = ColumnDataSource({"x": [], "y": []})
-        self.plot = chart(dressers, height=260, x="across", y="upward")
+        self.plot = chart(height=260, x="across", y="upward")
         self.plot.add_tools("tap")
         self.dots = self.plot.scatter("x", "y", source=self.source, size=9, line_color=None)
-        dressers.append(self._dress)
         self.source.selected.on_change("indices", self._picked)
         self.run.on_click(self._start)
-        self.cancel.on_click(lambda _: self.job and self.job.cancel())
         form = pn.FlexBox(
             self.abscissa, self.ordinate, self.count, self.run, self.cancel, margin=(6, 6, 0, 6)
         )
-        shown = pn.pane.Bokeh(self.plot, sizing_mode="stretch_width")
+        shown = ThemedChart(self.plot, self._dress, margin=(5, 10))
         self.view = pn.Column(form, self.message, shown, sizing_mode="stretch_width")
         self.view._explore = self  # keeps this object alive with its view
         follow(bench, self.view, self.update)
@@ -76,13 +66,13 @@ class _Explore:
 
     def _start(self, _: object) -> None:
         bench, self.over = self.bench, (self.abscissa.value, self.ordinate.value)
-        if self.job is not None and self.job.state == "running":
+        if self.is_running:
             return
         try:
             built = any(name in ("as_built_rms", "yield") for name in self.over)
             quality = manufacturing_quality(bench.grade, bench.lens) if built else None
         except TransferLensError as error:
-            self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
+            self.show_error(error)
             return
         varied = tuple(n for n in variables_of(bench.lens) if "asphere" not in n)
         self.texts, self.source.data = [], {"x": [], "y": []}
@@ -98,10 +88,8 @@ class _Explore:
 
     def update(self) -> None:
         """Show the lenses found so far."""
+        self.enable_buttons()
         job = self.job
-        running = job is not None and job.state == "running"
-        if self.run.disabled is not running:
-            self.run.disabled, self.cancel.disabled = running, not running
         if job is None:
             return
         if len(job.lines) > len(self.texts):
@@ -111,10 +99,9 @@ class _Explore:
             x, y = (np.array([one["values"][column] for one in found], float) for column in columns)
             self.source.data = {"x": x, "y": y}
         if job.state == "failed":
-            new = f'<p class="miss">{text(job.result)}</p>'
+            new = message(text(job.result), is_bad=True)
         else:
             count = len(self.texts)
-            new = f"<p>{count} lenses, {text(job.state)}. Click one to load it; undo takes it back.</p>"
-        new = f'<div class="text-block">{new}</div>'
+            new = message(f"{count} lenses, {text(job.state)}. Click one to load it; undo takes it back.")
         if self.message.object != new:
             self.message.object = new

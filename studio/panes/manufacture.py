@@ -12,7 +12,7 @@ from studio.model.bench import Workbench
 from studio.model.built import manufacturing_quality
 from studio.model.exports import KINDS, write_export
 from studio.model.jobs import Job
-from studio.panes.common import bench_of, follow, text
+from studio.panes.common import bench_of, follow, message, message_pane, text
 
 
 def export(lens: Workbench | Lens) -> pn.Column:
@@ -23,9 +23,9 @@ def export(lens: Workbench | Lens) -> pn.Column:
     file = pn.widgets.TextInput(name="file", value=_name(bench, kind.value), width=300)
     replace = pn.widgets.Checkbox(name="replace an existing file", align="end")
     write = pn.widgets.Button(name="Write", button_type="primary", align="end")
-    message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    note = message_pane()
     form = pn.FlexBox(kind, file, replace, write, sizing_mode="stretch_width", margin=(6, 6, 0, 6))
-    pane = pn.Column(form, message, sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(form, note, sizing_mode="stretch_width", margin=0)
     kind.param.watch(lambda event: setattr(file, "value", _name(bench, event.new)), "value")
 
     def start(_: object) -> None:
@@ -33,7 +33,7 @@ def export(lens: Workbench | Lens) -> pn.Column:
         try:
             quality = None if path.suffix else manufacturing_quality(bench.grade, bench.lens)
         except TransferLensError as error:
-            message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
+            note.object = message(text(error), is_bad=True)
             return
         jobs.append(Job(write_export, (bench.lens, path, quality, replace.value), bench.notify))
         update()
@@ -46,8 +46,8 @@ def export(lens: Workbench | Lens) -> pn.Column:
                 f'<p class="{bad}">{text(job.progress if job.state == "running" else job.result)}</p>'
             )
         new = f'<div class="text-block">{"".join(lines)}</div>'
-        if message.object != new and jobs:
-            message.object = new
+        if note.object != new and jobs:
+            note.object = new
 
     write.on_click(start)
     follow(bench, pane, update)

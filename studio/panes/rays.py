@@ -7,22 +7,22 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import panel as pn
 
+from lensdesign.analysis.report import CheckReport
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.picture import Layout, heights_of
-from studio.panes.common import bench_of, follow
-from studio.panes.themes import FIELDS, Dresser, Theme, chart, dressed, framed
+from studio.panes.common import bench_of, follow_result
+from studio.panes.themes import COLORS, FIELDS, Theme, ThemedChart, chart, framed
 
 
-def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+def layout(lens: Workbench | Lens) -> ThemedChart:
     """Return the layout of the lens to scale, with rays of three fields."""
     from bokeh.models import ColumnDataSource
 
-    bench, own = bench_of(lens), [] if dressers is None else dressers
-    plot = chart(own, height=270, x="z (mm)", y="y (mm)", match_aspect=True)
+    bench = bench_of(lens)
+    plot = chart(height=270, x="z (mm)", y="y (mm)", match_aspect=True)
     box = framed(plot)
     names = ("glass", "rays", "surfaces", "planes", "labels")
     sources = {name: ColumnDataSource({"xs": [], "ys": []}) for name in names}
@@ -42,10 +42,11 @@ def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
         text_baseline="bottom",
     )
     plot.xgrid.visible = plot.ygrid.visible = False
-    theme: list[Theme] = ["light"]
+    theme: Theme = "light"
 
     def dress(colors: dict[str, str], name: Theme) -> None:
-        theme[0] = name
+        nonlocal theme
+        theme = name
         glass.glyph.fill_color = colors["glass"]
         outline.glyph.line_color = colors["edge"]
         planes.glyph.line_color = colors["ink"]
@@ -55,113 +56,88 @@ def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
             sources["rays"].data["color"] = _colors(count, name)
             sources["rays"].data = dict(sources["rays"].data)
 
-    own.append(dress)
-    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
-    drawn: list[Any] = [None]
-
-    def update() -> None:
-        found = bench.figures.layout
-        if found is None or found is drawn[0]:
-            return
-        drawn[0] = found
-        _fill(sources, found, bench.figures.lens, theme[0])
+    def draw(found: Layout) -> None:
+        _fill(sources, found, bench.figures.lens, theme)
         _frame(box, found, bench.figures.lens)
 
-    follow(bench, pane, update)
-    if dressers is None:
-        dressed(own, "light")
+    pane = ThemedChart(plot, dress)
+    follow_result(bench, pane, lambda: bench.figures.layout, draw)
     return pane
 
 
-def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+def spread(lens: Workbench | Lens) -> ThemedChart:
     """Return a chart of the largest angle behind the lens against field height, with the sensor's limit."""
     from bokeh.models import ColumnDataSource, Range1d, Span
 
-    bench, own = bench_of(lens), [] if dressers is None else dressers
+    bench = bench_of(lens)
     plot = chart(
-        own, height=190, x="field height (mm)", y="spread (deg)", x_range=Range1d(0, 1), y_range=Range1d(0, 1)
+        height=190, x="field height (mm)", y="spread (deg)", x_range=Range1d(0, 1), y_range=Range1d(0, 1)
     )
     source = ColumnDataSource({"x": [], "y": []})
     line = plot.line("x", "y", source=source, line_width=2)
     dots = plot.scatter("x", "y", source=source, size=4)
     limit = Span(dimension="width", line_dash="dashed", line_width=1.2)
     plot.add_layout(limit)
-    names: list[dict[str, str]] = [{}]
+    colors: dict[str, str] = {}
 
     def paint() -> None:
-        report, colors = bench.figures.check, names[0]
-        if report is not None and colors:
+        report = bench.figures.check
+        if report is not None:
             over = report.max_spread_deg > report.spread_limit_deg * (1.0 + 1e-6)
             line.glyph.line_color = dots.glyph.fill_color = colors["bad" if over else "accent"]
             dots.glyph.line_color = None
             limit.line_color = colors["bad" if over else "faint"]
 
-    def dress(colors: dict[str, str], _: Theme) -> None:
-        names[0] = colors
+    def dress(of_theme: dict[str, str], _: Theme) -> None:
+        colors.update(of_theme)
         paint()
 
-    own.append(dress)
-    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
-
-    def update() -> None:
-        report = bench.figures.check
-        if report is None:
-            return
+    def draw(report: CheckReport) -> None:
         source.data = {"x": list(report.spread_heights_mm), "y": list(report.spread_per_field_deg)}
         limit.location = report.spread_limit_deg
         _widen(plot.y_range, 0.0, 1.15 * max(report.spread_limit_deg, report.max_spread_deg))
         _widen(plot.x_range, 0.0, 1.02 * report.spread_heights_mm[-1])
         paint()
 
-    follow(bench, pane, update)
-    if dressers is None:
-        dressed(own, "light")
+    pane = ThemedChart(plot, dress)
+    follow_result(bench, pane, lambda: bench.figures.check, draw)
     return pane
 
 
-def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
     """Return a chart of the spots of three fields in one sensor plane, and the footprint of all light."""
     from bokeh.models import ColumnDataSource
 
-    bench, own = bench_of(lens), [] if dressers is None else dressers
-    plot = chart(own, height=190, x="x (mm)", y="y (mm)", match_aspect=True)
+    bench = bench_of(lens)
+    plot = chart(height=190, x="x (mm)", y="y (mm)", match_aspect=True)
     box = framed(plot)
     spots, sensor, reach = (ColumnDataSource({"x": [], "y": []}) for _ in range(3))
     spots.data = {"x": [], "y": [], "color": []}
     plot.scatter("x", "y", source=spots, size=2, color="color", line_color=None, alpha=0.9)
     frame = plot.line("x", "y", source=sensor, line_width=1.4)
     circle = plot.line("x", "y", source=reach, line_width=1.2, line_dash="dashed")
-    state: dict[str, Any] = {"colors": {}, "theme": "light"}
+    theme: Theme = "light"
 
-    def paint() -> None:
-        colors, report = state["colors"], bench.figures.check
-        if not colors or report is None or plane >= len(report.plane_distances_mm):
-            return
-        name = f"footprint radius at {report.plane_distances_mm[plane]:g} mm"
-        met = all(c.met for c in report.constraints if c.name == name)
-        frame.glyph.line_color = colors["ink"]
-        circle.glyph.line_color = colors["accent" if met else "bad"]
+    def result() -> CheckReport | None:
+        """Return the check of the lens; None if there are no spots in this plane."""
+        found = bench.figures.layout
+        return bench.figures.check if found is not None and plane < len(found.spots) else None
 
-    def dress(colors: dict[str, str], theme: Theme) -> None:
-        state.update(colors=colors, theme=theme)
-        drawn[0] = None
-        update()
+    def dress(_: dict[str, str], name: Theme) -> None:
+        nonlocal theme
+        theme = name
+        report = result()
+        if report is not None:
+            draw(report)
 
-    own.append(dress)
-    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
-    drawn: list[Any] = [None]
-
-    def update() -> None:
-        found, report = bench.figures.layout, bench.figures.check
-        if found is None or report is None or plane >= len(found.spots) or report is drawn[0]:
-            return
-        drawn[0] = report
-        points = found.spots[plane]
+    def draw(report: CheckReport) -> None:
+        assert bench.figures.layout is not None
+        points = bench.figures.layout.spots[plane]
         xy = np.concatenate(points)
         spots.data = {
             "x": xy[:, 0],
             "y": xy[:, 1],
-            "color": np.repeat(FIELDS[state["theme"]], [len(p) for p in points]).tolist(),
+            "color": np.repeat(FIELDS[theme], [len(p) for p in points]).tolist(),
         }
         half_x, half_y = (0.5 * side for side in bench.figures.lens.sensor.size_mm)
         sensor.data = {
@@ -175,11 +151,13 @@ def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | 
         largest = margin_factor * max(half_y, radius)
         wide = margin_factor * max(half_x, radius)
         _show(box, (-wide, wide), (-largest, largest))
-        paint()
+        name = f"footprint radius at {report.plane_distances_mm[plane]:g} mm"
+        met = all(c.met for c in report.constraints if c.name == name)
+        frame.glyph.line_color = COLORS[theme]["ink"]
+        circle.glyph.line_color = COLORS[theme]["accent" if met else "bad"]
 
-    follow(bench, pane, update)
-    if dressers is None:
-        dressed(own, "light")
+    pane = ThemedChart(plot, dress)
+    follow_result(bench, pane, result, draw)
     return pane
 
 

@@ -12,7 +12,7 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.jobs import Job
 from studio.model.results import FolderContents, read_folder
-from studio.panes.common import bench_of, follow, text
+from studio.panes.common import bench_of, follow, message, message_pane, text
 
 
 def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
@@ -21,9 +21,9 @@ def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
     jobs: list[Job] = []
     name = pn.widgets.TextInput(name="folder that wavesim wrote", placeholder="object", width=420)
     show = pn.widgets.Button(name="Open", button_type="primary", align="end")
-    message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    note = message_pane()
     form = pn.Row(name, show, margin=(6, 6, 0, 6))
-    pane = pn.Column(form, message, sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(form, note, sizing_mode="stretch_width", margin=0)
     last_state: list[object] = [None]
 
     def start(_: object) -> None:
@@ -37,11 +37,10 @@ def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
             return
         last_state[0], job = state, jobs[-1]
         if job.state == "done":
-            message.object = _markup(job.result)
+            note.object = _markup(job.result)
         else:
-            bad = ' class="miss"' if job.state == "failed" else ""
-            shown_text = job.result if job.state == "failed" else job.progress
-            message.object = f'<div class="text-block"><p{bad}>{text(shown_text or "")}</p></div>'
+            failed = job.state == "failed"
+            note.object = message(text((job.result if failed else job.progress) or ""), is_bad=failed)
 
     show.on_click(start)
     follow(bench, pane, update)

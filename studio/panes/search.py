@@ -15,7 +15,7 @@ from studio.model.built import manufacturing_quality
 from studio.model.editing import lens_from
 from studio.model.jobs import Job
 from studio.model.searches import CONSTRAINTS, GOALS, Search, SearchSummary, run_search, variables_of
-from studio.panes.common import bench_of, follow, text
+from studio.panes.common import JobPane, bench_of, follow, message, text
 from studio.panes.comparison import comparison
 from tolerancing.perturbations.grades import GRADES
 
@@ -26,12 +26,11 @@ def optimize(lens: Workbench | Lens) -> pn.Row:
     return _Optimize(bench).view
 
 
-class _Optimize:
+class _Optimize(JobPane):
     """Widgets, and the running search."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.bench = bench
-        self.job: Job | None = None
+        super().__init__(bench, "Optimize", "Cancel")
         self.start: Lens | None = None
         self.shown: Any = None
         self.variables = pn.widgets.CheckBoxGroup(options=[], value=[], margin=(0, 10))
@@ -47,13 +46,9 @@ class _Optimize:
             )
             for key, label, unit in CONSTRAINTS
         }
-        self.run = pn.widgets.Button(name="Optimize", button_type="primary")
-        self.cancel = pn.widgets.Button(name="Cancel", disabled=True)
         self.accept = pn.widgets.Button(name="Take it", visible=False, button_type="primary")
         self.discard = pn.widgets.Button(name="Drop it", visible=False)
-        self.message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.run.on_click(self._run)
-        self.cancel.on_click(lambda _: self.job and self.job.cancel())
         self.accept.on_click(self._accept)
         self.discard.on_click(self._discard)
         self.view = self._view()
@@ -98,7 +93,7 @@ class _Optimize:
 
     def _run(self, _: object) -> None:
         bench = self.bench
-        if self.job is not None and self.job.state == "running":
+        if self.is_running:
             return
         try:
             search = self._requested_search()
@@ -108,7 +103,7 @@ class _Optimize:
             quality = manufacturing_quality(grade, bench.lens)
             needs = search.goal in ("as-built rms", "yield") or "min_yield" in search.constraints
         except InputError as error:
-            self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
+            self.show_error(error)
             return
         self.start, self.shown = bench.lens, None
         self.accept.visible = self.discard.visible = False
@@ -136,19 +131,17 @@ class _Optimize:
             kept = [n for n in self.variables.value if n in names]
             self.variables.options = names
             self.variables.value = kept or [n for n in names if "radius" in n or n == "surface 2 conic"]
+        self.enable_buttons()
         job = self.job
-        running = job is not None and job.state == "running"
-        if self.run.disabled is not running:
-            self.run.disabled, self.cancel.disabled = running, not running
         if job is None or (state := (job.state, job.progress)) == self.shown:
             return
         self.shown = state
         if job.state == "running":
-            self.message.object = f'<div class="text-block"><p>searching… {text(job.progress)}</p></div>'
+            self.message.object = message(f"searching… {text(job.progress)}")
         elif job.state == "cancelled":
-            self.message.object = '<div class="text-block"><p>cancelled; the lens is as it was</p></div>'
+            self.message.object = message("cancelled; the lens is as it was")
         elif job.state == "failed":
-            self.message.object = f'<div class="text-block"><p class="miss">{text(job.result)}</p></div>'
+            self.message.object = message(text(job.result), is_bad=True)
         else:
             self._show(job.result)
 

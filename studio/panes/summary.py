@@ -9,7 +9,7 @@ from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.common.text import quantity_text
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.panes.common import bench_of, follow, text
+from studio.panes.common import bench_of, follow, message_pane, text
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
@@ -17,7 +17,7 @@ from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 def findings(lens: Workbench | Lens) -> pn.pane.HTML:
     """Return a pane with the constraints, their present values, and a sentence for each violation."""
     bench = bench_of(lens)
-    pane = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    pane = message_pane()
 
     def update() -> None:
         report = bench.figures.check
@@ -52,7 +52,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         name="tolerances", options=names, value=bench.grade, sizing_mode="stretch_width"
     )
     chosen.param.watch(lambda event: bench.set_grade(event.new), "value")
-    shown = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+    shown = message_pane()
     pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
 
     def update() -> None:

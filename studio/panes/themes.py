@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
+import panel as pn
+
 Theme = Literal["light", "dark"]
 
 COLORS = {
@@ -39,11 +41,9 @@ WAVES = {
 }
 """Colours of path differences from negative to positive, to be interpolated."""
 
-Dresser = Callable[[dict[str, str], Theme], None]
 
-
-def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **more: Any) -> Any:
-    """Return an empty Bokeh figure; the function that applies a theme to it is appended to `dressers`."""
+def chart(*, height: int, x: str = "", y: str = "", **more: Any) -> Any:
+    """Return an empty Bokeh figure without colours; :class:`ThemedChart` gives it those of a theme."""
     from bokeh.plotting import figure
 
     plot = figure(
@@ -59,8 +59,36 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
         **more,
     )
     plot.outline_line_color = None
+    return plot
 
-    def dress(colors: dict[str, str], theme: Theme) -> None:
+
+class ThemedChart(pn.pane.Bokeh):
+    """A pane with a chart in the light theme, which :func:`apply_theme` changes.
+
+    Parameters
+    ----------
+    plot
+        Chart of :func:`chart`.
+    dress
+        Function that applies the colours of a theme to the contents of the chart (default: none). It is
+        called at once.
+    margin
+        Margin around the chart in pixels: all sides, or vertical and horizontal.
+    """
+
+    def __init__(
+        self,
+        plot: Any,
+        dress: Callable[[dict[str, str], Theme], None] | None = None,
+        margin: int | tuple[int, int] = 0,
+    ) -> None:
+        super().__init__(plot, sizing_mode="stretch_width", margin=margin)
+        self._dress = dress
+        self.apply("light")
+
+    def apply(self, theme: Theme) -> None:
+        """Apply a theme to axes, background and contents of the chart."""
+        plot, colors = self.object, COLORS[theme]
         plot.update(background_fill_color=colors["paper"], border_fill_color=colors["paper"])
         plot.xgrid.grid_line_color = plot.ygrid.grid_line_color = colors["line"]
         for axis in plot.axis:
@@ -76,9 +104,14 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
                 axis_label_standoff=3,
                 major_label_standoff=3,
             )
+        if self._dress is not None:
+            self._dress(colors, theme)
 
-    dressers.append(dress)
-    return plot
+
+def apply_theme(view: pn.viewable.Viewable, theme: Theme) -> None:
+    """Apply a theme to all charts of a view."""
+    for pane in view.select(ThemedChart):
+        pane.apply(theme)
 
 
 def framed(plot: Any) -> Any:
@@ -90,12 +123,6 @@ def framed(plot: Any) -> Any:
     for span in (plot.x_range, plot.y_range):
         span.update(renderers=[corners], range_padding=0.0)
     return source
-
-
-def dressed(dressers: list[Dresser], theme: Theme) -> None:
-    """Apply a theme to charts."""
-    for dress in dressers:
-        dress(COLORS[theme], theme)
 
 
 def between(stops: tuple[str, ...], count: int = 96) -> list[str]:

@@ -15,53 +15,43 @@ from studio.model.bench import Workbench
 from studio.model.built import manufacturing_quality
 from studio.model.jobs import Job
 from studio.model.studies import run_trials, trial_what_if, trials_so_far
-from studio.panes.common import bench_of, follow, text
-from studio.panes.themes import Dresser, Theme, chart, dressed
+from studio.panes.common import JobPane, bench_of, follow, message, text
+from studio.panes.themes import Theme, ThemedChart, chart
 from tolerancing.merits.base import Merit
 from tolerancing.merits.pupil import RmsWaves
 from tolerancing.statistics.yields import yield_of
 
 
-def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
+def tolerances(lens: Workbench | Lens) -> pn.Column:
     """Return a pane that runs a study; a click on a trial sets its deviations in the what-if sliders."""
-    bench, themed = bench_of(lens), [] if dressers is None else dressers
-    pane = _Tolerances(bench, themed).view
-    if dressers is None:
-        dressed(themed, "light")
-    return pane
+    return _Tolerances(bench_of(lens)).view
 
 
-class _Tolerances:
+class _Tolerances(JobPane):
     """Widgets, the running study, and its folder."""
 
-    def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
+    def __init__(self, bench: Workbench) -> None:
         from bokeh.models import ColumnDataSource
 
-        self.bench = bench
-        self.job: Job | None = None
+        super().__init__(bench, "Start")
         self.polling: Any = None
         self.folder: tempfile.TemporaryDirectory[str] | None = None
         self.count = pn.widgets.IntInput(name="trials", value=400, start=20, end=100_000, step=100, width=120)
-        self.run = pn.widgets.Button(name="Start", button_type="primary", align="end")
-        self.cancel = pn.widgets.Button(name="Stop", disabled=True, align="end")
-        self.message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.source = ColumnDataSource({"x": [], "y": [], "number": [], "color": []})
         self.colors = ("#00796b", "#c62828")
         self.passed, self.by_merit = np.zeros(0, bool), dict[str, float]()
         self.merits: tuple[Merit, ...] = ()
         self.column = 0
-        self.chart = plot = chart(dressers, height=260, x="trial", y="rms waves")
+        self.chart = plot = chart(height=260, x="trial", y="rms waves")
         plot.add_tools("tap")
         plot.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
-        dressers.append(self._dress)
         self.source.selected.on_change("indices", self._picked)
         self.run.on_click(self._start)
-        self.cancel.on_click(lambda _: self.job and self.job.cancel())
         form = pn.Row(self.count, self.run, self.cancel, margin=(6, 6, 0, 6))
         self.view = pn.Column(
             form,
             self.message,
-            pn.pane.Bokeh(plot, sizing_mode="stretch_width"),
+            ThemedChart(plot, self._dress, margin=(5, 10)),
             sizing_mode="stretch_width",
         )
         self.view._tolerances = self  # keeps this object alive with its view
@@ -76,13 +66,13 @@ class _Tolerances:
         return [self.colors[0] if good else self.colors[1] for good in self.passed]
 
     def _start(self, _: object) -> None:
-        if self.job is not None and self.job.state == "running":
+        if self.is_running:
             return
         bench = self.bench
         try:
             quality = manufacturing_quality(bench.grade, bench.lens)
         except TransferLensError as error:
-            self.message.object = f'<div class="text-block"><p class="miss">{text(error)}</p></div>'
+            self.show_error(error)
             return
         self.merits = quality.study.merits
         self.column = next((k for k, m in enumerate(self.merits) if isinstance(m, RmsWaves)), 0)
@@ -99,7 +89,7 @@ class _Tolerances:
 
     def _poll(self) -> None:
         self._read()
-        if self.job is None or self.job.state != "running":
+        if not self.is_running:
             self.polling.stop()
             self.update()
 
@@ -124,30 +114,28 @@ class _Tolerances:
             return
         trial = int(self.source.data["number"][new[0]])
         self.bench.set_what_if(trial_what_if(Path(self.folder.name), trial))
-        self.message.object = (
-            f'<div class="text-block"><p>trial {trial}: its deviations are set in the what-if sliders, its '
-            "wavefronts appear under Live; irregularities have no slider and are omitted</p></div>"
+        self.message.object = message(
+            f"trial {trial}: its deviations are set in the what-if sliders, its "
+            "wavefronts appear under Live; irregularities have no slider and are omitted"
         )
 
     def update(self) -> None:
         """Show the progress of the study."""
+        self.enable_buttons()
         job = self.job
-        running = job is not None and job.state == "running"
-        if self.run.disabled is not running:
-            self.run.disabled, self.cancel.disabled = running, not running
         if job is None or self.source.selected.indices:
             return
         if job.state == "failed":
-            new = f'<p class="miss">{text(job.result)}</p>'
+            new = message(text(job.result), is_bad=True)
         elif (good := yield_of(self.passed)) is None:
-            new = f"<p>{text(job.progress or 'starting')}…</p>"
+            new = message(f"{text(job.progress or 'starting')}…")
         else:
             fraction, low, high = (100.0 * v for v in (good.fraction, good.low, good.high))
             merits_alone = ", ".join(f"{text(label)} {100.0 * v:.1f} %" for label, v in self.by_merit.items())
-            new = (
-                f"<p><b>{fraction:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "
+            new = message(
+                f"<b>{fraction:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "
                 f"{high:.1f} %); "
                 f"each limit alone: {merits_alone}; {text(job.state)}. "
-                "Click a trial to look at its lens.</p>"
+                "Click a trial to look at its lens."
             )
-        self.message.object = f'<div class="text-block">{new}</div>'
+        self.message.object = new

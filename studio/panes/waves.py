@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import panel as pn
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.bench import Workbench
-from studio.panes.common import bench_of, follow
-from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
+from studio.model.pupils import PatchPicture, PupilFigures
+from studio.panes.common import bench_of, follow_result, message_pane
+from studio.panes.themes import FIELDS, WAVES, Theme, ThemedChart, between, chart, framed
 
 
-def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | None = None) -> pn.Column:
+def wavefront(lens: Workbench | Lens, field: int = 0) -> pn.Column:
     """Return a pane with the path difference over the pupil at one of three fields, and its figures."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
-    bench, own = bench_of(lens), [] if dressers is None else dressers
-    plot = chart(own, height=150, match_aspect=True)
+    bench = bench_of(lens)
+    plot = chart(height=150, match_aspect=True)
     framed(plot)
     plot.axis.visible = False
     plot.grid.visible = False
@@ -30,23 +32,19 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
     def dress(_: dict[str, str], theme: Theme) -> None:
         mapper.palette = between(WAVES[theme])
 
-    own.append(dress)
-    words = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
-    pane = pn.Column(
-        pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0),
-        words,
-        sizing_mode="stretch_width",
-        margin=0,
-    )
-    drawn: list[Any] = [None]
+    words = message_pane()
+    pane = pn.Column(ThemedChart(plot, dress), words, sizing_mode="stretch_width", margin=0)
 
-    def update() -> None:
-        if field >= len(bench.figures.pupils) or bench.figures.pupils[field] is drawn[0]:
+    def result() -> PupilFigures | None:
+        return bench.figures.pupils[field] if field < len(bench.figures.pupils) else None
+
+    shown: Array | None = None
+
+    def draw(found: PupilFigures) -> None:
+        nonlocal shown
+        if shown is not None and np.array_equal(shown, found.waves, equal_nan=True):
             return
-        last, found = drawn[0], bench.figures.pupils[field]
-        drawn[0] = found
-        if last is not None and np.array_equal(last.waves, found.waves, equal_nan=True):
-            return
+        shown = found.waves
         # Smallest range (±) of the colours in waves, so that noise does not look like an aberration.
         min_waves = 0.05
         largest = max(min_waves, float(np.nanmax(np.abs(found.waves))))
@@ -57,19 +55,16 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
             f"<span>{found.rms_waves:.4f} λ rms</span> <span>± {largest:.2g} λ</span></div>"
         )
 
-    follow(bench, pane, update)
-    if dressers is None:
-        dressed(own, "light")
+    follow_result(bench, pane, result, draw)
     return pane
 
 
-def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+def contrast(lens: Workbench | Lens) -> ThemedChart:
     """Return a chart of contrast against line width at three fields."""
     from bokeh.models import ColumnDataSource, Range1d
 
-    bench, own = bench_of(lens), [] if dressers is None else dressers
+    bench = bench_of(lens)
     plot = chart(
-        own,
         height=190,
         x="line width (µm)",
         y="contrast",
@@ -84,34 +79,26 @@ def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> p
         for line, dot, color in zip(lines, dots, FIELDS[theme], strict=True):
             line.glyph.line_color = dot.glyph.fill_color = color
 
-    own.append(dress)
-    pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0)
-    drawn: list[Any] = [None]
-
-    def update() -> None:
-        if not bench.figures.pupils or bench.figures.pupils is drawn[0]:
-            return
-        drawn[0] = bench.figures.pupils
-        for source, found in zip(sources, drawn[0], strict=False):
+    def draw(pupils: Sequence[PupilFigures]) -> None:
+        for source, found in zip(sources, pupils, strict=False):
             source.data = {"x": list(found.widths_um), "y": list(found.contrast)}
-        widths = drawn[0][0].widths_um
+        widths = pupils[0].widths_um
         plot.x_range.update(start=0.9 * widths[0], end=1.03 * widths[-1])
 
-    follow(bench, pane, update)
-    if dressers is None:
-        dressed(own, "light")
+    pane = ThemedChart(plot, dress)
+    follow_result(bench, pane, lambda: bench.figures.pupils or None, draw)
     return pane
 
 
-def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
+def patch(lens: Workbench | Lens) -> pn.Column:
     """Return a pane that compares reconstructed bars of a chart: actual lens and lens as designed."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
-    bench, own = bench_of(lens), [] if dressers is None else dressers
+    bench = bench_of(lens)
     mapper = LinearColorMapper(palette="Greys256", low=0, high=1)
     sources, charts = [], []
     for title in ("as designed", "as it is"):
-        plot = chart(own, height=180, match_aspect=True)
+        plot = chart(height=180, match_aspect=True)
         framed(plot)
         plot.axis.visible = plot.grid.visible = False
         source = ColumnDataSource({"image": []})
@@ -119,7 +106,7 @@ def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.C
         sources.append(source)
         charts.append(
             pn.Column(
-                pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=0),
+                ThemedChart(plot),
                 pn.pane.HTML(f'<div class="figure">{title}</div>', sizing_mode="stretch_width", margin=0),
                 sizing_mode="stretch_width",
                 margin=0,
@@ -133,18 +120,11 @@ def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.C
     chosen.param.watch(lambda event: bench.set_patch(event.new), "value")
     shown = pn.Row(*charts, sizing_mode="stretch_width", margin=0)
     pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
-    drawn: list[Any] = [None]
 
-    def update() -> None:
-        found = bench.figures.patch
-        if found is None or found is drawn[0]:
-            return
-        drawn[0] = found
+    def draw(found: PatchPicture) -> None:
         for source, values in zip(sources, (found.nominal, found.actual), strict=True):
             source.data = {"image": [values.astype(np.float32)]}
         mapper.update(low=0.0, high=float(np.quantile(found.nominal, 0.995)))
 
-    follow(bench, pane, update)
-    if dressers is None:
-        dressed(own, "light")
+    follow_result(bench, pane, lambda: bench.figures.patch, draw)
     return pane

@@ -87,7 +87,7 @@ def test_a_file_too_large_is_refused_unread(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*READERS, *OPENERS])
-def test_pipes_devices_and_folders_are_refused(tmp_path: Path, name: str) -> None:
+def test_pipes_devices_folders_and_names_of_nothing_are_refused(tmp_path: Path, name: str) -> None:
     reader = OPENERS.get(name) or READERS[name][0]
     path = tmp_path / name
     os.mkfifo(path)
@@ -103,6 +103,8 @@ def test_pipes_devices_and_folders_are_refused(tmp_path: Path, name: str) -> Non
         reader(path)
     with pytest.raises(InputError, match=r"\\x00"):
         reader(tmp_path / f"a\0{name}")
+    with pytest.raises(InputError, match=rf"no{name}.*No such file"):
+        reader(tmp_path / f"no{name}")
 
 
 def test_devices_named_in_a_design_are_refused(tmp_path: Path, paper_lens: Lens) -> None:

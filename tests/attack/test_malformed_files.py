@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 from malformed import NUMBERS, malformed, outcomes
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 from sample_lenses import SAMPLES
 
-from lensdesign import Lens, load_design
-from lensdesign.files.codev import read_seq
+from lensdesign import Lens, Pose, load_design
+from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import Supplement
 from lensdesign.files.figures import read_figure_grid
-from lensdesign.files.zemax import read_zmx
+from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.catalogues.agf import read_agf
 from lensdesign.manufacture.mesh.mesh import write_mesh
 from lensdesign.manufacture.mesh.reading import TriangleMesh, read_mesh
@@ -114,19 +114,23 @@ def test_designs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".zmx", ".seq"])
-def test_lens_files(tmp_path: Path, suffix: str) -> None:
-    """Of makers; :mod:`test_zemax` and :mod:`test_codev` spoil five hundred each besides."""
+@pytest.mark.parametrize("lossy", [True, False])
+def test_lens_files(tmp_path: Path, paper_lens: Lens, suffix: str, lossy: bool) -> None:
+    """Of makers, of ours with a pose, and those with odd commands."""
+    reader, write = {".zmx": (read_zmx, write_zmx), ".seq": (read_seq, write_seq)}[suffix]
+    write(paper_lens, tmp_path / f"own{suffix}", Pose(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+    odd = sorted((GOLDEN / "imports").glob(f"*{suffix}"))
     seeds = [s.text.encode() for s in SAMPLES.values() if s.suffix == suffix]
-    reader = {".zmx": read_zmx, ".seq": read_seq}[suffix]
-    own = [b"INFINITY", b"MIRROR", b"REFL", b"COORDBRK", b"S99", b"&", b"'"]
+    seeds += [path.read_bytes() for path in (tmp_path / f"own{suffix}", *odd)]
+    own = [b"INFINITY", b"MIRROR", b"REFL", b"COORDBRK", b"S99", b"&", b"'", b";", b"()"]
     supplement = Supplement(500.0, 1.0, 0.005, 3.2, (1000, 800))
 
     def check(found: Any) -> bool:
         return all(np.isfinite(found.lens.indices(w)).all() for w in found.lens.wavelengths_um)
 
-    files = spoilt(seeds, 200, 7, *own)
-    found = outcomes(tmp_path / f"lens{suffix}", files, lambda p: reader(p, supplement, True), check)
-    assert 10 < sum(found) < 190
+    files = spoilt(seeds, 350, 7 + lossy, *own)
+    found = outcomes(tmp_path / f"lens{suffix}", files, lambda p: reader(p, supplement, lossy), check)
+    assert 10 < sum(found) < 340
 
 
 def test_measured_figures(tmp_path: Path) -> None:

@@ -1,10 +1,12 @@
-"""A small twin of the paper's lens, and bars under its field stop: what calibrations are tried on."""
+"""Small twins of the paper's lens: one with bars under its field stop for calibrations, one for engines."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from lensdesign import load_design, scaled
+from lensdesign import Lens, ObjectSpace, Sensor, load_design, scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.engine import Engine
@@ -19,6 +21,32 @@ def twin_scene(samples: int) -> Scene:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     grid = Grid((samples, samples), 4.2e-4, lens.object_z_mm)
     return Scene(lens, grid, Grid((216, 216), PIXEL_MM, lens.exit_vertex_z_mm + 0.08), WAVELENGTH_UM)
+
+
+def stopped_down(stop_mm: float = 0.1, front: dict[str, Any] | None = None, **changes: Any) -> Scene:
+    """The paper's lens at an eighth of its size, stopped down, on the full plane.
+
+    `front` holds changes of the front surface, and `changes` those of the scene.
+    """
+    first, last = load_design("designs/paper_singlet.toml").surfaces
+    own = {"radius_mm": 42.3 / 8, "thickness_mm": 9.7 / 8, "semi_diameter_mm": stop_mm}
+    lens = Lens(
+        wavelengths_um=(WAVELENGTH_UM,),
+        object=ObjectSpace(field_diameter_mm=0.02, numerical_aperture=0.06, working_distance_mm=13.5 / 8),
+        sensor=Sensor(pixel_pitch_um=1.0, pixels=(100, 100), plane_distances_mm=(0.25,)),
+        surfaces=(
+            first.replaced(**own | (front or {})),
+            last.replaced(radius_mm=-12.0 / 8, semi_diameter_mm=10.0 / 8),
+        ),
+    )
+    grids = Grid((24, 24), 0.0015, -13.5 / 8), Grid((150, 150), 0.003, 9.7 / 8 + 0.25)
+    return Scene(lens, *grids, WAVELENGTH_UM, **changes)
+
+
+def small_spot(grid: Grid, width_mm: float = 0.004) -> Field:
+    """A Gaussian amplitude whose standard deviation is a width."""
+    values = np.exp(-0.5 * grid.radius_squared_mm2() / width_mm**2)
+    return Field(grid, values.astype(complex), WAVELENGTH_UM)
 
 
 def lit_within(scene: Scene, radius_mm: float) -> np.ndarray:

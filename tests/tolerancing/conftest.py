@@ -10,6 +10,7 @@ import pytest
 from programs import Command, run_program
 from tests_studies import DESIGN, FULL_STUDY, RAY_STUDY
 
+from lensdesign import Lens, scaled
 from tolerancing.run.run import run_study
 from tolerancing.store.store import Store, open_store
 from tolerancing.study.files import load_study
@@ -58,3 +59,9 @@ def small_store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
     (folder / "study.toml").unlink()
     with open_store(folder / "a.db") as opened:
         yield opened
+
+
+@pytest.fixture(scope="session")
+def twin(paper_lens: Lens) -> Lens:
+    """The paper's lens at a 48th of its size."""
+    return scaled(paper_lens, 1 / 48)

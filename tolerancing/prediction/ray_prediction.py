@@ -21,6 +21,7 @@ from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
 from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.prediction.sensor_ray_derivatives import ArrivalDifferentials, arrival_differentials
+from tolerancing.prediction.system import amounts_of
 from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.study import Study
 
@@ -109,7 +110,7 @@ class FirstOrderRays(Context):
         return self.cached_for(
             batch,
             ("rays", field_points_mm, wavelength, id(stop)),
-            lambda: known.arrival(known.changes.amounts(batch)),
+            lambda: known.arrival(amounts_of(batch)),
         )
 
     def narrow(self, batch: PerturbationBatch, distances_mm: tuple[float, ...]) -> None:
@@ -131,7 +132,7 @@ def _extreme_rays(
     known: ArrivalDifferentials, batch: PerturbationBatch, distances_mm: tuple[float, ...]
 ) -> NDArray[np.int64]:
     """Return the indices of rays whose angle or footprint is the largest or close to it."""
-    amounts = known.changes.amounts(batch)
+    amounts = amounts_of(batch)
     found = known.arrival(np.concatenate([amounts, np.zeros_like(amounts[:1])]))
     across = found.direction[..., :2] / found.direction[..., 2:]
     kept = np.zeros(across.shape[1], bool)

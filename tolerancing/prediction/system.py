@@ -51,10 +51,6 @@ class Changes:
         """Number of changes."""
         return self.first.shape[1]
 
-    def amounts(self, batch: PerturbationBatch) -> Array:
-        """Return the amount of each change in each trial, shape (trials, d)."""
-        return amounts_of(batch)
-
 
 def amounts_of(batch: PerturbationBatch) -> Array:
     """Return the amount of each change in each trial, shape (trials, d)."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from lensdesign.common.arrays import Array
 from lensdesign.common.memory import check_memory
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
@@ -16,7 +16,7 @@ from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.draws import probabilities
 from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
-from tolerancing.study.scoring import fault_text, score_batch
+from tolerancing.study.scoring import fault_text, score_batch, values_or_nan
 from tolerancing.study.series import LinePairSection
 from tolerancing.study.study import Study
 
@@ -122,14 +122,18 @@ def score_trials(context: Context, study: Study, trials: Sequence[int]) -> Trial
     start = time.perf_counter()
     batch = sample_perturbations(study, trials)
     scores, messages = score_batch(study.merits, context, batch)
-    extras = np.column_stack(
-        [_scores_or_nan(merit.uncompensated, context, batch) for merit in study.compensated]
-        + ([_compensator_values(context, batch)] if study.compensators else [])
-        or [np.empty((len(batch), 0))]
-    )
+    extras = [np.empty((len(batch), 0))]
+    extras += [
+        values_or_nan(partial(merit.uncompensated, context), batch, failure=Exception)
+        for merit in study.compensated
+    ]
+    if study.compensators:
+        extras.append(values_or_nan(context.compensator_values, batch, (len(study.compensators),)))
     passed = all_passed(study.merits, scores)
     seconds = np.full(len(batch), (time.perf_counter() - start) / len(batch))
-    return TrialResults(tuple(trials), batch.values, scores, extras, messages, passed, seconds)
+    return TrialResults(
+        tuple(trials), batch.values, scores, np.column_stack(extras), messages, passed, seconds
+    )
 
 
 def score_high_fidelity(
@@ -217,26 +221,6 @@ def decide_levels(lens: Lens, study: Study) -> dict[str, str]:
     """
     context = context_of(lens, study)
     return {merit.label: _level(merit, context, study) for merit in study.all_merits}
-
-
-def _scores_or_nan(score: object, context: Context, batch: PerturbationBatch) -> Array:
-    """Score a batch, trial by trial if the batch fails; NaN for trials that fail."""
-    assert callable(score)
-    try:
-        return np.asarray(score(context, batch), float)
-    except Exception:
-        if len(batch) == 1:
-            return np.array([np.nan])
-        return np.concatenate([_scores_or_nan(score, context, one) for one in batch.single_trials()])
-
-
-def _compensator_values(context: Context, batch: PerturbationBatch) -> Array:
-    try:
-        return context.compensator_values(batch)
-    except TransferLensError:
-        if len(batch) == 1:
-            return np.full((1, len(context.compensators)), np.nan)
-        return np.concatenate([_compensator_values(context, one) for one in batch.single_trials()])
 
 
 def _level(merit: Merit, context: Context, study: Study) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -50,6 +50,22 @@ def _score_singly(
         except Exception as error:
             faults.append(f"{merit.label}: {fault_text(error)}")
     return scores, ("; ".join(dict.fromkeys(faults)) or _missing(merits, scores[0]),)
+
+
+def values_or_nan(
+    compute: Callable[[PerturbationBatch], Array],
+    batch: PerturbationBatch,
+    shape: tuple[int, ...] = (),
+    failure: type[Exception] = TransferLensError,
+) -> Array:
+    """Return values of shape (trials, *shape), trial by trial if the batch fails; NaN for failed trials."""
+    try:
+        return np.asarray(compute(batch), float)
+    except failure:
+        if len(batch) == 1:
+            return np.full((1, *shape), np.nan)
+        singly = [values_or_nan(compute, one, shape, failure) for one in batch.single_trials()]
+        return np.concatenate(singly)
 
 
 def fault_text(error: Exception) -> str:

@@ -157,7 +157,11 @@ def _line_pair_pictures(
 
 
 def line_pair_picture(
-    pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation, refocused: bool
+    pupil: ReconstructionPupil,
+    line_width_um: float,
+    orientation: Orientation,
+    refocused: bool,
+    points: int = 121,
 ) -> tuple[float, Picture]:
     """Return contrast and image of a line pair along an axis or the worse axis; in best focus if asked."""
     from wavesim import line_pair_contrast
@@ -172,6 +176,6 @@ def line_pair_picture(
     }
     axis = min(axes, key=lambda one: results[one][0])
     contrast, focused = results[axis]
-    coordinates, intensity = line_pair_image(focused, line_width_um, axis, points=121)
+    coordinates, intensity = line_pair_image(focused, line_width_um, axis, points=points)
     half_width = float(coordinates[-1])
     return contrast, Picture(line_width_um, axis, refocused, half_width, intensity.astype(np.float32))

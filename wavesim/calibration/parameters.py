@@ -29,7 +29,7 @@ from wavesim.scene.system_state import SystemState
 
 Group = Literal["light", "lens", "mounting", "camera"]
 
-FIGURE_STEP_UM, FIGURE_TYPICAL_UM = 0.03, 0.05
+FIGURE_TYPICAL_UM = 0.05
 """Usual root mean square of one Zernike term in um: 0.08 waves of a 633 nm interferometer."""
 
 TYPICAL = {

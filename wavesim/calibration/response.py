@@ -43,16 +43,6 @@ class Response:
         """Length of the residual."""
         return float(np.linalg.norm(self.residual))
 
-    @property
-    def gradient(self) -> NDArray[np.float64]:
-        """Gradient of half the squared misfit."""
-        return -np.asarray(self.changes @ self.residual, float)
-
-    @property
-    def hessian(self) -> NDArray[np.float64]:
-        """Gauss-Newton approximation of the Hessian of half the squared misfit."""
-        return np.asarray(self.changes @ self.changes.T, float)
-
 
 def mounting_response(
     model: ForwardModel,

@@ -12,25 +12,21 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from random_lenses import numbers, signed
+from small_lenses import lens_of
 
 from lensdesign.analysis.sag_tables import COLUMNS, sag_table, write_sag_table
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 
-SECTIONS: dict[str, Any] = {
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 50.0},
-    "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-}
 
-
-def lens_of(**surface: Any) -> Lens:
-    return Lens.model_validate(SECTIONS | {"surface": [{"semi_diameter_mm": 8.0} | surface]})
+def surface_of(**surface: Any) -> Lens:
+    """A lens of one surface."""
+    return lens_of({"semi_diameter_mm": 8.0} | surface)
 
 
 @given(radius=signed(8.5, 500.0), spacing=numbers(0.05, 20.0))
 def test_a_sphere_does_not_depart_from_its_best_fit(radius: float, spacing: float) -> None:
-    table = sag_table(lens_of(radius_mm=radius), 0, spacing)
+    table = sag_table(surface_of(radius_mm=radius), 0, spacing)
     assert table.best_fit_radius_mm == pytest.approx(radius, rel=1e-11)
     np.testing.assert_allclose(table.departure_mm, 0.0, atol=1e-11)
     r = table.radial_height_mm
@@ -46,7 +42,7 @@ def test_a_sphere_does_not_depart_from_its_best_fit(radius: float, spacing: floa
 
 
 def test_a_plane_has_a_sphere_without_end() -> None:
-    table = sag_table(lens_of(), 0, 1.0)
+    table = sag_table(surface_of(), 0, 1.0)
     assert math.isinf(table.best_fit_radius_mm)
     assert not np.any(table.sag_mm)
     assert not np.any(table.departure_mm)
@@ -54,7 +50,7 @@ def test_a_plane_has_a_sphere_without_end() -> None:
 
 def test_a_parabola_by_its_closed_form() -> None:
     radius = 60.0
-    table = sag_table(lens_of(radius_mm=radius, conic=-1.0), 0, 0.25)
+    table = sag_table(surface_of(radius_mm=radius, conic=-1.0), 0, 0.25)
     r = table.radial_height_mm
     np.testing.assert_allclose(table.sag_mm, r**2 / (2.0 * radius), rtol=1e-15)
     np.testing.assert_allclose(table.slope, r / radius, rtol=1e-15)
@@ -69,7 +65,7 @@ def test_a_parabola_by_its_closed_form() -> None:
 def test_no_other_sphere_through_the_vertex_is_nearer(
     radius: float, conic: float, a4: float, by: float
 ) -> None:
-    lens = lens_of(radius_mm=radius, conic=conic, asphere=[a4])
+    lens = surface_of(radius_mm=radius, conic=conic, asphere=[a4])
     table = sag_table(lens, 0, 0.002)
     r, sag = table.radial_height_mm, table.sag_mm
 
@@ -88,7 +84,7 @@ def test_no_other_sphere_through_the_vertex_is_nearer(
 def test_a_hemisphere_ends_upright(radius: float, sign: float) -> None:
     """Its rim is no further than its edge, whatever rounding says."""
     try:
-        lens = lens_of().with_surface(0, radius_mm=sign * radius, semi_diameter_mm=radius)
+        lens = surface_of().with_surface(0, radius_mm=sign * radius, semi_diameter_mm=radius)
     except DesignError:  # the edge came out smaller than the radius, by rounding
         assume(False)
     table = sag_table(lens, 0, 0.3 * radius)
@@ -98,15 +94,15 @@ def test_a_hemisphere_ends_upright(radius: float, sign: float) -> None:
 
 
 def test_a_surface_steeper_than_any_sphere_gets_the_hemisphere() -> None:
-    table = sag_table(lens_of(asphere=[-0.01]), 0, 1.0)
+    table = sag_table(surface_of(asphere=[-0.01]), 0, 1.0)
     assert table.best_fit_radius_mm == -8.0
 
 
 def test_of_a_figure_only_the_symmetric_part_is_in_the_table() -> None:
     """Spherical aberration (12) counts with its closed form; astigmatism (5) is reported as left out."""
     figure = {"zernike_um": {"12": 0.2, "5": 0.3}, "semi_diameter_mm": 8.0}
-    bare = sag_table(lens_of(radius_mm=40.0), 0, 0.5)
-    made = sag_table(lens_of(radius_mm=40.0, figure=figure), 0, 0.5)
+    bare = sag_table(surface_of(radius_mm=40.0), 0, 0.5)
+    made = sag_table(surface_of(radius_mm=40.0, figure=figure), 0, 0.5)
     rho = made.radial_height_mm / 8.0
     spherical = 0.2e-3 * math.sqrt(5.0) * (6.0 * rho**4 - 6.0 * rho**2 + 1.0)
     slope = 0.2e-3 * math.sqrt(5.0) * (24.0 * rho**3 - 12.0 * rho) / 8.0
@@ -142,20 +138,17 @@ def test_the_file_reads_back_as_it_was(tmp_path: Path, paper_lens: Lens) -> None
 )
 def test_refusals(surface: int, spacing: float, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        sag_table(lens_of(radius_mm=20.0), surface, spacing)
+        sag_table(surface_of(radius_mm=20.0), surface, spacing)
 
 
 def test_a_surface_without_an_end_is_refused() -> None:
-    lens = Lens.model_validate(
-        SECTIONS
-        | {"surface": [{"semi_diameter_mm": 3.0, "thickness_mm": 2.0, "stop": True}, {"radius_mm": 30.0}]}
-    )
+    lens = lens_of({"semi_diameter_mm": 3.0, "thickness_mm": 2.0, "stop": True}, {"radius_mm": 30.0})
     with pytest.raises(InputError, match=r"surface 2.*semi_diameter_mm"):
         sag_table(lens, 1, 0.1)
 
 
 @given(st.data())
 def test_the_spacing_does_not_change_the_sphere(data: st.DataObject) -> None:
-    lens = lens_of(radius_mm=data.draw(signed(9.0, 100.0)), conic=data.draw(numbers(-2.0, 0.0)))
+    lens = surface_of(radius_mm=data.draw(signed(9.0, 100.0)), conic=data.draw(numbers(-2.0, 0.0)))
     one, other = (sag_table(lens, 0, data.draw(numbers(0.01, 5.0))) for _ in range(2))
     assert one.best_fit_radius_mm == other.best_fit_radius_mm

@@ -12,6 +12,7 @@ from drawing_checks import assert_tidy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from random_lenses import numbers
+from small_lenses import lens_of
 
 from lensdesign.analysis.check import check_design, edge_thickness_mm
 from lensdesign.errors import DesignError, InputError
@@ -33,18 +34,8 @@ MOULDED = Edge(
 
 
 def plate(thickness_mm: float, *edges: dict[str, Any]) -> Lens:
-    return Lens.model_validate(
-        {
-            "wavelengths_um": [0.532],
-            "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 50.0},
-            "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-            "surface": [
-                {"thickness_mm": thickness_mm, "material": "N-BK7", "semi_diameter_mm": 4.0},
-                {"semi_diameter_mm": 4.0},
-            ],
-            "edge": list(edges),
-        }
-    )
+    front = {"thickness_mm": thickness_mm, "material": "N-BK7", "semi_diameter_mm": 4.0}
+    return lens_of(front, {"semi_diameter_mm": 4.0}, edge=list(edges))
 
 
 def moulded(paper_lens: Lens, **changes: Any) -> Lens:

@@ -4,26 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
 
 import numpy as np
 import pytest
+from small_lenses import lens_of
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import closed_elements, glass_elements, smallest_gap
 from lensdesign.lens.surface import Surface
-
-SECTIONS: dict[str, Any] = {
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 50.0},
-    "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-}
-
-
-def lens_of(*surfaces: dict[str, Any]) -> Lens:
-    return Lens.model_validate(SECTIONS | {"surface": list(surfaces)})
 
 
 def cap_mm3(radius: float, height: float) -> float:

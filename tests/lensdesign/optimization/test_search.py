@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from places import DESIGNS
+from small_searches import check_gradients, singlet_from_plate
 
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.outline import drawn_outline
@@ -72,14 +73,7 @@ def test_gradients_of_every_goal_and_constraint(thinnest, goal, stop, throughput
     problem = DesignProblem(specification, specification.lens)
     rays = sample_rays(1.5, 3, 5, 2, (0.75,))
     point = np.array([0.57, 0.11, 0.7, 0.4, 0.52, 0.47, 0.6])
-    exact = problem.evaluate(point, rays)
-    for j in range(len(point)):
-        step = 1e-6 * np.eye(len(point))[j]
-        above, below = problem.evaluate(point + step, rays), problem.evaluate(point - step, rays)
-        for name in ("goals", "constraints"):
-            numeric = (getattr(above, name) - getattr(below, name)) / 2e-6
-            mine = getattr(exact, f"{name}_by")[:, j]
-            np.testing.assert_allclose(mine, numeric, atol=2e-6 * max(1.0, np.abs(mine).max()))
+    check_gradients(problem, point, rays)
 
 
 @pytest.fixture(scope="module")
@@ -105,14 +99,7 @@ def test_gradients_all_round_a_biconic(biconic: Specification) -> None:
     rays = problem.sample_rays(3, 5, 1)
     assert len(np.unique(np.round(np.arctan2(*rays.fields_mm[1:].T), 6))) >= 8
     point = problem.to_unit(biconic.lens)
-    exact = problem.evaluate(point, rays)
-    for j in range(len(point)):
-        step = 1e-6 * np.eye(len(point))[j]
-        above, below = problem.evaluate(point + step, rays), problem.evaluate(point - step, rays)
-        for name in ("goals", "constraints"):
-            numeric = (getattr(above, name) - getattr(below, name)) / 2e-6
-            mine = getattr(exact, f"{name}_by")[:, j]
-            np.testing.assert_allclose(mine, numeric, atol=2e-6 * max(1.0, np.abs(mine).max()))
+    check_gradients(problem, point, rays)
 
 
 def test_a_biconic_is_judged_all_round(biconic: Specification) -> None:
@@ -380,26 +367,11 @@ def test_what_was_not_tried_is_named(thinnest, monkeypatch):
     assert found.feasible
 
 
-FLINT = {
-    "title": "High index over a wide field",
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 3.0, "numerical_aperture": 0.4, "working_distance_mm": 13.5},
-    "sensor": {"pixel_pitch_um": 2.4, "pixels": [7000, 5472], "plane_distances_mm": [2.0, 8.0]},
-    "surface": [{"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True}, {}],
-    "variable": [
-        {"surface": 1, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
-        {"surface": 2, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
-        {"surface": 2, "parameter": "conic", "bounds": [-5.0, 1.0]},
-        {"surface": 1, "parameter": "thickness_mm", "bounds": [1.0, 20.0]},
-    ],
-}
-
-
 @pytest.mark.usefixtures("no_reach")
 def test_one_start_may_miss_what_starts_that_agree_find():
     """The first random start ends at 21 degrees, in a minimum of its own; three others at 8.8."""
-    specification = Specification.model_validate(
-        FLINT | {"constraints": {"max_spread_deg": 12.0}, "optimize": {"start": "random"}}
+    specification = singlet_from_plate(
+        thickest_mm=20.0, constraints={"max_spread_deg": 12.0}, optimize={"start": "random"}
     )
     alone = optimize(changed(specification, optimize=specification.optimize.replaced(starts=1)))
     assert not alone.feasible

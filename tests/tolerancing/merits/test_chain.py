@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from lensdesign import scaled
 from lensdesign.errors import InputError
 from tolerancing.merits.bars import DARK
 from tolerancing.merits.chain import ReconstructedContrast
@@ -21,11 +20,6 @@ SMALL = {"line_width_um": 1.2, "patch_mm": 0.05, "orientation": "y", "iterations
 
 def merit(**keys):
     return ReconstructedContrast(kind="reconstructed_contrast", at_least=0.5, **SMALL | keys)
-
-
-@pytest.fixture(scope="module")
-def twin(paper_lens):
-    return scaled(paper_lens, 1 / 48)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks.merits_and_chain.chain import Chain, thing
-from lensdesign import scaled
 from lensdesign.errors import DesignError
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
@@ -26,11 +25,6 @@ def batch_of(*perturbations):
     """One perturbation a trial."""
     parameters = tuple(PerturbedParameter(target=t, parameter=p) for t, p, _ in perturbations)
     return PerturbationBatch(parameters, np.diag([value for *_, value in perturbations]))
-
-
-@pytest.fixture(scope="module")
-def twin(paper_lens):
-    return scaled(paper_lens, 1 / 48)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from places import DESIGNS
 
+from lensdesign import Lens
+
 JUDGED = """
 [[merit]]
 name = "wavefront"
@@ -25,3 +27,9 @@ def wavefront_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path.write_text(whole[: whole.index("# What a good system does")] + JUDGED, encoding="utf-8")
     (folder / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
     return path
+
+
+@pytest.fixture(scope="session")
+def lens(paper_lens: Lens) -> Lens:
+    """The lens whose predictions are tried."""
+    return paper_lens

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from places import DESIGNS, GOLDEN
 
-from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances, general_tolerances
 from tolerancing.perturbations.distributions.bounded import Uniform
@@ -35,11 +34,6 @@ SHEET = DrawingTolerances.model_validate(
         "fringe_wavelength_um": 0.6328,
     }
 )
-
-
-@pytest.fixture(scope="module")
-def lens() -> Lens:
-    return load_design(DESIGNS / "paper_singlet.toml")
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import DESIGNS
 
-from lensdesign import Lens, load_design
+from lensdesign import Lens
 from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths
@@ -24,11 +23,6 @@ ASKED = [
     ("sensor", "tilt_y_deg"),
     ("light", "wavelength_um"),
 ]
-
-
-@pytest.fixture(scope="module")
-def lens() -> Lens:
-    return load_design(DESIGNS / "paper_singlet.toml")
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths
 from tolerancing.prediction.motions import pair_weights, second_by_pairs
 from tolerancing.prediction.paths import Layout, Paths
-from tolerancing.prediction.system import _Numbers, changes_of
+from tolerancing.prediction.system import _Numbers, amounts_of, changes_of
 
 PARAMETERS = [
     ("lens", "decenter_x_mm", 0.02),
@@ -37,11 +37,6 @@ POINTS = PupilSamples(np.array([[0.0, 0.0], [0.9, 0.1], [-0.3, -0.7]]), np.full(
 
 def parameters() -> list[PerturbedParameter]:
     return [PerturbedParameter(target=target, parameter=name) for target, name, _ in PARAMETERS]
-
-
-@pytest.fixture(scope="module")
-def lens() -> Lens:
-    return load_design(DESIGNS / "paper_singlet.toml")
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +178,7 @@ def test_amounts_of_irregularities_are_those_of_their_figures() -> None:
     shapes = np.zeros((2, 11))
     shapes[:, 1] = 1.0
     batch = PerturbationBatch(tuple(asked), np.array([[0.3, 0.01], [0.6, 0.0]]), 0.0, {0: shapes})
-    amounts = changes.amounts(batch)
+    amounts = amounts_of(batch)
     assert changes.count == 12
     np.testing.assert_allclose(amounts[:, -1], [0.01, 0.0])
     np.testing.assert_allclose(amounts[1, :11], 2.0 * amounts[0, :11])

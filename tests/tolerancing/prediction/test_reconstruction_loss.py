@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lensdesign import scaled
 from lensdesign.errors import InputError
 from tolerancing.prediction.reconstruction_loss import expected_losses, loss_chains, loss_paths
 from tolerancing.prediction.system import amounts_of
@@ -25,11 +24,6 @@ SCATTER = (
     ("light", "wavelength_um", 1e-3),
 )
 COMPENSATORS = (("lens", "decenter_x_mm", 0.02), ("lens", "decenter_y_mm", 0.02), ("lens", "tilt_x_deg", 5.0))
-
-
-@pytest.fixture(scope="module")
-def twin(paper_lens):
-    return scaled(paper_lens, 1 / 48)
 
 
 def study_of(compensators=(), limits=(), figure=False, **merit):

@@ -13,6 +13,7 @@ from tolerancing.merits.sensor_rays import arriving_rays
 from tolerancing.perturbations.batch import batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.sensor_ray_derivatives import arrival_differentials
+from tolerancing.prediction.system import amounts_of
 
 ASKED = [
     ("lens", "decenter_x_mm", 0.02),
@@ -47,7 +48,7 @@ def test_what_first_order_leaves_falls_with_the_square(stop: int) -> None:
         batch = batch_of(parameters, part * whole, 0.0, seed=3)
         traced = arriving_rays(lens, batch, FIELDS, samples.points, lens.wavelengths_um[0])
         assert np.all(traced.ok)
-        predicted = known.arrival(known.changes.amounts(batch))
+        predicted = known.arrival(amounts_of(batch))
         off = np.stack(
             [predicted.position_mm - traced.position_mm, (predicted.direction - traced.direction)[..., :2]]
         )

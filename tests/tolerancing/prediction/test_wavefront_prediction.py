@@ -14,6 +14,7 @@ from tolerancing import load_study
 from tolerancing.cli.commands import app
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
+from tolerancing.prediction.system import amounts_of
 from tolerancing.prediction.wavefront_prediction import (
     WavefrontLimit,
     judged_points,
@@ -88,7 +89,7 @@ def test_trials_with_compensators_agree(loaded: LoadedStudy, limit: float) -> No
         assert point.rms_waves < alone.rms_waves
         assert 0.6 < np.sum(point.shares) < 1.4
     known = study_derivatives(loaded.lens, study, judged_points(study), second=True)
-    amounts = known.changes.amounts(batch)
+    amounts = amounts_of(batch)
     values = known.compensation.values(amounts)
     np.testing.assert_allclose(values, context.compensator_values(batch), atol=0.01 * limit + 3e-4)
     together = np.concatenate([amounts, values], axis=1)

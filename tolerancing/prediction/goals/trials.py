@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, TransferLensError
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import AsBuiltPrediction, MeritLoss, MeritYield, TrialsOf
 from tolerancing.merits.base import Merit
@@ -23,7 +24,7 @@ from tolerancing.prediction.study_prediction import predict_study
 from tolerancing.prediction.wavefront_prediction import WavefrontLimit
 from tolerancing.statistics.yields import yield_of
 from tolerancing.study.evaluate import context_of, decide_levels, sample_perturbations
-from tolerancing.study.scoring import score_batch
+from tolerancing.study.scoring import score_batch, values_or_nan
 from tolerancing.study.study import Study
 
 
@@ -141,14 +142,10 @@ def _merit_yield(
 
 def _mean_squares(context: Context, batch: PerturbationBatch, judged: Sequence[WavefrontLimit]) -> Array:
     """Return mean squares of the refocused path difference, (trials, points); NaN for a missing pupil."""
-    found = np.full((len(batch), len(judged)), np.nan)
-    for k, point in enumerate(judged):
-        try:
-            pupils = context.pupils(batch, point.field_mm, point.wavelength_um, True, True)
-        except TransferLensError:
-            if len(batch) > 1:
-                singly = [_mean_squares(context, one, judged[k : k + 1]) for one in batch.single_trials()]
-                found[:, k] = np.concatenate(singly)[:, 0]
-            continue
-        found[:, k] = [np.mean(pupil.opd_waves[pupil.valid] ** 2) for pupil in pupils]
-    return found
+
+    def squares(point: WavefrontLimit, batch: PerturbationBatch) -> Array:
+        pupils = context.pupils(batch, point.field_mm, point.wavelength_um, True, True)
+        return np.array([np.mean(pupil.opd_waves[pupil.valid] ** 2) for pupil in pupils])
+
+    found = [values_or_nan(partial(squares, point), batch) for point in judged]
+    return np.column_stack(found) if found else np.empty((len(batch), 0))

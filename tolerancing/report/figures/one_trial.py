@@ -10,10 +10,11 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
-from tolerancing.merits.line_pairs import LinePairContrast, line_pairs_in_focus
-from tolerancing.merits.pupil import Axis, PupilMerit
+from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.merits.pupil import PupilMerit
 from tolerancing.report.figures.style import figure_format, styled, styled_figure, write_figure
 from tolerancing.statistics.trial import SingleTrial
+from tolerancing.study.series import line_pair_picture
 from tolerancing.study.study import Study
 
 if TYPE_CHECKING:
@@ -125,26 +126,15 @@ def _draw_row(
     axes[1].set_title(f"point spread (amplitude), Strehl {strehl(pupil):.3f}", fontsize=8.0)
     axes[1].set_xlabel("x (µm)")
     axes[1].set_ylabel("y (µm)")
-    _draw_lines(axes[2], trial, pupil, merit)
+    _draw_lines(axes[2], pupil, merit)
 
 
-def _draw_lines(panel: Axes, trial: SingleTrial, pupil: Any, merit: PupilMerit) -> None:
-    from wavesim import line_pair_contrast
-    from wavesim.pupil import line_pair_image
-
+def _draw_lines(panel: Axes, pupil: Any, merit: PupilMerit) -> None:
     width = getattr(merit, "line_width_um", 0.75 * pupil.wavelength_um / pupil.grid.half_width)
-    axes: tuple[Axis, ...] = ("x", "y")
-    images = {
-        along: line_pairs_in_focus(pupil, width, along)
-        if merit.refocus
-        else (line_pair_contrast(pupil, width, along), pupil)
-        for along in axes
-    }
-    contrast = {along: found for along, (found, _) in images.items()}
-    worse = min(contrast, key=contrast.__getitem__)
-    coordinates, intensity = line_pair_image(images[worse][1], width, worse, points=POINTS)
-    limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
-    panel.imshow(intensity, cmap="gray", origin="lower", extent=limits, vmin=0.0)
-    panel.set_title(f"{width:.3g} µm lines along {worse}, contrast {contrast[worse]:.2f}", fontsize=8.0)
+    contrast, picture = line_pair_picture(pupil, width, "worse", merit.refocus, POINTS)
+    half = picture.half_width_um
+    panel.imshow(picture.intensity, cmap="gray", origin="lower", extent=(-half, half, -half, half), vmin=0.0)
+    along = f"{width:.3g} µm lines along {picture.orientation}"
+    panel.set_title(f"{along}, contrast {contrast:.2f}", fontsize=8.0)
     panel.set_xlabel("x (µm)")
     panel.set_ylabel("y (µm)")

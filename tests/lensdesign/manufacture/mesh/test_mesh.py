@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,21 +16,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
+from small_lenses import lens_of
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import mechanical_semi_diameter_mm
 from lensdesign.manufacture.mesh.mesh import MESH_SUFFIXES, LensMesh, lens_mesh, write_mesh
-
-SECTIONS: dict[str, Any] = {
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 50.0},
-    "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-}
-
-
-def lens_of(*surfaces: dict[str, Any]) -> Lens:
-    return Lens.model_validate(SECTIONS | {"surface": list(surfaces)})
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from small_lenses import lens_of
 
 from lensdesign.errors import InputError
 from lensdesign.lens.figure import figure_from_grid, figure_from_zernike
@@ -20,17 +21,8 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.manufacture.mesh.mesh import LensMesh, lens_mesh, write_mesh
 
-SECTIONS: dict[str, Any] = {
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 50.0},
-    "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-}
 EDGE_MM = 5.0
 Array = NDArray[np.float64]
-
-
-def lens_of(*surfaces: dict[str, Any]) -> Lens:
-    return Lens.model_validate(SECTIONS | {"surface": list(surfaces)})
 
 
 def singlet(**front: Any) -> Lens:

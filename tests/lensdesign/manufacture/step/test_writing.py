@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from random_lenses import lenses, numbers, signed
+from small_lenses import lens_of
 from typer.testing import CliRunner
 
 from lensdesign import Lens
@@ -31,16 +32,6 @@ from lensdesign.manufacture.step.occ import read_solids, silent_ocp, step_text, 
 from lensdesign.manufacture.step.writing import StepReport, write_step
 
 Array = NDArray[np.float64]
-
-SECTIONS: dict[str, Any] = {
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 50.0},
-    "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-}
-
-
-def lens_of(*surfaces: dict[str, Any], **others: Any) -> Lens:
-    return Lens.model_validate(SECTIONS | {"surface": list(surfaces)} | others)
 
 
 def singlet(front: dict[str, Any], back: dict[str, Any], thickness_mm: float, edge_mm: float) -> Lens:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from small_searches import singlet_from_plate
 
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result
@@ -11,21 +12,7 @@ from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.specification import Specification
 
-ASKED = Specification.model_validate(
-    {
-        "wavelengths_um": [0.532],
-        "object": {"field_diameter_mm": 3.0, "numerical_aperture": 0.4, "working_distance_mm": 13.5},
-        "sensor": {"pixel_pitch_um": 2.4, "pixels": [7000, 5472], "plane_distances_mm": [2.0, 8.0]},
-        "surface": [{"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True}, {}],
-        "optimize": {"goal": "thinnest lens", "start": "plate", "stop": "numerical aperture"},
-        "variable": [
-            {"surface": 1, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
-            {"surface": 2, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
-            {"surface": 2, "parameter": "conic", "bounds": [-5.0, 1.0]},
-            {"surface": 1, "parameter": "thickness_mm", "bounds": [1.0, 15.0]},
-        ],
-    }
-)
+ASKED = singlet_from_plate()
 
 
 def with_object(**changes: float) -> Specification:

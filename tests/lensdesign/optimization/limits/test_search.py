@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from small_searches import singlet_from_plate
 
 from lensdesign.common import deadlines
 from lensdesign.common.deadlines import deadline
@@ -16,29 +17,8 @@ from lensdesign.optimization.specification.specification import Specification
 
 
 def singlet(field_mm: float, aperture: float, **sensor: Any) -> Specification:
-    return Specification.model_validate(
-        {
-            "wavelengths_um": [0.532],
-            "object": {
-                "field_diameter_mm": field_mm,
-                "numerical_aperture": aperture,
-                "working_distance_mm": 13.5,
-            },
-            "sensor": {"pixel_pitch_um": 3.2, "pixels": [5472, 3648], "plane_distances_mm": [2.0, 8.0]}
-            | sensor,
-            "surface": [
-                {"thickness_mm": 3.0, "material": "N-BK7", "semi_diameter_mm": 7.5, "stop": True},
-                {},
-            ],
-            "optimize": {"goal": "thinnest lens", "start": "plate", "stop": "numerical aperture"},
-            "variable": [
-                {"surface": 1, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
-                {"surface": 2, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
-                {"surface": 2, "parameter": "conic", "bounds": [-5.0, 1.0]},
-                {"surface": 1, "parameter": "thickness_mm", "bounds": [1.0, 15.0]},
-            ],
-        }
-    )
+    own = {"pixel_pitch_um": 3.2, "pixels": [5472, 3648]}
+    return singlet_from_plate(field_mm, aperture, "N-BK7", sensor=own | sensor)
 
 
 def test_a_limit_far_below_what_is_asked_is_found() -> None:

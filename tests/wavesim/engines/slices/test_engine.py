@@ -10,10 +10,10 @@ from engine_checks import dot_product_mismatch, engine_peak_bytes
 from numpy.typing import NDArray
 from places import DESIGNS
 from scipy.interpolate import CubicSpline
+from small_twins import small_spot, stopped_down
 
 from lensdesign import Pose, load_design
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.raytrace.bundles import launch_compiled
 from lensdesign.raytrace.rays import trace_compiled
@@ -90,27 +90,6 @@ def flux(field: Field) -> float:
     return float((spectrum * kz).sum()) / spectrum.size * field.grid.cell
 
 
-def eighth(stop_mm: float = 0.1, **changes: object) -> Scene:
-    """The paper's lens at an eighth of its size, stopped down, on the full plane."""
-    front, back = PAPER.surfaces
-    lens = Lens(
-        wavelengths_um=(WAVELENGTH_UM,),
-        object=ObjectSpace(field_diameter_mm=0.02, numerical_aperture=0.06, working_distance_mm=13.5 / 8),
-        sensor=Sensor(pixel_pitch_um=1.0, pixels=(100, 100), plane_distances_mm=(0.25,)),
-        surfaces=(
-            front.replaced(radius_mm=42.3 / 8, thickness_mm=9.7 / 8, semi_diameter_mm=stop_mm),
-            back.replaced(radius_mm=-12.0 / 8, semi_diameter_mm=10.0 / 8),
-        ),
-    )
-    grids = Grid((24, 24), 0.0015, -13.5 / 8), Grid((150, 150), 0.003, 9.7 / 8 + 0.25)
-    return Scene(lens, *grids, WAVELENGTH_UM, **changes)  # type: ignore[arg-type]
-
-
-def spot(grid: Grid, width_mm: float) -> Field:
-    values = np.exp(-0.5 * grid.radius_squared_mm2() / width_mm**2)
-    return Field(grid, values.astype(complex), WAVELENGTH_UM)
-
-
 def error(case: AnalyticCase, **settings: object) -> float:
     engine = AnnularSlices(case.scene, **settings)  # type: ignore[arg-type]
     return relative_error(engine.forward(case.object_field).values, case.exact.values)
@@ -181,10 +160,10 @@ def test_neglected_is_more_than_what_is_wrong(compensation: str) -> None:
 
 def test_a_tilted_and_decentered_lens_on_the_plane() -> None:
     moved = {1: SurfacePerturbation(tilt_x_deg=0.5, decenter_x_mm=0.004)}
-    scene = eighth(0.05, pose=Pose(tilt_y_deg=1.0, decenter_y_mm=0.01), surface_perturbations=moved)
-    source = spot(scene.object_grid, 0.006)
+    scene = stopped_down(0.05, pose=Pose(tilt_y_deg=1.0, decenter_y_mm=0.01), surface_perturbations=moved)
+    source = small_spot(scene.object_grid, 0.006)
     truth = WavePropagation(scene).forward(source).values
-    straight = AnnularSlices(eighth(0.05), 20, "oblique").forward(source).values
+    straight = AnnularSlices(stopped_down(0.05), 20, "oblique").forward(source).values
     oblique = AnnularSlices(scene, 20, "oblique").forward(source)
     vertical = AnnularSlices(scene, 20, "vertical").forward(source)
     assert relative_error(straight, truth) > 0.5
@@ -193,8 +172,8 @@ def test_a_tilted_and_decentered_lens_on_the_plane() -> None:
 
 
 def test_energy_on_the_plane() -> None:
-    scene = eighth()
-    source = spot(scene.object_grid, 0.004)
+    scene = stopped_down()
+    source = small_spot(scene.object_grid, 0.004)
     kept = flux(AnnularSlices(scene, 10, "oblique").forward(source)) / flux(source)
     assert kept == pytest.approx(1.0, abs=2e-3)
 
@@ -208,12 +187,12 @@ def test_adjoint_on_a_line(compensation: str, spacing: str) -> None:
 
 @pytest.mark.parametrize("compensation", ["vertical", "oblique"])
 def test_adjoint_on_a_plane(compensation: str) -> None:
-    scene = eighth(0.05, pose=Pose(tilt_x_deg=2.0, decenter_x_mm=0.01), coating="bare")
+    scene = stopped_down(0.05, pose=Pose(tilt_x_deg=2.0, decenter_x_mm=0.01), coating="bare")
     assert dot_product_mismatch(AnnularSlices(scene, 4, compensation)) < 1e-10  # type: ignore[arg-type]
 
 
 def test_every_sample_of_a_tilted_surface_is_in_one_slice() -> None:
-    engine = AnnularSlices(eighth(0.05, pose=Pose(tilt_x_deg=3.0)), 7)
+    engine = AnnularSlices(stopped_down(0.05, pose=Pose(tilt_x_deg=3.0)), 7)
     for i, surface in enumerate(engine._prepared.surfaces):
         reached = IlluminatedArea(engine.scene, i, engine.sides[i][0].grid, engine.light.reach_mm[i])
         z, lit = reached.heights(0, reached.shape[0])
@@ -304,7 +283,7 @@ def tilted_back(tilt_deg: float) -> Scene:
 @pytest.mark.filterwarnings("ignore::wavesim.engines.surfaces.grids.TotalReflectionWarning")
 @pytest.mark.parametrize("compensation", ["vertical", "oblique"])
 def test_refuses_total_reflection(compensation: str) -> None:
-    scene, source = tilted_back(2.0), spot(tilted_back(2.0).object_grid, 0.001)
+    scene, source = tilted_back(2.0), small_spot(tilted_back(2.0).object_grid, 0.001)
     truth = WavePropagation(scene).forward(source).values
     field = AnnularSlices(scene, 400, compensation).forward(source).values  # type: ignore[arg-type]
     assert relative_error(field, truth) < 2e-2
@@ -320,7 +299,7 @@ def test_refuses_the_papers_lens_on_the_plane() -> None:
     assert cost.seconds > 3600.0
     assert cost.peak_bytes > 31_000**2 * 16
     with pytest.raises(SamplingError, match=r"samples .*bytes.*force"):
-        engine.forward(spot(scene.object_grid, 0.01))
+        engine.forward(small_spot(scene.object_grid, 0.01))
 
 
 def test_force(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,8 +330,8 @@ def test_refuses_bad_settings(settings: dict[str, object]) -> None:
 
 @pytest.mark.parametrize("where", ["line", "plane"])
 def test_predicts_its_memory(paper_line: Scene, where: str) -> None:
-    scene = paper_line if where == "line" else eighth(0.05)
-    source = spot(scene.object_grid, 0.003)
+    scene = paper_line if where == "line" else stopped_down(0.05)
+    source = small_spot(scene.object_grid, 0.003)
     engine = AnnularSlices(scene, 3, "oblique")
     cost = engine.cost()
     peak = engine_peak_bytes(engine, source)
