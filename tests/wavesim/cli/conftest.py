@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from programs import Command
-from quick_verdicts import judge_quickly
 from wavesim_command import frames_and_design, write_frames
 
 
@@ -23,9 +22,3 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(wavesim: Command, data: Path) -> Command:
     """`wavesim reconstruct` on the twin's frames."""
     return partial(wavesim, "reconstruct", *frames_and_design(data))
-
-
-@pytest.fixture
-def quick_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reconstructions try no causes of a misfit, and no score test of the bench."""
-    judge_quickly(monkeypatch)
