@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import pytest
 from places import ROOT
+from quick_verdicts import judge_quickly
 from short_studies import copy_designs
 from small_pictures import draw_few_dots
 from typer.main import get_command
 
 from wavesim.metrics import comparison
-from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")
@@ -223,12 +223,11 @@ def runner() -> Runner:
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder with the designs in it.
 
-    Comparisons take every second setting of engines. What frames that two iterations do not explain may lack
-    is not tried: that has tests of its own.
+    Comparisons take every second setting of engines, and reconstructions judge quickly.
     """
     copy_designs(tmp_path)
     draw_few_dots(monkeypatch)
-    monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
+    judge_quickly(monkeypatch)
     every = comparison.variants
     monkeypatch.setattr(comparison, "variants", lambda scene: every(scene)[::2])
     monkeypatch.chdir(tmp_path)

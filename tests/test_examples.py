@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from places import DESIGNS
+from quick_verdicts import judge_quickly
 
 PACKAGES = ("lensdesign", "wavesim", "tolerancing")
 NAMES = [(package, name) for package in PACKAGES for name in importlib.import_module(package).__all__]
@@ -34,6 +35,7 @@ def test_example_runs(
     assert example.examples, f"{package}.{name} has no example"
     assert not any(doctest.SKIP in step.options for step in example.examples)
     monkeypatch.chdir(session_folder)
+    judge_quickly(monkeypatch)
     failures: list[str] = []
     doctest.DocTestRunner(verbose=False).run(example, out=failures.append)
     assert not failures, "".join(failures)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -50,10 +50,8 @@ class FrozenModel(BaseModel):
         """Return a copy with some values replaced, without validation or cached properties."""
         copied = super().model_copy(update=update, deep=deep)
         if update:
-            for own in type(self).__mro__:
-                for name, value in vars(own).items():
-                    if isinstance(value, cached_property):
-                        copied.__dict__.pop(name, None)
+            for name in _cached_properties(type(self)):
+                copied.__dict__.pop(name, None)
         return copied
 
     def replaced(self, **changes: Any) -> Self:
@@ -70,6 +68,17 @@ class FrozenModel(BaseModel):
         except ValidationError as error:
             text = "; ".join(_message(fault) for fault in error.errors())
             raise DesignError(text.replace("Value error, ", "").replace("Input should", "must")) from None
+
+
+@cache
+def _cached_properties(model: type) -> tuple[str, ...]:
+    """Return the names of the cached properties of a class; a search copies its lens thousands of times."""
+    return tuple(
+        name
+        for own in model.__mro__
+        for name, value in vars(own).items()
+        if isinstance(value, cached_property)
+    )
 
 
 def _message(fault: Any) -> str:

@@ -123,6 +123,7 @@ class DesignProblem:
         self.lower, self.width = limits[:, 0], limits[:, 1] - limits[:, 0]
         self.rotational = all(surface.shape.ROTATIONAL for surface in base.surfaces)
         self._tolerances = specification.as_built
+        self._last: tuple[bytes, Lens] | None = None
         self._as_built: tuple[tuple[bytes, bool], AsBuiltValues] | None = None
         self._losses: tuple[tuple[bytes, bool], LossValues] | None = None
         self._hot: tuple[tuple[bytes, bool], HeatedLens] | None = None
@@ -165,9 +166,16 @@ class DesignProblem:
         return self._designed(point) if self.temperature_change is None else self._heated(point, False).lens
 
     def _designed(self, point: Array) -> Lens:
+        """Return the lens at a point; the state and the trace at each wavelength need the same one."""
+        key, last = point.tobytes(), self._last
+        if last is None or last[0] != key:
+            last = self._last = key, self._lens_with(self.lower + self.width * point)
+        return last[1]
+
+    def _lens_with(self, variables: Array) -> Lens:
         changes: dict[int, dict[str, object]] = {}
         scene = self.base.object
-        for variable, value in zip(self.variables, self.lower + self.width * point, strict=True):
+        for variable, value in zip(self.variables, variables, strict=True):
             own = changes.setdefault(variable.surface, {})
             if variable.kind == "working_distance":
                 scene = ObjectSpace(**(scene.model_dump() | {"working_distance_mm": float(value)}))

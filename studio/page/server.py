@@ -17,6 +17,9 @@ from studio.model.document import Autosave
 
 ADDRESS = "127.0.0.1"
 
+CHECK_MILLISECONDS, LIFETIME_MILLISECONDS = 2_000, 5_000
+"""Interval at which sessions without a page are sought, and the age at which they end."""
+
 
 def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool = True) -> None:
     """Serve the workbench of a design until it is stopped.
@@ -76,8 +79,8 @@ def server_of(bench: Workbench, port: int, token: str) -> Any:
         start=False,
         title="transferlens studio",
         keep_alive_milliseconds=10_000,
-        check_unused_sessions_milliseconds=2_000,
-        unused_session_lifetime_milliseconds=5_000,
+        check_unused_sessions_milliseconds=CHECK_MILLISECONDS,
+        unused_session_lifetime_milliseconds=LIFETIME_MILLISECONDS,
         session_token_expiration=86_400,
         admin=False,
         liveness=False,

@@ -6,6 +6,7 @@ from functools import partial
 
 import pytest
 from programs import Command
+from quick_verdicts import judge_quickly
 from wavesim_command import run_wavesim
 
 
@@ -13,3 +14,9 @@ from wavesim_command import run_wavesim
 def wavesim(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
     """Runs a command of `wavesim`: exit status, standard output and standard error."""
     return partial(run_wavesim, monkeypatch, capsys)
+
+
+@pytest.fixture
+def quick_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reconstructions try no causes of a misfit, and no score test of the bench."""
+    judge_quickly(monkeypatch)

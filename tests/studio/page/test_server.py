@@ -194,11 +194,14 @@ def test_odd_paths_are_not_found(served: Served) -> None:
     assert asked(served.address, "alive") == 200
 
 
-def test_sessions_go_when_pages_are_closed() -> None:
+def test_sessions_go_when_pages_are_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each has a listener and a document in memory."""
     from studio.model.bench import Workbench
+    from studio.page import server as module
     from studio.page.server import server_of
 
+    monkeypatch.setattr(module, "CHECK_MILLISECONDS", 200)
+    monkeypatch.setattr(module, "LIFETIME_MILLISECONDS", 1_000)
     held: list[int] = []
     opened: list[bool] = []
 
@@ -213,8 +216,8 @@ def test_sessions_go_when_pages_are_closed() -> None:
         for _ in range(3):
             assert await turn(None, asked, f"http://127.0.0.1:{port}/{'a' * 32}/", "") == 200
             opened.append(bool(server.get_sessions()))
-        for _ in range(600):
-            await asyncio.sleep(0.5)
+        for _ in range(3000):
+            await asyncio.sleep(0.1)
             if not server.get_sessions():
                 break
         held.extend([len(server.get_sessions()), len(bench._listeners)])

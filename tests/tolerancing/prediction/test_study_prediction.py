@@ -27,7 +27,9 @@ LIMITS = (
 
 def test_joint_yield_is_what_trials_of_all_merits_find():
     loaded = load_study(STUDY)
-    study = loaded.study.model_copy(update={"all_merits": LIMITS, "draws": "random", "trials": 400})
+    coarse = loaded.study.sampling.model_copy(update={"pupil_samples": 32})
+    changes = {"all_merits": LIMITS, "draws": "random", "trials": 400, "sampling": coarse}
+    study = loaded.study.model_copy(update=changes)
     found = predict_study(loaded.lens, study)
     scores, _ = score_batch(
         study.merits, context_of(loaded.lens, study), sample_perturbations(study, range(400))

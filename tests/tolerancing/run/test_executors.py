@@ -52,6 +52,13 @@ def rays(write_study, ray_study):
 
 
 @pytest.fixture
+def slow_rays(write_study, ray_study, tmp_path):
+    """Trials that take a few milliseconds, so that a worker dies in the middle of a run."""
+    (tmp_path / "mine.py").write_text(MINE)
+    return load_study(write_study("sensitivity = false\n" + ray_study + PYTHON_MERIT))
+
+
+@pytest.fixture
 def cluster(tmp_path_factory):
     made = Cluster(tmp_path_factory.mktemp("cluster"))
     yield made
@@ -62,12 +69,12 @@ def test_a_worker_that_is_killed_half_way_changes_no_row(loaded, cluster, tmp_pa
     first, _ = cluster.worker(), cluster.worker()
 
     def progress(done, total):
-        if done > 150:
+        if done > 50:
             first.kill()
 
-    outcome = run_study(loaded, tmp_path / "cluster", trials=300, cluster=cluster.address, progress=progress)
-    assert (outcome.trials_run, outcome.workers, first.poll() is not None) == (300, 0, True)
-    run_study(loaded, tmp_path / "here", trials=300, workers=1)
+    outcome = run_study(loaded, tmp_path / "cluster", trials=150, cluster=cluster.address, progress=progress)
+    assert (outcome.trials_run, outcome.workers, first.poll() is not None) == (150, 0, True)
+    run_study(loaded, tmp_path / "here", trials=150, workers=1)
     assert rows(tmp_path / "cluster") == rows(tmp_path / "here")
 
 
@@ -144,7 +151,9 @@ def test_a_worker_refuses_what_it_would_score_otherwise(parcel, monkeypatch, cha
         work_in_cluster(replace(parcel, **change), Task(trials=(0,)))
 
 
-def test_when_the_last_worker_dies_the_run_says_so_and_ends(loaded, cluster, tmp_path, monkeypatch, capsys):
+def test_when_the_last_worker_dies_the_run_says_so_and_ends(
+    slow_rays, cluster, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(module, "REPORT_SECONDS", 0.5)
     monkeypatch.setattr(module, "WAIT_SECONDS", 2.0)
     only = cluster.worker()
@@ -154,15 +163,15 @@ def test_when_the_last_worker_dies_the_run_says_so_and_ends(loaded, cluster, tmp
             only.kill()
 
     with pytest.raises(RunError, match="last worker is gone, and none has joined within 2 s"):
-        run_study(loaded, tmp_path / "store", trials=800, cluster=cluster.address, progress=progress)
+        run_study(slow_rays, tmp_path / "store", trials=400, cluster=cluster.address, progress=progress)
     assert "the cluster's last worker is gone; waiting 2 s" in capsys.readouterr().err
     with open_store(tmp_path / "store") as store:
         held = store.trial_count()
-    assert 0 < held < 800
-    assert run_study(loaded, tmp_path / "store", trials=800, workers=2).trials_run == 800 - held
+    assert 0 < held < 400
+    assert run_study(slow_rays, tmp_path / "store", trials=400, workers=2).trials_run == 400 - held
 
 
-def test_a_worker_that_comes_in_time_goes_on(loaded, cluster, tmp_path, monkeypatch):
+def test_a_worker_that_comes_in_time_goes_on(slow_rays, cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "WAIT_SECONDS", 60.0)
     first, killed = cluster.worker(), []
 
@@ -171,5 +180,5 @@ def test_a_worker_that_comes_in_time_goes_on(loaded, cluster, tmp_path, monkeypa
             first.kill()
             killed.append(cluster.worker())
 
-    outcome = run_study(loaded, tmp_path / "store", trials=300, cluster=cluster.address, progress=progress)
-    assert (outcome.trials_run, len(killed)) == (300, 1)
+    outcome = run_study(slow_rays, tmp_path / "store", trials=200, cluster=cluster.address, progress=progress)
+    assert (outcome.trials_run, len(killed)) == (200, 1)

@@ -46,7 +46,7 @@ def test_workers_score_the_nominal_lens(write_study, ray_study, tmp_path, there,
 
 
 @pytest.fixture
-def pool(write_study, full_study):
+def pool(write_study, full_study, copied_workers):
     with LocalPool(load_study(write_study(full_study)), 2) as pool:
         yield pool
 
@@ -90,6 +90,7 @@ at_least = 0.3
 """
 
 
+@pytest.mark.usefixtures("copied_workers")
 def test_levels_that_are_not_the_cheapest_make_the_rows_of_one_worker(write_study, ray_study, tmp_path):
     loaded = load_study(write_study("sensitivity = false\n" + ray_study + AUTO))
     for workers in (1, 2):
@@ -99,6 +100,7 @@ def test_levels_that_are_not_the_cheapest_make_the_rows_of_one_worker(write_stud
         assert [merit.level for merit in store.merits()] == ["ray", "wave"]
 
 
+@pytest.mark.usefixtures("copied_workers")
 def test_workers_end_where_the_nominal_lens_cannot_be_scored(write_study, full_study, tmp_path):
     text = full_study.replace("line_widths_um = [1.0]", "line_widths_um = [50.0]")
     with pytest.raises(InputError, match="um wide"):
@@ -106,6 +108,7 @@ def test_workers_end_where_the_nominal_lens_cannot_be_scored(write_study, full_s
     assert not active_children()
 
 
+@pytest.mark.usefixtures("copied_workers")
 def test_python_is_run_by_no_worker_before_the_nominal_lens_is_scored(
     write_study, ray_study, tmp_path, monkeypatch
 ):

@@ -21,7 +21,7 @@ from tolerancing.study.files import load_study
 
 SCRIPT = Path(stored_rows.__file__).with_name("run_into_store.py")
 TRIALS = 3000
-KILLS = 6
+KILLS = 4
 
 
 @pytest.fixture
@@ -189,6 +189,7 @@ at_least = 0.0
 
 
 @pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.usefixtures("copied_workers")
 def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tmp_path, capfd, workers):
     (tmp_path / "mine.py").write_text(LEAVING)
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
@@ -204,6 +205,7 @@ def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tm
     ("workers", "statement"), [(1, "sys.exit(0)"), (1, "os._exit(0)"), (2, "os._exit(0)")]
 )
 @pytest.mark.parametrize("location", ["import", "nominal"])
+@pytest.mark.usefixtures("copied_workers")
 def test_a_merit_that_always_ends_the_program_is_reported_at_the_start(
     write_study, ray_study, tmp_path, workers, statement, location
 ):
@@ -227,6 +229,7 @@ def score(trial):
 """
 
 
+@pytest.mark.usefixtures("copied_workers")
 def test_a_merit_that_a_signal_ends_fails_its_trial_alone(write_study, ray_study, tmp_path):
     (tmp_path / "mine.py").write_text(DYING)
     study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
@@ -239,6 +242,7 @@ def test_a_merit_that_a_signal_ends_fails_its_trial_alone(write_study, ray_study
     assert np.isfinite(trials.scores).tolist() == [[True, False], [True, True], [True, True]]
 
 
+@pytest.mark.usefixtures("copied_workers")
 def test_a_merit_that_a_signal_ends_for_the_nominal_lens_is_told_at_the_start(
     write_study, ray_study, tmp_path
 ):
@@ -249,6 +253,7 @@ def test_a_merit_that_a_signal_ends_for_the_nominal_lens_is_told_at_the_start(
     assert not (tmp_path / "a.db").exists()
 
 
+@pytest.mark.usefixtures("copied_workers")
 def test_a_death_that_no_trial_repeats_is_none_of_a_trial(write_study, ray_study, tmp_path):
     """As for want of memory: the trials at hand are scored, and the run ends with a word."""
     (tmp_path / "mine.py").write_text(

@@ -58,6 +58,7 @@ def test_the_prediction_is_a_range_over_objects_that_change_much_and_little(kind
         assert all(np.isreal(one.values).all() for one in objects.values())
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_a_phase_object_comes_out_within_the_predicted_range() -> None:
     """A phase object is not promised what a dense one reaches: smooth phase ends where noise does."""
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)

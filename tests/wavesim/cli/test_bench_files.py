@@ -49,6 +49,7 @@ def run(wavesim: Command, bench: Path) -> Command:
     return lambda name, *arguments: wavesim(name, *frames, *design, *arguments)
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: Path, tmp_path: Path) -> None:
     quick = (
         "--kind",

@@ -18,7 +18,6 @@ from wavesim.calibration.calibration_result import field_stop_of, read_calibrati
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import frame_reconstruction
-from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.scene.system_state import SystemState
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
@@ -32,6 +31,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
 ) -> None:
@@ -60,8 +60,6 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
         data,
     )
     figures = []
-    # Frames that the nominal lens does not explain are said not to be; what else might has tests of its own.
-    monkeypatch.setattr(CauseTrials, "trials", lambda _: [])
     for ended, options in ((1, ()), (0, ("--calibration", tmp_path / "calibration.json"))):
         code, out, err = wavesim("reconstruct", *quick, *options, "-o", tmp_path / "out", "--json")
         assert code == ended, err
@@ -113,6 +111,7 @@ def test_an_interrupted_search_goes_on(
     assert set(found["deviations"]) == {"decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg"}
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_both_in_one_run(
     wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
 ) -> None:
@@ -135,9 +134,6 @@ def test_both_in_one_run(
     monkeypatch.setattr(calibration_problem, "chosen_parameters", few)
     reconstruct_frames = frame_reconstruction.reconstruct_frames
     monkeypatch.setattr(frame_reconstruction, "reconstruct_frames", taken)
-    monkeypatch.setattr(
-        CauseTrials, "trials", lambda _: []
-    )  # two benches are not enough to explain the frames
     monkeypatch.setenv("COLUMNS", "200")  # headings do not wrap
     command = (
         *frames_and_design(data),

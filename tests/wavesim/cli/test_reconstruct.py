@@ -62,6 +62,7 @@ def test_the_paper_s_way_and_words_for_people(wavesim: Command, data: Path, tmp_
 @pytest.mark.parametrize(
     ("method", "start"), [("object", "even"), ("object", "amplitude"), ("paper", "model")]
 )
+@pytest.mark.usefixtures("quick_verdicts")
 def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     wavesim: Command, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path, method: str, start: str
 ) -> None:
@@ -203,6 +204,7 @@ def test_one_frame_does_for_an_amplitude_object_but_not_for_the_paper_s_way(
     assert code in ENDED, err
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_foreign_frames_and_little_diversity_are_told(wavesim: Command, data: Path, tmp_path: Path) -> None:
     for number in (1, 2):
         counts = read_frame(data / f"frame_{number}.tif").counts
@@ -222,6 +224,7 @@ def test_foreign_frames_and_little_diversity_are_told(wavesim: Command, data: Pa
     )
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     wavesim: Command, data: Path, tmp_path: Path
 ) -> None:

@@ -18,6 +18,7 @@ from wavesim.engines.whole_field.executors import ThisComputer
 from wavesim.reconstruction import frame_reconstruction, resumable
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_super_tiles_done_by_a_cluster_make_the_same(run: Command, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
@@ -34,6 +35,7 @@ def test_super_tiles_done_by_a_cluster_make_the_same(run: Command, tmp_path: Pat
     np.testing.assert_allclose(away["values"], here["values"], atol=1e-5)
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

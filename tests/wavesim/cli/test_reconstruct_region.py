@@ -30,6 +30,7 @@ def part_like(whole: dict[str, Any], part: dict[str, Any]) -> Any:
     return whole["values"][tuple(found)]
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_of_a_region_of_the_object_alone_is_told_and_written(
     run: Command, tmp_path: Path, data: Path
 ) -> None:

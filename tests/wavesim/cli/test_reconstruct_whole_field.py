@@ -20,6 +20,7 @@ from wavesim.runtime.memory import MemoryNeed
 from wavesim.runtime.scratch import Scratch
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: Path
 ) -> None:

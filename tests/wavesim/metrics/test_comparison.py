@@ -67,6 +67,7 @@ def test_speckle_fills_the_aperture_evenly() -> None:
     assert spectrum[inner].mean() == pytest.approx(spectrum[inside].mean(), rel=0.05)
 
 
+@pytest.mark.usefixtures("few_cells")
 def test_measured_beside_predicted(tmp_path: Path) -> None:
     cases = {"cylinder": analytic_case("cylinder", radius_mm=0.05), "twin": lens_case(TWIN, 0.01)}
     settings = ({"error": 0.1, "quadratic": "low-rank"}, {"error": 3e-3, "quadratic": "low-rank"}, {})

@@ -59,6 +59,7 @@ def test_a_stop_that_the_patch_does_not_hold_is_refused() -> None:
         object_patch(LENS, PATCH_MM, STOP_MM, field_stop_at_mm=(math.nan, 0.0))
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_a_stated_stop_beside_the_axis_is_reconstructed() -> None:
     found = found_with(field_stop_mm=STOP_MM, field_stop_at_mm=AT_MM)
     assert found.truth["object_correlation"] > 0.98
@@ -68,6 +69,7 @@ def test_a_stated_stop_beside_the_axis_is_reconstructed() -> None:
     assert figures["field_stop_from"] == "stated"
 
 
+@pytest.mark.usefixtures("quick_verdicts")
 def test_the_stop_is_found_from_the_frames() -> None:
     found = found_with(field_stop="find")
     assert found.truth["object_correlation"] > 0.98

@@ -19,6 +19,7 @@ LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
 
 
 @pytest.mark.parametrize("samples", [(0.0, 0.0), (2.0, -1.0)])
+@pytest.mark.usefixtures("quick_verdicts")
 def test_a_chart_beside_its_place_is_resolved_as_well(samples) -> None:
     patch = object_patch(LENS, 0.07)
     elements = usaf_elements_of(patch)

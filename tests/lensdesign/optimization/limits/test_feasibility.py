@@ -19,6 +19,7 @@ def with_object(**changes: float) -> Specification:
     return ASKED.replaced(object=ASKED.object.replaced(**changes))
 
 
+@pytest.mark.usefixtures("few_searches")
 def test_the_largest_field_and_aperture_can_be_met_and_a_little_more_cannot(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -42,6 +43,7 @@ def test_a_met_specification_has_no_reach() -> None:
     assert optimize(with_object(field_diameter_mm=1.5)).reach is None
 
 
+@pytest.mark.usefixtures("few_searches")
 def test_nothing_is_told_where_the_size_of_the_object_is_not_what_is_in_the_way() -> None:
     thick = ASKED.constraints.replaced(min_center_thickness_mm=16.0)
     asked = ASKED.replaced(constraints=thick)
@@ -50,11 +52,12 @@ def test_nothing_is_told_where_the_size_of_the_object_is_not_what_is_in_the_way(
     assert (reach.field_diameter_mm, reach.numerical_aperture) == (None, None)
 
 
+@pytest.mark.usefixtures("few_searches")
 def test_where_no_lens_can_be_made_what_can_is_told_all_the_same() -> None:
     """The stop, kept at its size, is wider than the nearest lens; a smaller aperture lets it shrink."""
     *shapes, thickness = ASKED.variables
     fixed = ASKED.replaced(
-        optimize=ASKED.optimize.replaced(stop="fixed"),
+        optimize=ASKED.optimize.replaced(stop="fixed", max_evaluations=400),
         surfaces=(ASKED.surfaces[0].replaced(thickness_mm=1.2), ASKED.surfaces[1]),
         variables=(*shapes, thickness.replaced(bounds=(1.0, 1.5))),
     )

@@ -19,6 +19,7 @@ def specification() -> Specification:
     return asked.replaced(object=asked.object.replaced(field_diameter_mm=2.4), optimize=settings)
 
 
+@pytest.mark.usefixtures("few_searches")
 def test_limits_can_be_met_and_a_little_more_cannot(specification: Specification) -> None:
     limited = specification.model_copy(
         update={
@@ -44,6 +45,7 @@ def test_a_coarser_pixel_leaves_the_sensor_as_large(specification: Specification
     assert coarse.spread_limit(0.532) == pytest.approx(0.5 * specification.spread_limit(0.532))
 
 
+@pytest.mark.usefixtures("few_searches")
 def test_a_specification_that_is_not_met_reaches_less_than_asked(specification: Specification) -> None:
     limits = specification.constraints.replaced(max_lens_thickness_mm=3.0)
     few = specification.optimize.replaced(starts=3)
