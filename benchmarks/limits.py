@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.limited_quantities import FIELD
 from lensdesign.optimization.limits.search import Limit, find_limits
 from lensdesign.optimization.local_search import Budget, search_from, starts_of
@@ -23,6 +22,7 @@ from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.specification import Specification
+from lensdesign.optimization.specification_check import check_against
 
 SEEDS, DENSE_STARTS, AGREEMENT = 5, 60, 3e-3
 

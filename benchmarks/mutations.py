@@ -69,25 +69,25 @@ MUTATIONS = (
     # Eqs. 1 and 2
     Mutation(
         "Eq. 1: area of the field by its diameter",
-        "lensdesign/analysis/matching.py",
+        "lensdesign/analysis/space_bandwidth.py",
         "return math.pi * (0.5 * field_diameter_mm) ** 2",
         "return math.pi * field_diameter_mm**2",
     ),
     Mutation(
         "Eq. 1: the sensor's circle by its side",
-        "lensdesign/analysis/matching.py",
+        "lensdesign/analysis/space_bandwidth.py",
         "math.pi * (0.5 * shortest_side_mm) ** 2",
         "math.pi * shortest_side_mm**2",
     ),
     Mutation(
         "Eq. 2: pixels resolve 1 / pitch",
-        "lensdesign/analysis/matching.py",
+        "lensdesign/analysis/space_bandwidth.py",
         "return min(1.0, wavelength_um / (2.0 * pixel_pitch_um))",
         "return min(1.0, wavelength_um / pixel_pitch_um)",
     ),
     Mutation(
         "Eq. 2: the angle to one axis only",
-        "lensdesign/analysis/spread.py",
+        "lensdesign/analysis/traced_spread.py",
         "np.hypot(direction[..., 0], direction[..., 1])",
         "np.abs(direction[..., 1])",
         "tests/lensdesign/analysis/test_spread.py",

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 
-from lensdesign.analysis.matching import (
+from lensdesign.analysis.space_bandwidth import (
     highest_frequency_lp_per_mm,
     sbp_object,
     sbp_sensor,

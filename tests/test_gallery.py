@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from lensdesign import InputError, Lens, load_design
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.report import CheckReport
-from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.analysis.traced_spread import footprint, largest_spread
 from lensdesign.cli.commands import app
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.solid import closed_elements

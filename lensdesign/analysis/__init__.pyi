@@ -1,11 +1,11 @@
 from .check import check_design
 from .form_error import form_errors, pv_rms_waves
 from .ghosts import GhostReport, ghost_report
-from .matching import match, spread_limit_sine
 from .paraxial import cardinal_points, first_order
 from .report import CheckReport
 from .sag_tables import SagTable, sag_table, write_sag_table
-from .spread import footprint, largest_spread, observation_distance_mm, rms_spot_diameter
+from .space_bandwidth import match, spread_limit_sine
+from .traced_spread import footprint, largest_spread, observation_distance_mm, rms_spot_diameter
 
 __all__ = [
     "CheckReport",

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensdesign.analysis.form_error import form_errors
-from lensdesign.analysis.matching import Matching, match, smallest_exit_beam_diameter_mm
 from lensdesign.analysis.outline import thinnest_drawn_edge
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
-from lensdesign.analysis.spread import (
+from lensdesign.analysis.space_bandwidth import Matching, match, smallest_exit_beam_diameter_mm
+from lensdesign.analysis.traced_spread import (
     Footprint,
     Spread,
     Throughput,

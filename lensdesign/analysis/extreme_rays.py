@@ -2,8 +2,8 @@
 
 Rings over the stop underestimate the largest angle by up to a thousandth if the steepest ray passes between
 them. Merits of largest angles and distances therefore also trace the extreme rays of the nominal lens. The
-nominal value then equals that of :func:`lensdesign.analysis.spread.largest_spread`. A perturbation moves an
-extreme ray over the stop, which changes the extreme to second order only.
+nominal value then equals that of :func:`lensdesign.analysis.traced_spread.largest_spread`. A perturbation
+moves an extreme ray over the stop, which changes the extreme to second order only.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.analysis.matching import spread_limit_sine
 from lensdesign.analysis.paraxial import FirstOrder, cardinal_points
+from lensdesign.analysis.space_bandwidth import spread_limit_sine
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens

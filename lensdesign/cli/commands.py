@@ -65,8 +65,8 @@ def check(
 
         report = check_design(lens)
     else:
-        from lensdesign.optimization.compliance import check_against
         from lensdesign.optimization.specification.specification import load_specification
+        from lensdesign.optimization.specification_check import check_against
 
         report = check_against(lens, load_specification(against))
     if as_json:

@@ -16,13 +16,13 @@ from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_built
-from lensdesign.optimization.compliance import at_temperatures
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
 from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import VariableRange
+from lensdesign.optimization.specification_check import at_temperatures
 from lensdesign.optimization.temperature_derivatives import HeatedLens, TemperatureChange
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.gradients import GradientTrace, Variable, gradient_trace

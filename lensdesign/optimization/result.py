@@ -16,8 +16,7 @@ from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport, TrialsOf
-from lensdesign.optimization.compliance import at_temperatures, check_against
-from lensdesign.optimization.limits.feasibility import (
+from lensdesign.optimization.limits.feasible_limits import (
     FeasibilityLimit,
     feasibility_limit,
     feasibility_limit_of,
@@ -29,6 +28,7 @@ from lensdesign.optimization.problem import finished_lens
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.stop_rules import Ending
+from lensdesign.optimization.specification_check import at_temperatures, check_against
 
 INTERRUPT = "interrupt"
 """Limit of a search that the user has stopped."""

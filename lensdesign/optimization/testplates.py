@@ -15,11 +15,11 @@ from lensdesign.common.tables import read_list, read_number
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.result import OptimizationResult
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import VariableRange
+from lensdesign.optimization.specification_check import check_against
 
 Report = Callable[[str], None]
 

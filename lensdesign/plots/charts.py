@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.analysis.matching import spread_limit_sine
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.space_bandwidth import spread_limit_sine
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
 

@@ -60,7 +60,7 @@ class RayMerit(Merit):
         wavelength = context.wavelength_um(self.wavelength_um)
 
         def compute() -> Points:
-            from lensdesign.analysis.spread import largest_spread
+            from lensdesign.analysis.traced_spread import largest_spread
 
             height = float(np.hypot(*largest_spread(lens, wavelength).field_mm))
             difference = min(height, lens.half_field_mm - height)

@@ -12,7 +12,7 @@ from typing import Any
 
 import tomli_w
 
-from lensdesign.analysis.matching import match
+from lensdesign.analysis.space_bandwidth import match
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
@@ -345,7 +345,7 @@ def _merits(lens: Lens) -> str:
 
 
 def _spread(lens: Lens, limit_deg: float) -> str:
-    from lensdesign.analysis.spread import largest_spread
+    from lensdesign.analysis.traced_spread import largest_spread
 
     nominal = largest_spread(lens).spread_deg
     if limit_deg >= 90.0:

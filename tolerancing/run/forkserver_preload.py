@@ -16,7 +16,7 @@ MODULES = (
     "tolerancing.study.evaluate",
     "tolerancing.merits.sensor_rays",
     "lensdesign.analysis.extreme_rays",
-    "lensdesign.analysis.spread",
+    "lensdesign.analysis.traced_spread",
     "tolerancing.perturbations.irregularity",
     "wavesim.pupil.characteristic",
     "wavesim.pupil.focus",

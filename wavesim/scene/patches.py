@@ -6,7 +6,7 @@ import math
 
 import scipy.fft
 
-from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.analysis.traced_spread import footprint, largest_spread
 from lensdesign.errors import InputError, SamplingError, validate_positive
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens

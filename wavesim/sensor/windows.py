@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 
 from lensdesign.analysis.paraxial import first_order
-from lensdesign.analysis.spread import footprint
+from lensdesign.analysis.traced_spread import footprint
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from lensdesign.analysis.matching import match
 from lensdesign.analysis.outline import (
     EdgeMargin,
     chosen_semi_diameter_mm,
@@ -20,7 +19,8 @@ from lensdesign.analysis.outline import (
     needed_edge_thickness_mm,
     with_ground_edge,
 )
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.space_bandwidth import match
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.lens import Lens

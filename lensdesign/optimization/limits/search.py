@@ -22,7 +22,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import DeadlineExceeded, no_deadline
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.limited_quantities import LimitedQuantity, limited_quantities
 from lensdesign.optimization.local_search import Budget, SearchResult, dense_rays, search_from, starts_of
 from lensdesign.optimization.operands.operand import ACCEPTED_VIOLATION
@@ -30,6 +29,7 @@ from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.specification.choices import bases_of
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS
 from lensdesign.optimization.specification.specification import Specification, validate_possible
+from lensdesign.optimization.specification_check import check_against
 
 RESOLUTION = 5e-4
 """Relative precision of a limit."""

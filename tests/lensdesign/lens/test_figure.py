@@ -15,7 +15,7 @@ from reference_trace import trace_numpy
 from scipy.interpolate import make_interp_spline
 
 from lensdesign import Lens, ObjectSpace, Sensor, Surface, SurfacePerturbation, trace
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import InputError
 from lensdesign.lens import SurfaceFigure, figure_from_grid, figure_from_zernike
 from lensdesign.lens.zernikes import HIGHEST_INDEX, zernike

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign import load_design, trace
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled, stopped_down

@@ -12,10 +12,10 @@ from small_searches import check_gradients, singlet_from_plate
 
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.outline import drawn_outline
-from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.analysis.traced_spread import footprint, largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result, search
-from lensdesign.optimization.limits.feasibility import FeasibilityLimit
+from lensdesign.optimization.limits.feasible_limits import FeasibilityLimit
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.optimization.result import GlassChoiceResult

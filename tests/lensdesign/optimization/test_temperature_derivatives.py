@@ -12,12 +12,12 @@ from lensdesign.analysis.check import check_design
 from lensdesign.errors import DesignError, MaterialError
 from lensdesign.exploration.glasses import with_glasses
 from lensdesign.lens.temperature import lens_at_temperature
-from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.sections import Constraints, Environment, FieldSpread, Settings
 from lensdesign.optimization.specification.specification import Specification, load_specification
 from lensdesign.optimization.specification.variables import VariableRange
+from lensdesign.optimization.specification_check import check_against
 
 WARM = Environment(temperatures_c=(0.0, 50.0))
 

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from random_lenses import lenses
 
 from lensdesign import Lens
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.plots.charts import spread_figure
 

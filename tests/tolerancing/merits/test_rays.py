@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design
-from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.analysis.traced_spread import footprint, largest_spread
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
 

@@ -10,7 +10,7 @@ from places import DESIGNS
 from random_lenses import lenses
 
 from lensdesign import DesignError, InputError, Lens, load_design
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.manufacture.drawing.tolerances import GENERAL
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.distributions import DISTRIBUTIONS

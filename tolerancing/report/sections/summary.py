@@ -160,7 +160,7 @@ def _offenders(data: ReportData) -> list[Block]:
 
 def lens_section(data: ReportData) -> list[Block]:
     """Return the lens: its specification, its space-bandwidth products, its layout and its surfaces."""
-    from lensdesign.analysis.matching import match
+    from lensdesign.analysis.space_bandwidth import match
 
     lens, light = data.lens, data.lens.wavelengths_um
     found = match(lens, light[0])

@@ -4,8 +4,8 @@ import pytest
 from drawing_checks import FULL, lens_of, said, singlet
 from places import DESIGNS
 
-from lensdesign.analysis.matching import match
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.space_bandwidth import match
+from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens

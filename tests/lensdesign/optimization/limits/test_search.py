@@ -9,11 +9,11 @@ from small_searches import singlet_from_plate
 
 from lensdesign.common import deadlines
 from lensdesign.common.deadlines import deadline
-from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.limited_quantities import FIELD
 from lensdesign.optimization.limits.search import LimitsInterrupted, find_limits
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.specification.specification import Specification
+from lensdesign.optimization.specification_check import check_against
 
 
 def singlet(field_mm: float, aperture: float, **sensor: Any) -> Specification:

@@ -9,10 +9,10 @@ from places import DESIGNS, GOLDEN
 from lensdesign import Lens, load_design
 from lensdesign.analysis.outline import drawn_outline
 from lensdesign.manufacture.drawing.sheets import drawing_as_stated
-from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.sections import Constraints
 from lensdesign.optimization.specification.specification import Specification, load_specification
+from lensdesign.optimization.specification_check import check_against
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from small_searches import singlet_from_plate
 
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result
-from lensdesign.optimization.limits.feasibility import feasibility_limit
+from lensdesign.optimization.limits.feasible_limits import feasibility_limit
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification.specification import Specification

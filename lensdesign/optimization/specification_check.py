@@ -16,7 +16,7 @@ import numpy as np
 from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, constraint
 from lensdesign.analysis.outline import drawn_edge_thicknesses_mm
 from lensdesign.analysis.report import CheckReport, Constraint
-from lensdesign.analysis.spread import largest_spread, spread_and_footprints
+from lensdesign.analysis.traced_spread import largest_spread, spread_and_footprints
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from lensdesign import DesignError, InputError, Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation
 from lensdesign.analysis.arrival_angles import arrival_angles
 from lensdesign.analysis.check import edge_thickness_mm
-from lensdesign.analysis.spread import (
+from lensdesign.analysis.traced_spread import (
     footprint,
     largest_spread,
     observation_distance_mm,

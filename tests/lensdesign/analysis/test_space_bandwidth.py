@@ -9,7 +9,7 @@ from hypothesis import given
 from random_lenses import numbers
 
 from lensdesign import DesignError, Lens
-from lensdesign.analysis.matching import match, sbp_object, sbp_sensor, spread_limit_sine
+from lensdesign.analysis.space_bandwidth import match, sbp_object, sbp_sensor, spread_limit_sine
 
 
 def test_figures_of_the_paper(paper_lens: Lens) -> None:
