@@ -45,7 +45,7 @@ def test_a_tilted_wave_has_its_direction(tilt_x: float, tilt_y: float, index: fl
 def test_a_tilt_beyond_the_grid_is_refused() -> None:
     limit = math.degrees(math.asin(0.5 * WAVELENGTH_UM))
     plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=0.99 * limit)
-    with pytest.raises(SamplingError, match="tilt_x_deg = .* pitch"):
+    with pytest.raises(SamplingError, match=r"tilt_x_deg = .* pitch"):
         plane_wave(GRID, WAVELENGTH_UM, tilt_x_deg=1.01 * limit)
     for bad in (90.0, math.nan):
         with pytest.raises(InputError, match="tilt_y_deg"):
