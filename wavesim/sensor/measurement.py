@@ -127,7 +127,7 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
 def intensity_deviation(plane: Measurement) -> Array:
     """Return the standard deviation of the intensity of each pixel, from amplitude and its deviation.
 
-    It reverses :func:`recorded_intensity`.
+    It reverses :func:`recorded_intensity`, and is infinite in unknown pixels.
 
     Raises
     ------
@@ -136,9 +136,11 @@ def intensity_deviation(plane: Measurement) -> Array:
     """
     if plane.sigma is None:
         raise InputError("measurement: needs sigma, from which the deviation of its intensity follows")
-    sigma = plane.sigma.astype(float)
+    known = np.isfinite(plane.sigma)
+    sigma = np.where(known, plane.sigma, 0.0).astype(float)
     is_dark = plane.amplitude < 2.0 * DARK * sigma
-    return np.asarray(np.where(is_dark, 4.0 * DARK * sigma**2, 2.0 * plane.amplitude * sigma))
+    deviation = np.where(is_dark, 4.0 * DARK * sigma**2, 2.0 * plane.amplitude * sigma)
+    return np.asarray(np.where(known, deviation, np.inf))
 
 
 def amplitude_bias(plane: Measurement, modelled: Array) -> Array:
