@@ -78,7 +78,7 @@ def covariance_of_estimates(
     effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0)
     prior, curvature = np.diag(equations.prior_precision), np.asarray(effects @ effects.T, float)
     inverse = np.linalg.inv(curvature + prior)
-    variances = equations.linear.residual_variances(MODEL_ERROR)
+    variances = equations.linear.residual_variances(0.0)
     if variances is None:  # the residuals are the only evidence of the noise
         return np.asarray(inverse * equations.variance)
     # Residuals beyond the noise are errors of the model.
