@@ -78,14 +78,15 @@ def covariance_of_estimates(
     effects = equations.reduced_columns(ELIMINATION_ITERATIONS if object_is_free else 0)
     prior, curvature = np.diag(equations.prior_precision), np.asarray(effects @ effects.T, float)
     inverse = np.linalg.inv(curvature + prior)
-    variances = equations.linear.residual_variances(0.0)
-    if variances is None:  # the residuals are the only evidence of the noise
+    linear = equations.linear
+    of_noise, of_pixels = (linear.residual_variances(error) for error in (0.0, MODEL_ERROR))
+    if of_noise is None or of_pixels is None:  # the residuals are the only evidence of the noise
         return np.asarray(inverse * equations.variance)
     # Residuals beyond the noise are errors of the model.
-    excess = max(equations.linear.misfit**2 - float(np.sum(variances, dtype=float)), 0.0)
-    noise = np.asarray((effects * variances.ravel()) @ effects.T, float)
+    excess = max(linear.misfit**2 - float(np.sum(of_noise, dtype=float)), 0.0)
+    independent = np.asarray((effects * of_pixels.ravel()) @ effects.T, float)
     # The precision of the prior is its variance's inverse, times the variance of a residual.
-    scatter = noise + excess / INDEPENDENT_ERRORS * curvature + equations.variance * prior
+    scatter = independent + excess / INDEPENDENT_ERRORS * curvature + equations.variance * prior
     background = background_of_clipping(parameters, recorded)
     return np.asarray(inverse @ scatter @ inverse + np.diag(background**2))
 
