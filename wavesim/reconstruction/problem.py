@@ -30,7 +30,7 @@ from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_bytes
-from wavesim.reconstruction.source_search import BROADEST, coherent_nm
+from wavesim.reconstruction.source_search import BROADEST, coherent_nm, modes_on
 from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint, digest_of, key_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
@@ -155,7 +155,7 @@ class ReconstructionProblem(NamedTuple):
     @property
     def modes(self) -> tuple[SourceMode, ...]:
         """Modes of the light of the source: one if it is coherent."""
-        return tuple(self.source.few_modes(self.light.wavelength_um, samples=max(self.light.grid.shape)))
+        return tuple(modes_on(self.light, self.source))
 
     @property
     def given(self) -> list[Measurement]:
@@ -204,7 +204,7 @@ def reconstruction_problem(
         1.0 if settings.source_deg == "find" else settings.source_deg,
         BROADEST * coherent_nm(light) if settings.bandwidth_nm == "find" else settings.bandwidth_nm,
     )
-    modes = source.few_modes(light.wavelength_um, samples=max(light.grid.shape))
+    modes = modes_on(light, source)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
     engine = _engine(scene, settings, runs, limit, frame_light)
     if settings.cluster is not None:

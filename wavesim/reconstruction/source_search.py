@@ -72,9 +72,6 @@ def find_source(
         is_band = settings.bandwidth_nm == "find"
         return replace(known, bandwidth_nm=width) if is_band else replace(known, width_deg=width)
 
-    def modes_of(source: Source) -> list[SourceMode]:
-        return source.few_modes(light.wavelength_um, samples=max(light.grid.shape))
-
     width, start = coherent_width, light.with_values(np.ones_like(light.values))
     # Relative change of the width at which the search ends.
     tolerance = 0.02
@@ -84,7 +81,7 @@ def find_source(
     least_width = 0.1
     for _ in range(MOST_WIDTHS):
         progress(message.format(width))
-        modes = modes_of(source_of(width))
+        modes = modes_on(light, source_of(width))
         found = reconstruct(
             engine,
             light,
@@ -100,7 +97,7 @@ def find_source(
         start = found.transmission
         wide, point = (
             ForwardModel(engine, light, recorded, found.scale, settings.fill_factor, modes=of)
-            for of in (modes, modes_of(known))
+            for of in (modes, modes_on(light, known))
         )
         ratio = blur_ratio(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))
         factor = math.sqrt(min(max(ratio, largest_factor**-2), largest_factor**2))
@@ -110,6 +107,11 @@ def find_source(
         if abs(width - previous) < tolerance * previous:
             break
     return source_of(width), start
+
+
+def modes_on(light: Field, source: Source) -> list[SourceMode]:
+    """Return the few modes of a source that a reconstruction uses for the light on an object."""
+    return source.few_modes(light.wavelength_um, samples=max(light.grid.shape))
 
 
 def coherent_deg(light: Field) -> float:

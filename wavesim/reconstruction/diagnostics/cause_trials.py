@@ -35,10 +35,10 @@ from wavesim.reconstruction.diagnostics.bench_estimates import (
 from wavesim.reconstruction.diagnostics.orientation import ORIENTATIONS
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.object_solver import Kind, Reconstructed, reconstruct
-from wavesim.reconstruction.source_search import coherent_deg, coherent_nm
+from wavesim.reconstruction.source_search import coherent_deg, coherent_nm, modes_on
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.light_errors import LightErrors
-from wavesim.scene.source import POINT, Source, SourceMode
+from wavesim.scene.source import POINT, Source
 from wavesim.sensor.measurement import Array, Measurement, noise_misfit
 
 Shifts = Sequence[tuple[float, float]]
@@ -182,11 +182,8 @@ class CauseTrials:
             iterations=iterations,
             scale=self.scale,
             fill_factor=change.fill_factor,
-            modes=self._modes(change.source),
+            modes=modes_on(self.light, change.source),
         )
-
-    def _modes(self, source: Source) -> list[SourceMode]:
-        return source.few_modes(self.light.wavelength_um, samples=max(self.light.grid.shape))
 
     def _trial(self, change: Change) -> Trial:
         return Trial(
@@ -427,7 +424,7 @@ class CauseTrials:
 
     def _light_intensities(self, engine: Engine) -> list[Array]:
         """Return the intensities of the light without an object."""
-        modes = self._modes(self.source)
+        modes = modes_on(self.light, self.source)
         model = ForwardModel(engine, self.light, self.recorded, None, self.fill_factor, modes=modes)
         return [
             modelled.astype(float) ** 2
