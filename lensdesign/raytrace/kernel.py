@@ -13,7 +13,7 @@ import numpy as np
 
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
-from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE
+from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE, ROUNDED_RESIDUAL
 from lensdesign.raytrace import conic_kernel
 from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from lensdesign.raytrace.conic_kernel import (
@@ -300,7 +300,8 @@ def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=
         px, py = x + t * dx, y + t * dy
         sag, by_x, by_y = _sag_and_slopes(px, py, code, terms, surface, figures, trial)
         slope = dz - (by_x * dx + by_y * dy)
-        step = (z + t * dz - sag) / slope
+        residual = z + t * dz - sag
+        step = residual / slope
         if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
             return t, MISSED
         t -= step
@@ -308,7 +309,7 @@ def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=
         if settled and settled_before:
             return t, OK if slope > 0.0 else MISSED
         settled_before = settled
-    if not settled_before:
+    if not (settled_before or abs(residual) <= ROUNDED_RESIDUAL * (1.0 + abs(t))):
         return t, NOT_CONVERGED
     return t, OK if slope > 0.0 else MISSED
 

@@ -21,6 +21,11 @@ RIM_TOLERANCE = 1e-9
 NEWTON_STEPS = 20
 """Largest number of Newton steps from the conic to the surface; rays that need more get a status."""
 
+ROUNDED_RESIDUAL = 1e-13
+"""Residual in mm, over 1 mm plus the length of the path, that rounding may leave. Steps of a grazing ray are
+longer and never settle, although its point lies on the surface.
+"""
+
 
 def sag_and_slopes(shape: Shape, x: Array, y: Array, figure: Figure | None) -> tuple[Array, Array, Array]:
     """Return the sag at (x, y) in mm and its slopes along x and y, including the figure."""
@@ -96,4 +101,5 @@ def _newton(
         if np.all(settled & converged | ~hit):
             break
         converged = settled
+    converged |= hit & (np.abs(np.real(residual)) <= ROUNDED_RESIDUAL * (1.0 + np.abs(np.real(distance))))
     return distance, hit & (~converged | (np.real(slope) > 0.0)), converged

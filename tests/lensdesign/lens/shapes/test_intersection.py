@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from lensdesign.lens.shapes.conic import Conic
+from lensdesign.lens.shapes.even_asphere import EvenAsphere
 from lensdesign.lens.shapes.intersection import intersect
+from lensdesign.lens.shapes.registry import code_of
+from lensdesign.raytrace.conic_kernel import conic_distance
+from lensdesign.raytrace.kernel import newton
+from lensdesign.raytrace.status import Status
 
 AHEAD = np.array([[0.0, 0.0, 1.0]])
 
@@ -41,3 +46,20 @@ def test_rays_beside_a_sphere_and_behind_a_conics_edge_miss() -> None:
     sideways = np.array([[0.0, 1.0, 0.0]])
     assert not intersect(np.array([[0.0, -30.0, 15.0]]), sideways, conic(0.1))[1][0]
     assert not intersect(np.array([[0.0, 0.0, -1.0]]), sideways, conic(0.0))[1][0]
+
+
+def test_a_ray_that_grazes_a_distant_asphere_reaches_it() -> None:
+    """Rounding keeps its Newton steps above 1e-14 of the path, although the point lies on the surface."""
+    origin = [358.03130629520695, -3.0377432551279684, 185.7505611768551]
+    direction = [-0.885571622257178, 0.010837815430764498, -0.4643764029421377]
+    terms = np.array([1.0 / 20.0, 0.3, 1e-4, 1e-6])
+    shape = EvenAsphere(terms)
+    distance, hit, converged = intersect(np.array([origin]), np.array([direction]), shape)
+    assert hit[0]
+    assert converged[0]
+    x, y, z = np.array(origin) + distance[0] * np.array(direction)
+    assert z == pytest.approx(shape.sag_and_slopes(x, y)[0], abs=1e-10)
+    start, _ = conic_distance(*origin, *direction, *terms[:2])
+    compiled, status = newton(*origin, *direction, start, code_of(shape), terms)
+    assert status == Status.OK
+    assert compiled == pytest.approx(distance[0], abs=1e-9)
