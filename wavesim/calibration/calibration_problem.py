@@ -16,6 +16,7 @@ from wavesim.calibration.calibration_result import Calibrated, correlated_parame
 from wavesim.calibration.joint.pixels import (
     CalibrationPixels,
     DensePixels,
+    SparsePixels,
     padded_to_fast_shape,
     pixel_spacing,
     sparse_pixels,
@@ -23,6 +24,7 @@ from wavesim.calibration.joint.pixels import (
 from wavesim.calibration.joint.search import JointSearch, SearchState
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
+    VIBRATION,
     Parameter,
     Unknowns,
     all_names,
@@ -149,6 +151,8 @@ class CalibrationProblem:
         allowed = bench_parameters(
             self.lens, len(self.framed.planes_mm), side_mm, patch.wavelength_um, light_order=light_order
         )
+        if isinstance(self.pixels, SparsePixels):  # points that are not blurred
+            allowed = tuple(p for p in allowed if p.name != VIBRATION)
         try:
             chosen = chosen_parameters(requested, allowed)
         except InputError as error:

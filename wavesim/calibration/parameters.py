@@ -54,6 +54,12 @@ LIGHT_ORDER, LIGHT_ORDER_ALONE = 2, 4
 LIGHT_MODE = re.compile(r"light_(amplitude|phase)_(\d)(\d)(?:_waves)?")
 
 SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
+"""Usual shift of a plane in pixels, and background as a fraction of the mean intensity."""
+
+VIBRATION, VIBRATION_PIXELS = "vibration_variance_um2", 0.2
+"""Parameter of the blur by vibration, and its usual standard deviation in pixels. The pictures change
+linearly with the variance.
+"""
 
 
 @dataclass(frozen=True)
@@ -155,6 +161,8 @@ def bench_parameters(
             ]
             found.append(Parameter(PLANE_DISTANCE.format(n), "camera", TYPICAL["distance"]))
         found.append(Parameter(f"plane_{n}_background", "camera", BACKGROUND))
+        found += [Parameter(f"plane_{n}_background_slope_{axis}", "camera", BACKGROUND) for axis in "xy"]
+    found.append(Parameter(VIBRATION, "camera", (VIBRATION_PIXELS * pitch_um) ** 2))
     half_mm = 0.5e-3 * pitch_um * max(lens.sensor.pixels)
     tilt_deg = math.degrees(TYPICAL["distance"] / half_mm)
     found += [Parameter(name, "camera", tilt_deg) for name in SENSOR_TILTS]
@@ -293,18 +301,31 @@ def _with_camera(unknowns: Unknowns, state: SystemState) -> SystemState:
     planes = max(
         (int(n.split("_")[1]) for n in values if n.startswith("plane_") and "_distance_" not in n), default=0
     )
-    shifts = [*state.plane_shifts_um, *((0.0, 0.0),) * planes]
-    backgrounds = [*state.plane_backgrounds, *(0.0,) * planes]
+    shifts = _extended(state.plane_shifts_um, planes, (0.0, 0.0))
+    backgrounds = _extended(state.plane_backgrounds, planes, 0.0)
+    slopes = _extended(state.plane_background_slopes, planes, (0.0, 0.0))
     for n in range(planes):
-        x, y = (
-            values.get(f"plane_{n + 1}_shift_{a}_um", own) for a, own in zip("xy", shifts[n], strict=True)
-        )
-        shifts[n] = (x, y)
+        shifts[n] = _pair(values, f"plane_{n + 1}_shift_{{}}_um", shifts[n])
+        slopes[n] = _pair(values, f"plane_{n + 1}_background_slope_{{}}", slopes[n])
         backgrounds[n] = max(values.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
-    counts = max(planes, len(state.plane_shifts_um)), max(planes, len(state.plane_backgrounds))
+    variance = values.get(VIBRATION, state.vibration_um**2)
     return replace(
-        state, plane_shifts_um=tuple(shifts[: counts[0]]), plane_backgrounds=tuple(backgrounds[: counts[1]])
+        state,
+        plane_shifts_um=tuple(shifts),
+        plane_backgrounds=tuple(backgrounds),
+        plane_background_slopes=tuple(slopes) if any(map(any, slopes)) else (),
+        vibration_um=math.sqrt(max(variance, 0.0)),
     )
+
+
+def _extended(values: Sequence[Any], count: int, default: Any) -> list[Any]:
+    """Return values with a default up to a number of planes."""
+    return [*values, *(default,) * (count - len(values))]
+
+
+def _pair(values: Mapping[str, float], name: str, own: tuple[float, float]) -> tuple[float, float]:
+    """Return the values along x and y of a parameter, or those of the state."""
+    return values.get(name.format("x"), own[0]), values.get(name.format("y"), own[1])
 
 
 def _with_lens(unknowns: Unknowns, state: SystemState) -> SystemState:

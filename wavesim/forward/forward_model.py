@@ -81,6 +81,9 @@ class ForwardModel:
     ) -> None:
         self.engine, self.illumination, self.recorded, self.rows = engine, illumination, recorded, rows
         self.fill_factor, self.modes = fill_factor, modes if len(modes) > 1 else ()
+        self.blur_mm = recorded[0].blur_mm
+        if any(plane.blur_mm != self.blur_mm for plane in recorded):
+            raise InputError("recorded: blur_mm differs between planes: must be equal on all planes")
         power = np.abs(illumination.values)
         power *= power
         self.peak_power = float(power.max())
@@ -88,7 +91,9 @@ class ForwardModel:
         self.dtype, self.real = illumination.values.dtype, power.dtype
         del power
         grid = engine.scene.exit_grid
-        self.pixels = PixelMeans(grid, fill_factor) if fill_factor > 0.0 or self.modes else None
+        blur_pixels = self.blur_mm / grid.pitch_mm
+        needs_means = fill_factor > 0.0 or blur_pixels > 0.0 or self.modes
+        self.pixels = PixelMeans(grid, fill_factor, blur_pixels) if needs_means else None
         self.propagators = self._propagators(illumination.wavelength_um)
         self._propagators_of = {illumination.wavelength_um: self.propagators}
         self._engines: dict[float, Operator] = {illumination.wavelength_um: engine}

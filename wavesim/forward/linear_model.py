@@ -34,6 +34,7 @@ from wavesim.forward.pixel_means import (
     tilt_changes,
 )
 from wavesim.runtime.threads import for_blocks, rows_in
+from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.sensor.measurement import amplitude_bias
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -64,7 +65,16 @@ class CachedSamples:
 
     def intensity(self) -> RealArray:
         """Return each pixel's mean intensity, at least 0."""
-        return self._means(self._samples, 0.0)
+        return self._means(self._samples, 0.0, self._taps, self._taps)
+
+    def blur_change(self) -> RealArray:
+        """Return half the change of the mean intensity per square pixel of the variance of the blur."""
+        taps, changes = self._taps, np.array(self.pixels.tap_changes(), self._taps.dtype)
+        along_rows, along_columns = (
+            self._means(self._samples, -np.inf, row_taps, column_taps)
+            for row_taps, column_taps in ((changes, taps), (taps, changes))
+        )
+        return np.asarray(0.5 * (along_rows + along_columns), taps.dtype)
 
     def products(self, spectrum: ComplexArray) -> RealArray:
         """Return each pixel's mean of Re(conj(u) v), for the spectrum of a change v in front of the
@@ -74,7 +84,8 @@ class CachedSamples:
 
     def products_with(self, others: Rows) -> RealArray:
         """Return the products with a change on the plane, as :meth:`PixelMeans.propagate` returns it."""
-        return self._means(tuple(self._sampled(part) for part in others), -np.inf)
+        samples = tuple(self._sampled(part) for part in others)
+        return self._means(samples, -np.inf, self._taps, self._taps)
 
     def add_adjoint(self, change: RealArray, total: ComplexArray) -> None:
         """Add the adjoint of :meth:`products` to a spectrum in front of the propagator."""
@@ -116,7 +127,9 @@ class CachedSamples:
         for_blocks(block, len(along_rows), rows_in(along_rows[0].nbytes))
         return even, odd
 
-    def _means(self, others: tuple[Rows, ...], least: float) -> RealArray:
+    def _means(
+        self, others: tuple[Rows, ...], least: float, row_taps: RealArray, column_taps: RealArray
+    ) -> RealArray:
         along = tuple(np.empty(part.shape, self._taps.dtype) for part in self.rows)
         for own, theirs, means in zip(self._samples, others, along, strict=True):
 
@@ -124,11 +137,13 @@ class CachedSamples:
                 start: int, stop: int, own: Rows = own, theirs: Rows = theirs, means: RealArray = means
             ) -> None:
                 rows = (one[start:stop] for one in (*own, *theirs))
-                means_along_rows(*rows, self._taps, means[start:stop])
+                means_along_rows(*rows, row_taps, means[start:stop])
 
             for_blocks(block, len(means), rows_in(self.rows[0][0].nbytes))
         result, bound = np.empty_like(along[0]), self._taps.dtype.type(least)
-        for_blocks(lambda a, b: means_along_columns(*along, self._taps, bound, result, a, b), len(result), 64)
+        for_blocks(
+            lambda a, b: means_along_columns(*along, column_taps, bound, result, a, b), len(result), 64
+        )
         return result
 
 
@@ -189,6 +204,11 @@ class FreeSpaceMeasurement:
             tilted = tilt_changes(self.pixels, self.spectrum, plane.propagator, self._wavelength_um)
             changes.append(plane.products_with(tilted[axis]))
         return changes
+
+    def by_blur(self) -> list[RealArray]:
+        """Return the products per square um of the variance of the blur, plane by plane."""
+        per_um2 = 1e-6 / self.pixels.grid.pitch_mm**2
+        return [plane.blur_change() * np.float32(per_um2) for plane in self.planes]
 
     def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         total = np.zeros_like(self.spectrum)
@@ -349,12 +369,19 @@ class LinearModel:
         lit = self.lit.with_values((self.lit.values * change).astype(self.lit.values.dtype))
         return self.model.engine.forward(lit).values
 
-    def jacobian_times_background(self, plane: int) -> RealArray:
-        """Return the change of the modelled amplitudes for a constant background equal to the mean
-        intensity.
+    def jacobian_times_background(self, plane: int, orders: Orders = (0, 0)) -> RealArray:
+        """Return the change of the modelled amplitudes for a background equal to the mean intensity.
+
+        Parameters
+        ----------
+        plane
+            Index of the plane.
+        orders
+            Orders of the polynomial by which the background is uneven; default: it is even.
         """
         mean = np.float32(np.mean(self.model.recorded[plane].amplitude ** 2))
-        return self._change_on_plane(plane, self._by_intensity[plane] * mean)
+        shape = light_mode(orders, self.residual.shape[1:]).astype(np.float32)
+        return self._change_on_plane(plane, self._by_intensity[plane] * mean * shape)
 
     def adjoint_to_object(self, residuals: RealArray) -> ComplexArray:
         """Return the adjoint of :meth:`jacobian_times_object`."""

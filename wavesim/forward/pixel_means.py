@@ -51,6 +51,8 @@ class PixelMeans:
         Grid with one sample in the middle of each pixel.
     fill_factor
         Linear fill factor of a pixel: side of its photosensitive square over the pitch.
+    blur_pixels
+        Standard deviation of a blur along x and y, in pixels.
 
     Attributes
     ----------
@@ -60,9 +62,17 @@ class PixelMeans:
         Weights of the middle sample, and of samples on either side.
     """
 
-    def __init__(self, grid: Grid, fill_factor: float) -> None:
-        self.grid = grid
-        self.taps = _taps(fill_factor)
+    def __init__(self, grid: Grid, fill_factor: float, blur_pixels: float = 0.0) -> None:
+        self.grid, self.fill_factor, self.blur_pixels = grid, fill_factor, blur_pixels
+        self.taps = _taps(fill_factor, blur_pixels**2)
+
+    def tap_changes(self) -> list[float]:
+        """Return the change of the weights per square pixel of the variance of the blur."""
+        # A step over which the weights are linear, in square pixels.
+        step = 1e-4
+        variance = self.blur_pixels**2
+        changed = _taps(self.fill_factor, variance + step)
+        return [(after - now) / step for after, now in zip(changed, self.taps, strict=True)]
 
     def propagate(
         self, spectrum: ComplexArray, propagator: PlanePropagator, buffers: Rows | None = None
@@ -367,8 +377,8 @@ def half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
     return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)
 
 
-def _taps(fill_factor: float) -> list[float]:
-    """Return weights of the middle sample and of pairs, fitted to the pixel's transfer function.
+def _taps(fill_factor: float, blur_variance: float = 0.0) -> list[float]:
+    """Return weights of the middle sample and of pairs, fitted to the transfer function of pixel and blur.
 
     The fit covers twice the bandwidth of the field. An intensity has less power towards that limit, and the
     weights of the fit fall in the same way.
@@ -379,7 +389,6 @@ def _taps(fill_factor: float) -> list[float]:
     cosines = 2.0 * np.cos(np.pi * np.outer(cycles, np.arange(1, taps + 1)))
     weights = 1.0 - cycles
     # The weights sum to 1, which fixes that of the middle.
-    found, *_ = np.linalg.lstsq(
-        weights[:, None] * (cosines - 2.0), weights * (np.sinc(fill_factor * cycles) - 1.0), rcond=None
-    )
+    transfer = np.sinc(fill_factor * cycles) * np.exp(-2.0 * np.pi**2 * blur_variance * cycles**2)
+    found, *_ = np.linalg.lstsq(weights[:, None] * (cosines - 2.0), weights * (transfer - 1.0), rcond=None)
     return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]

@@ -18,7 +18,7 @@ ADVICE = {
     "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
     "bandwidth": "state the bandwidth (--bandwidth-nm), let it be found (--bandwidth-nm find), or "
     "narrow it with a filter",
-    "vibration": "mount the camera more firmly, or expose for a shorter time",
+    "vibration": "mount the camera more firmly, expose for a shorter time, or run `wavesim calibrate`",
     "iterations": "give more --iterations",
     "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",

@@ -469,9 +469,8 @@ def validate_numbers(
     validate_whole_number("iterations", iterations, 1)
     if scale is not None:
         validate_positive("scale", scale)
-    # A fill factor above 1 describes the blur of the picture.
-    if not 0.0 <= fill_factor <= 2.0:
-        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 2")
+    if not 0.0 <= fill_factor <= 1.0:
+        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 1")
 
 
 def validate_measurements(

@@ -55,6 +55,14 @@ class BenchSettings(FrozenModel):
         (0.0,),
         description="Background as a fraction of the mean intensity: one value, or one for each plane.",
     )
+    background_slope: tuple[Pair, ...] = Field(
+        (),
+        description="Change x,y of the background from the centre to the edge of the first plane, as a "
+        "fraction of the mean intensity; repeat the option for the next planes.",
+    )
+    vibration_um: float = Field(
+        0.0, description="Standard deviation of the sensor's vibration along x and y during an exposure."
+    )
     prnu: float = Field(
         0.0, description="Standard deviation of the pixels' gain (EMVA 1288), as a fraction of the mean gain."
     )
@@ -100,10 +108,9 @@ class BenchSettings(FrozenModel):
             raise InputError(
                 f"plane_background = {text!r}: must be one number, or {planes} (one for each plane)"
             )
-        if len(shifts) > planes:
-            raise InputError(
-                f"plane_shift_um: {len(shifts)} shifts are given, but there are only {planes} planes"
-            )
+        for name, pairs in (("plane_shift_um", shifts), ("background_slope", self.background_slope)):
+            if len(pairs) > planes:
+                raise InputError(f"{name}: {len(pairs)} values are given, but there are only {planes} planes")
         light = LightErrors(
             self.light_error_deg, modes_of(self.light_amplitude), modes_of(self.light_phase_waves)
         )
@@ -115,6 +122,8 @@ class BenchSettings(FrozenModel):
             light=light,
             plane_shifts_um=shifts,
             plane_backgrounds=backgrounds * planes if len(backgrounds) == 1 else backgrounds,
+            plane_background_slopes=self.background_slope,
+            vibration_um=self.vibration_um,
             source=Source(self.source_deg, self.bandwidth_nm),
         )
 

@@ -95,6 +95,8 @@ class _State(FrozenModel):
     light: _Light = _Light()
     plane_shifts_um: tuple[Pair, ...] = ()
     plane_backgrounds: Numbers = ()
+    plane_background_slopes: tuple[Pair, ...] = ()
+    vibration_um: Finite = 0.0
     source: _Source = _Source()
 
 
@@ -188,6 +190,8 @@ def state_from_table(table: Mapping[str, Any], path: str | os.PathLike[str], len
             ),
             plane_shifts_um=read.plane_shifts_um,
             plane_backgrounds=read.plane_backgrounds,
+            plane_background_slopes=read.plane_background_slopes,
+            vibration_um=read.vibration_um,
             source=Source(**read.source.model_dump()),
         )
     except InputError as error:

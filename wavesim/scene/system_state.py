@@ -10,9 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from wavesim.scene.light_errors import NO_LIGHT_ERRORS, LightErrors
+from wavesim.scene.light_errors import NO_LIGHT_ERRORS, LightErrors, light_mode
 from wavesim.scene.source import POINT, Source
 
 
@@ -23,6 +26,10 @@ def _validate_numbers(name: str, values: Any, count: int | None, allowed: str) -
 
 def _value_at(values: Sequence[Any], index: int, default: Any) -> Any:
     return values[index] if index < len(values) else default
+
+
+SLOPE_ORDERS = (1, 0), (0, 1)
+"""Orders of the polynomials of a background that is uneven along x, and along y."""
 
 
 class SensorPose(NamedTuple):
@@ -74,14 +81,20 @@ class SystemState:
     plane_backgrounds : tuple of float
         Even background light on each plane, as a fraction of the plane's mean intensity. Planes beyond the
         list have none.
+    plane_background_slopes : tuple of (x, y)
+        Change of the background from the centre of the sensor to its edges at +x and +y, as a fraction of the
+        plane's mean intensity. Planes beyond the list have none.
+    vibration_um : float
+        Standard deviation of the sensor's lateral vibration during an exposure, along x and y, in um. It
+        blurs the pictures of all planes.
     source : Source
         Angular size and bandwidth of the light source.
 
     Raises
     ------
     InputError
-        If a shift or a tilt has the wrong number of components, a component is not finite, or a background
-        does not lie between 0 and 1.
+        If a shift or a tilt has the wrong number of components, a component is not finite, a background does
+        not lie between 0 and 1, or the vibration is negative.
 
     Examples
     --------
@@ -104,6 +117,8 @@ class SystemState:
     light: LightErrors = NO_LIGHT_ERRORS
     plane_shifts_um: tuple[tuple[float, float], ...] = ()
     plane_backgrounds: tuple[float, ...] = ()
+    plane_background_slopes: tuple[tuple[float, float], ...] = ()
+    vibration_um: float = 0.0
     source: Source = POINT
 
     def __post_init__(self) -> None:
@@ -111,11 +126,12 @@ class SystemState:
         _validate_numbers("sensor_shift_mm", self.sensor_shift_mm, 3, "three finite numbers, x, y and z")
         _validate_numbers("sensor_tilt_deg", self.sensor_tilt_deg, 2, "two finite numbers, about x and y")
         _validate_numbers("plane_distance_errors_mm", self.plane_distance_errors_mm, None, "finite numbers")
-        for shift in self.plane_shifts_um:
-            if len(shift) != 2 or not all(map(math.isfinite, shift)):
-                raise InputError(
-                    f"plane_shifts_um = {self.plane_shifts_um!r}: must be pairs of finite numbers"
-                )
+        for name in ("plane_shifts_um", "plane_background_slopes"):
+            pairs = getattr(self, name)
+            if not all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in pairs):
+                raise InputError(f"{name} = {pairs!r}: must be pairs of finite numbers")
+        if not 0.0 <= self.vibration_um < math.inf:
+            raise InputError(f"vibration_um = {self.vibration_um!r}: must be finite, and 0 or above")
         for fraction in self.plane_backgrounds:
             if not 0.0 <= fraction < 1.0:
                 raise InputError(f"plane_backgrounds = {self.plane_backgrounds!r}: must be from 0 to below 1")
@@ -140,6 +156,30 @@ class SystemState:
     def background(self, index: int) -> float:
         """Return the background on a plane as a fraction of its mean intensity; `index` counts from 0."""
         return float(_value_at(self.plane_backgrounds, index, 0.0))
+
+    def background_on(self, index: int, shape: tuple[int, ...]) -> Array | None:
+        """Return the background on the pixels of a plane as fractions of its mean intensity, at least 0.
+
+        Parameters
+        ----------
+        index
+            Index of the plane from 0.
+        shape
+            Number of pixels along y and x.
+
+        Returns
+        -------
+        ndarray or None
+            Shape (ny, nx); None without a background.
+        """
+        fraction = self.background(index)
+        slopes = _value_at(self.plane_background_slopes, index, (0.0, 0.0))
+        if not (fraction or any(slopes)):
+            return None
+        result = np.full(shape, fraction)
+        for slope, orders in zip(slopes, SLOPE_ORDERS, strict=True):
+            result += slope * light_mode(orders, shape)
+        return np.maximum(result, 0.0)
 
 
 AS_DESIGNED = SystemState()

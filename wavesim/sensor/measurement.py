@@ -44,6 +44,8 @@ class Measurement:
         Background intensity on each pixel, in the unit of the squared amplitude.
     tilt_deg : (x, y)
         Tilt of the sensor about its centre, see :class:`wavesim.SystemState`.
+    blur_mm : float
+        Standard deviation of the blur along x and y, such as by vibration. It is equal on all planes.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class Measurement:
     shift_mm: tuple[float, float] = (0.0, 0.0)
     background: Array | None = None
     tilt_deg: tuple[float, float] = (0.0, 0.0)
+    blur_mm: float = 0.0
 
     @property
     def known(self) -> NDArray[np.bool_] | None:
@@ -78,10 +81,10 @@ def placed_planes(nominal: Sequence[Measurement], state: SystemState) -> list[Me
 
 
 def _placed_plane(plane: Measurement, state: SystemState, index: int) -> Measurement:
-    fraction, background = state.background(index), None
-    if fraction:
+    background = state.background_on(index, plane.amplitude.shape)
+    if background is not None:
         mean = np.mean(np.square(plane.amplitude), dtype=float)
-        background = np.full_like(plane.amplitude, fraction * mean)
+        background = (mean * background).astype(plane.amplitude.dtype)
     pose = state.sensor_pose(index)
     return replace(
         plane,
@@ -89,6 +92,7 @@ def _placed_plane(plane: Measurement, state: SystemState, index: int) -> Measure
         shift_mm=pose.shift_mm,
         tilt_deg=pose.tilt_deg,
         background=background,
+        blur_mm=1e-3 * state.vibration_um,
     )
 
 

@@ -36,6 +36,8 @@ class PixelLight:
         Linear fill factor of a pixel (0 to 1).
     scratch : Scratch, optional
         Storage of the light; default: memory.
+    blur_pixels : float
+        Standard deviation of a blur along x and y, in pixels, such as by vibration.
 
     Attributes
     ----------
@@ -50,8 +52,9 @@ class PixelLight:
         oversampling: int,
         fill_factor: float,
         scratch: Scratch | None = None,
+        blur_pixels: float = 0.0,
     ) -> None:
-        self._oversampling, self._fill_factor = oversampling, fill_factor
+        self._oversampling, self._fill_factor, self._blur_pixels = oversampling, fill_factor, blur_pixels
         across, down = sensor.pixels
         self._shape = (down, across)
         self._dtype = np.float32 if np.dtype(dtype) == np.complex64 else np.float64
@@ -73,7 +76,7 @@ class PixelLight:
         for block in row_blocks(len(values)):
             intensity = np.abs(values[block]).astype(float) ** 2
             self.caught += float(intensity.sum())
-            means = means_over_pixels(intensity, self._oversampling, self._fill_factor)
+            means = self._means_along_rows(intensity)
             self._across[rows.start + block.start : rows.start + block.stop] = means
 
     def means(self) -> Array:
@@ -81,13 +84,17 @@ class PixelLight:
         means = np.empty(self._shape, self._dtype)
         for columns in row_blocks(self._shape[1]):
             lines = self._across[:, columns].T.astype(float)
-            means[:, columns] = means_over_pixels(lines, self._oversampling, self._fill_factor).T
+            means[:, columns] = self._means_along_rows(lines).T
         # Rounding and clipped edges can make means of a non-negative function slightly negative.
         return np.maximum(means, 0.0, out=means)
 
+    def _means_along_rows(self, fine: Array) -> Array:
+        return means_over_pixels(fine, self._oversampling, self._fill_factor, self._blur_pixels)
 
-def means_over_pixels(fine: Array, oversampling: int, fill_factor: float) -> Array:
-    """Return means over pixels along the last axis: a cosine series times the transfer function of a pixel.
+
+def means_over_pixels(fine: Array, oversampling: int, fill_factor: float, blur_pixels: float = 0.0) -> Array:
+    """Return means over pixels along the last axis: a cosine series times the transfer function of a pixel
+    and of a blur.
 
     The cosine series continues the light by reflection at the window's borders, so that nothing wraps around.
     Sampled at the pixel centres, orders above the number of pixels are aliases of lower ones and are added.
@@ -95,8 +102,9 @@ def means_over_pixels(fine: Array, oversampling: int, fill_factor: float) -> Arr
     if oversampling == 1:
         return fine
     pixels = fine.shape[-1] // oversampling
-    order = np.arange(fine.shape[-1])
-    series = scipy.fft.dct(fine, axis=-1) * np.sinc(0.5 * fill_factor * order / pixels)
+    cycles = 0.5 * np.arange(fine.shape[-1]) / pixels
+    transfer = np.sinc(fill_factor * cycles) * np.exp(-2.0 * (np.pi * blur_pixels * cycles) ** 2)
+    series = scipy.fft.dct(fine, axis=-1) * transfer
     folded = np.zeros((*fine.shape[:-1], pixels))
     for part in range(oversampling):
         block = series[..., part * pixels : (part + 1) * pixels]

@@ -175,7 +175,7 @@ def image_patch(
     for index, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
         fraction_beyond = beyond if index == 0 else fraction_beyond
         frames += frames_of_light(
-            _with_background(intensity, recording.state.background(index)),
+            _with_background(intensity, recording.state.background_on(index, intensity.shape)),
             sensor,
             recording.plane_distances_mm[index],
             behind_object.wavelength_um,
@@ -222,11 +222,12 @@ def imaging_bytes(
     return in_memory(held + bands + light_on_pixels) + movable(light_on_rows) + files
 
 
-def _with_background(intensity: Array, fraction: float) -> Array:
-    """Add a uniform background that makes up a fraction of the total light."""
-    if not fraction:
+def _with_background(intensity: Array, fractions: Array | None) -> Array:
+    """Add a background that makes up fractions of the mean of the total light."""
+    if fractions is None:
         return intensity
-    return np.asarray(intensity + float(intensity.mean()) * fraction / (1.0 - fraction))
+    total = float(intensity.mean()) / (1.0 - float(fractions.mean()))
+    return np.asarray(intensity + total * fractions, intensity.dtype)
 
 
 def _light_through_free_space(
@@ -245,7 +246,13 @@ def _light_through_free_space(
         if index == 0:
             limit = 500.0 / sensor.pixel_pitch_um
             fraction_beyond = spectrum_support(field.values, field.grid.pitch_mm, limit).fraction_beyond
-        intensity = light_on_pixels(field, sensor, fill_factor=fill_factor, oversampling=OVERSAMPLING)
+        intensity = light_on_pixels(
+            field,
+            sensor,
+            fill_factor=fill_factor,
+            oversampling=OVERSAMPLING,
+            blur_um=recording.state.vibration_um,
+        )
         del field  # frees memory for the field of the next plane
         yield intensity, fraction_beyond
 
@@ -264,6 +271,7 @@ def _light_of_tiles(
 ) -> Iterator[tuple[Array, float]]:
     """Yield light and fraction beyond the Nyquist limit for each plane, with one tiled engine per plane."""
     scene, fill_factor = engine.scene, recording.electronics.fill_factor
+    blur_pixels = recording.state.vibration_um / sensor.pixel_pitch_um
     for index, window in enumerate(windows):
         plane_scene = replace(scene, exit_grid=_plane_grid(scene.lens, window, index, recording))
         plane_engine = engine if plane_scene.exit_grid == scene.exit_grid else make(plane_scene)
@@ -272,7 +280,7 @@ def _light_of_tiles(
             plane_engine,
             behind_object,
             sensor,
-            PixelLight(sensor, np.complex64, OVERSAMPLING, fill_factor, scratch),
+            PixelLight(sensor, np.complex64, OVERSAMPLING, fill_factor, scratch, blur_pixels),
             _tile_results(folder, index, plane_engine, behind_object),
             partial(report_progress, f"plane {index + 1}"),
         )

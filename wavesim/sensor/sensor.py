@@ -77,6 +77,7 @@ def light_on_pixels(
     oversampling: int = 2,
     stage_error_mm: float = 0.0,
     shift_um: tuple[float, float] = (0.0, 0.0),
+    blur_um: float = 0.0,
 ) -> Array:
     """Return the mean intensity |u|^2 on each pixel's photosensitive square.
 
@@ -98,6 +99,8 @@ def light_on_pixels(
         Distance of the sensor from the field's plane, positive away from the lens.
     shift_um : (x, y)
         Position of the sensor's centre relative to the axis.
+    blur_um
+        Standard deviation of a blur along x and y, such as by vibration.
 
     Returns
     -------
@@ -121,8 +124,10 @@ def light_on_pixels(
         raise InputError("a sensor records a plane: the field lies on a meridional line")
     if not 0.0 <= fill_factor <= 1.0:
         raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 1")
-    if fill_factor > 0.0 and oversampling < 2:
+    if (fill_factor > 0.0 or blur_um > 0.0) and oversampling < 2:
         raise InputError(f"oversampling = {oversampling!r}: must be 2 or more for pixels that are not points")
+    if not 0.0 <= blur_um < math.inf:
+        raise InputError(f"blur_um = {blur_um!r}: must be finite, and 0 or above")
     if not all(math.isfinite(value) for value in (stage_error_mm, *shift_um)):
         raise InputError(f"stage_error_mm = {stage_error_mm!r}, shift_um = {shift_um!r}: must be finite")
     total = field.energy
@@ -136,7 +141,8 @@ def light_on_pixels(
         field = Field(grid, field.values[part], field.wavelength_um, field.index)
     elif field.grid != grid:
         field = propagate(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
-    light = PixelLight(sensor, field.values.dtype, oversampling, fill_factor)
+    blur_pixels = blur_um / sensor.pixel_pitch_um
+    light = PixelLight(sensor, field.values.dtype, oversampling, fill_factor, blur_pixels=blur_pixels)
     light.add(slice(0, len(field.values)), np.asarray(field.values))
     warn_of_footprint(light.caught * grid.cell, total, sensor)
     return light.means()

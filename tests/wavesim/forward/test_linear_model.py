@@ -38,9 +38,11 @@ def linear(
     changed: dict | None = None,
     transmission: np.ndarray | None = None,
     tilt_deg: tuple[float, float] = (0.0, 0.0),
+    blur_mm: float = 0.0,
 ) -> LinearModel:
     engine, lit, planes, now = parts
-    planes = [replace(p, tilt_deg=tilt_deg) for p in (planes[0], replace(planes[1], **(changed or {})))]
+    both = planes[0], replace(planes[1], **(changed or {}))
+    planes = [replace(p, tilt_deg=tilt_deg, blur_mm=blur_mm) for p in both]
     model = ForwardModel(engine, lit, planes, None, 1.0)
     return LinearModel(model, now if transmission is None else transmission, True)
 
@@ -76,6 +78,13 @@ def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
             1e-2,
         ),
     }
+    pitch_mm = parts[0].scene.exit_grid.pitch_mm
+    variance_um2 = 1e6 * (0.02 * pitch_mm) ** 2
+    cases["blur"] = (
+        here.amplitude_changes(seen.by_blur()),
+        linear(parts, blur_mm=0.02 * pitch_mm),
+        variance_um2,
+    )
     for name, (slope, there, step) in cases.items():
         found = here.without_scale((here.residual - there.residual) / step)
         assert np.linalg.norm(found - slope) < 0.05 * np.linalg.norm(slope), name
@@ -87,6 +96,14 @@ def test_a_background_adds_its_share_of_the_mean(parts: tuple) -> None:
     here, there = linear(parts), linear(parts, changed={"background": plane.background + 1e-3 * mean})
     found = here.without_scale((here.residual - there.residual) / 1e-3)
     assert np.linalg.norm(found - here.jacobian_times_background(1)) < 0.05 * np.linalg.norm(found)
+
+
+def test_an_uneven_background_adds_a_slope(parts: tuple) -> None:
+    plane = parts[2][1]
+    rising = 1e-3 * float(np.mean(plane.amplitude**2)) * np.linspace(-1.0, 1.0, plane.amplitude.shape[1])
+    here, there = linear(parts), linear(parts, changed={"background": plane.background + rising})
+    found = here.without_scale((here.residual - there.residual) / 1e-3)
+    assert np.linalg.norm(found - here.jacobian_times_background(1, (1, 0))) < 0.08 * np.linalg.norm(found)
 
 
 GRID = Grid((48, 40), 3.2e-3, 1.0)

@@ -262,3 +262,18 @@ def test_one_pass_does_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) ->
     alone = found()
     assert several[0] == alone[0]
     np.testing.assert_array_equal(several[1], alone[1])
+
+
+@pytest.mark.parametrize("fill_factor", [0.0, 0.8])
+def test_a_blurred_picture_is_that_of_a_sensor_that_vibrates(fill_factor: float) -> None:
+    """Against the cosine series of simulated pixels, which has the exact transfer function."""
+    light, blur = field(), 0.3
+    sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
+    blur_um = 1e3 * blur * PITCH
+    expected = light_on_pixels(light, sensor, fill_factor=fill_factor, oversampling=4, blur_um=blur_um)
+    pixels = PixelMeans(GRID, fill_factor, blur)
+    identity = TransferFunction(GRID, 0.532, 0.0, np.complex128)
+    found = pixels.intensity(pixels.propagate(np.fft.fft2(light.values), identity))
+    sharp = light_on_pixels(light, sensor, fill_factor=fill_factor, oversampling=4)
+    assert np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected)
+    assert np.linalg.norm(sharp - expected) > 0.1 * np.linalg.norm(expected)

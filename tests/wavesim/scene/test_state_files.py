@@ -50,6 +50,8 @@ states = st.builds(
     light=st.builds(LightErrors, pairs, modes, modes),
     plane_shifts_um=st.lists(pairs, max_size=3).map(tuple),
     plane_backgrounds=fractions,
+    plane_background_slopes=st.lists(pairs, max_size=3).map(tuple),
+    vibration_um=st.floats(0.0, 5.0),
     source=st.builds(Source, st.floats(0.0, 5.0), st.floats(0.0, 50.0)),
 )
 

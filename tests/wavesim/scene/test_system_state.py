@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
@@ -64,9 +65,24 @@ def test_planes_beyond_the_lists_have_the_shift_of_the_sensor_and_no_background(
         {"plane_distance_errors_mm": (math.inf,)},
         {"plane_shifts_um": ((math.inf, 0.0),)},
         {"plane_backgrounds": (-0.1,)},
+        {"plane_background_slopes": ((0.0, math.nan),)},
+        {"vibration_um": -0.1},
     ],
 )
 def test_what_is_no_place_is_refused(wrong: dict[str, Any]) -> None:
     (name,) = wrong
     with pytest.raises(InputError, match=name):
         SystemState(**wrong)
+
+
+def test_a_background_changes_evenly_from_the_centre_to_the_edges() -> None:
+    state = SystemState(plane_backgrounds=(0.0, 0.02), plane_background_slopes=((0.01, -0.004),) * 2)
+    shares = state.background_on(1, (51, 101))
+    assert shares is not None
+    x, y = (np.arange(n) - 0.5 * (n - 1) for n in (101, 51))
+    expected = 0.02 + 0.01 * x / 50.5 - 0.004 * (y / 25.5)[:, None]
+    assert shares == pytest.approx(expected, abs=1e-12)
+    first = state.background_on(0, (51, 101))
+    assert first is not None
+    assert first.min() == 0.0
+    assert state.background_on(2, (51, 101)) is None

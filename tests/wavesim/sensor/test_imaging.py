@@ -113,6 +113,40 @@ def test_a_background_is_a_share_of_what_a_plane_records() -> None:
     assert extra.std() < 0.1 * extra.mean()
 
 
+def test_a_background_may_be_uneven() -> None:
+    slopes = (0.04, -0.02)
+    even, uneven = (
+        pictures(seen(plane_background=(0.1,), background_slope=pairs, **FINE))[1]
+        for pairs in ((), ((0.0, 0.0), slopes))
+    )
+    extra = (uneven - even) / even.mean()
+    across, down = (
+        np.polyfit(np.linspace(-1.0, 1.0, even.shape[1 - axis]), extra.mean(axis=axis), 1)[0]
+        for axis in (0, 1)
+    )
+    assert (across, down) == pytest.approx(slopes, rel=0.05)
+
+
+def test_vibration_blurs_as_a_normal_distribution() -> None:
+    """The spectrum of the picture falls as exp(-2 (pi s f)^2) for the standard deviation s."""
+    pitch_um, vibration_um = LENS.sensor.pixel_pitch_um, 1.5
+    sharp, blurred = (pictures(seen(vibration_um=um, **FINE))[1] for um in (0.0, vibration_um))
+    assert blurred.sum() == pytest.approx(sharp.sum(), rel=1e-3)
+    cycles = np.hypot(np.fft.fftfreq(sharp.shape[0])[:, None], np.fft.fftfreq(sharp.shape[1])) / pitch_um
+    spectra = [
+        np.fft.fft2(picture * np.outer(*map(np.hanning, picture.shape))) for picture in (sharp, blurred)
+    ]
+    # Waves of 8 to 20 pixels, which no aliases reach.
+    some = (cycles > 1.0 / (20.0 * pitch_um)) & (cycles < 1.0 / (8.0 * pitch_um))
+    expected = np.exp(-2.0 * (np.pi * vibration_um * cycles[some]) ** 2)
+    found = np.vdot(spectra[0][some] * expected, spectra[1][some]) / np.vdot(
+        spectra[0][some] * expected, spectra[0][some] * expected
+    )
+    assert found.real == pytest.approx(1.0, abs=0.02)
+    ratio = np.linalg.norm(spectra[1][some] - spectra[0][some] * expected) / np.linalg.norm(spectra[1][some])
+    assert ratio < 0.1
+
+
 def test_a_wide_source_adds_intensities_of_tilted_light(nominal: Imaged) -> None:
     """As much light as before, but neither the coherent picture nor that of one direction."""
     wide = pictures(seen(source_deg=1.0))[1]

@@ -29,7 +29,13 @@ from wavesim.calibration.joint.perturbed_tiles import (
     exit_field_changes_by_rays,
     path_slopes,
 )
-from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
+from wavesim.calibration.parameters import (
+    SENSOR_TILTS,
+    VIBRATION,
+    Parameter,
+    Unknowns,
+    light_orders,
+)
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
@@ -37,7 +43,7 @@ from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, Lin
 from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.scene.scene import Scene, placed_light, placed_scene
-from wavesim.scene.system_state import SystemState
+from wavesim.scene.system_state import SLOPE_ORDERS, SystemState
 from wavesim.sensor.frame_sets import frames_by_plane
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, placed_planes
@@ -143,8 +149,10 @@ class CalibrationPixels(ABC):
                     mode_fields[orders] = linear.exit_field_change_of_light(mode)
                 mode_factor = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
                 result[n] = linear.jacobian_times_exit_field(mode_factor * mode_fields[orders])
-            elif parameter.name.endswith("_background"):
-                result[n] = linear.jacobian_times_background(plane_index_of(parameter))
+            elif "_background" in parameter.name:
+                _, _, axis = parameter.name.partition("_background_slope_")
+                orders = SLOPE_ORDERS["xy".index(axis)] if axis else (0, 0)
+                result[n] = linear.jacobian_times_background(plane_index_of(parameter), orders)
             else:
                 result[n] = self._camera_column(linear, parameter)
         return result
@@ -237,6 +245,8 @@ class DensePixels(CalibrationPixels):
         assert isinstance(measurement, FreeSpaceMeasurement)
         if name in SENSOR_TILTS:
             return linear.amplitude_changes(measurement.by_tilt(SENSOR_TILTS.index(name)))
+        if name == VIBRATION:
+            return linear.amplitude_changes(measurement.by_blur())
         plane = plane_index_of(parameter)
         if name.startswith("plane_distance"):
             return linear.amplitude_change_on_plane(plane, measurement.by_distance(plane))
@@ -319,7 +329,7 @@ class SparsePixels(CalibrationPixels):
         return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
-        return parameter.group != "light" and not parameter.name.endswith("_background")
+        return parameter.group != "light" and "_background" not in parameter.name
 
     def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
         assert isinstance(engine, TilesToPlanes)

@@ -77,7 +77,7 @@ class Change(NamedTuple):
     ----------
     cause, description : str
         Cause, and its description for the user.
-    engine, light, recorded, fill_factor
+    engine, light, recorded
         Arguments of :func:`wavesim.reconstruct` with the change.
     source : Source
         Source of the light with the change.
@@ -88,7 +88,6 @@ class Change(NamedTuple):
     engine: Engine
     light: Field
     recorded: Sequence[Measurement]
-    fill_factor: float
     source: Source
 
 
@@ -157,7 +156,6 @@ class CauseTrials:
         engine: Engine | None = None,
         light: Field | None = None,
         recorded: Sequence[Measurement] | None = None,
-        fill_factor: float | None = None,
         source: Source | None = None,
     ) -> Change:
         return Change(
@@ -166,7 +164,6 @@ class CauseTrials:
             engine or self.engine,
             light or self.light,
             recorded or self.recorded,
-            self.fill_factor if fill_factor is None else fill_factor,
             source or self.source,
         )
 
@@ -181,7 +178,7 @@ class CauseTrials:
             tv_weight=self.tv_weight,
             iterations=iterations,
             scale=self.scale,
-            fill_factor=change.fill_factor,
+            fill_factor=self.fill_factor,
             modes=modes_on(self.light, change.source),
         )
 
@@ -235,13 +232,12 @@ class CauseTrials:
             if not self.source.bandwidth_nm:
                 words = "light with a bandwidth of {:.2g} nm"
                 yield from self._sources("bandwidth", words, "bandwidth_nm", coherent_nm)
-        if not self.fill_factor:
-            return
         pitch_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
         for blur in BLURS_PIXELS:
-            width = math.sqrt(self.fill_factor**2 + 12.0 * blur**2)
             description = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
-            yield self._trial(self._change("vibration", description, fill_factor=width))
+            blur_mm = math.hypot(self.recorded[0].blur_mm, 1e-3 * blur * pitch_um)
+            planes = [replace(plane, blur_mm=blur_mm) for plane in self.recorded]
+            yield self._trial(self._change("vibration", description, recorded=planes))
 
     def _sources(
         self, cause: str, words: str, name: str, unit_of: Callable[[Field], float]

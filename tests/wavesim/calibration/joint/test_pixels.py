@@ -87,6 +87,7 @@ def test_the_way_back_is_the_adjoint(seen: tuple) -> None:
         "working_distance_mm",
         "light_phase_20_waves",
         "plane_2_background",
+        "plane_2_background_slope_y",
     ],
 )
 def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None:

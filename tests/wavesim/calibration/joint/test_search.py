@@ -31,6 +31,7 @@ TRUE = {
     "plane_2_shift_x_um": 1.5,
     "plane_distance_2_mm": 4e-3,
     "surface_1_index": 1e-3,
+    "vibration_variance_um2": 0.5,
 }
 BACKGROUND = 0.01
 
