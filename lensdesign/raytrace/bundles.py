@@ -29,7 +29,8 @@ class PupilSamples:
     points : ndarray, shape (n, 2)
         x and y inside the unit disc.
     weights : ndarray, shape (n,)
-        Quadrature weights with the sum 1. The mean over a uniformly filled stop is ``sum(weights * values)``.
+        Quadrature weights with the sum 1. The mean over the uniformly filled stop (for a fan, over its line)
+        is ``sum(weights * values)``.
     """
 
     points: Array
@@ -254,7 +255,10 @@ def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, x
 
 
 def directions_of(cosines: Array) -> Array:
-    """Return unit vectors with transverse cosines, which are reduced to a real ray if they are too large."""
+    """Return unit vectors with the direction cosines L and M.
+
+    Where L^2 + M^2 exceeds 0.999, both are reduced to this limit, so that N is real.
+    """
     square = np.sum(cosines * cosines, axis=-1, keepdims=True)
     scale = np.where(square < 0.999, 1.0, np.sqrt(0.999 / np.maximum(square, 1e-300)))
     cosines = cosines * scale

@@ -19,7 +19,7 @@ from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.parameters import Unknowns, all_names
+from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
@@ -125,9 +125,16 @@ class Calibrated:
 
     @property
     def changed_parameters(self) -> tuple[str, ...]:
-        """Parameters, except backgrounds, in which the bench differs from the design."""
+        """Parameters of optics and positions in which the bench differs from the design.
+
+        Backgrounds and vibration are left out: they displace nothing.
+        """
         applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
-        return tuple(name for name, value in applied.items() if value and not name.endswith("_background"))
+        return tuple(
+            name
+            for name, value in applied.items()
+            if value and "_background" not in name and name != VIBRATION
+        )
 
     @property
     def stop_warning(self) -> str:

@@ -111,7 +111,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
         notes = ["at the limit of the search range"] * (name in found.at_reach)
-        notes += ["undetermined"] * (name in found.poorly_determined)
+        notes += ["poorly determined"] * (name in found.poorly_determined)
         notes += ["not needed, kept nominal"] * (name in found.nominal)
         notes += [f"correlated with {', '.join(found.correlated_with.get(name, ()))}"] * (
             name in found.correlated_with
@@ -121,9 +121,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     print_table(("deviation from the design",), heads, rows, notes="")
     if found.undetermined:
         print(
-            "undetermined, kept nominal: "
-            + ", ".join(found.undetermined)
-            + ": a complex object can have the "
+            "not sought, kept nominal: " + ", ".join(found.undetermined) + ": a complex object can have the "
             "same effect as these errors of the light; for an object without phase, use --kind amplitude"
         )
     noise = summary["misfit_of_noise"]

@@ -1,4 +1,4 @@
-"""Folders of results, whose files change together at the end."""
+"""Folders of results: files are written to a temporary folder, and moved one by one at the end."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def remove_unfinished(folder: Path) -> None:
 def new_results(folder: Path) -> Iterator[Path]:
     """Yield an empty folder to write to, and move its files to `folder` at the end.
 
-    A failure leaves `folder` unchanged. Other files in it remain in any case.
+    A failure before the end leaves `folder` unchanged. Each file is replaced at once. Other files in `folder`
+    remain in any case.
 
     Parameters
     ----------
@@ -92,7 +93,10 @@ def write_json(data: Mapping[str, Any], path: Path) -> None:
 
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write a table with the keys of the first row as columns; a spreadsheet reads no text as a formula."""
+    """Write a table with the keys of the first row as columns.
+
+    Text that a spreadsheet would take for a formula is escaped.
+    """
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()

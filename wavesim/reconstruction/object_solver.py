@@ -90,11 +90,11 @@ class Reconstructed:
         For each plane, modelled less measured amplitude, in the unit of the measured amplitude.
     scale : float
         Measured amplitude per unit of the modelled amplitude.
-    stopped_because : {"noise", "rest", "iterations"}
+    stopped_because : {"noise", "converged", "iterations"}
         Reason for the end of the iterations.
 
         - "noise": the misfit has reached the value that noise alone leaves (discrepancy principle).
-        - "rest": the misfit has converged.
+        - "converged": the misfit has converged.
         - "iterations": all iterations were used.
     """
 

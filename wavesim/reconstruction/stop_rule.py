@@ -1,8 +1,9 @@
 """Rule by which the iterations of the object solver end: at the noise, or where the misfit has converged.
 
 Iterations end at the noise once the misfit is no more than `AT_NOISE` times that of noise alone (discrepancy
-principle), and hardly falls any more. Slowly converging parts, such as smooth phase, still
-improve there as long as the misfit falls.
+principle), and hardly falls any more. Slowly converging parts, such as smooth phase, still improve there as
+long as the misfit falls. The solver may then continue with a smaller weight of the total variation
+(:func:`wavesim.reconstruct`).
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from typing import Literal
 
 import numpy as np
 
-Stop = Literal["noise", "rest", "iterations"]
+Stop = Literal["noise", "converged", "iterations"]
 
 STOPPED: dict[Stop, str] = {
     "noise": "; stopped because the misfit reached the noise",
-    "rest": "; stopped because the misfit converged",
+    "converged": "; stopped because the misfit converged",
     "iterations": "",
 }
 """Text that describes each reason for the end of the iterations."""
@@ -27,9 +28,9 @@ AT_NOISE, FAR = 1.01, 1.2
 from it.
 """
 
-EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
-"""Convergence: over `EARLY` iterations (`NEAR_EARLY` near the noise, `AT_NOISE_EARLY` at the noise) the
-misfit falls by less than the fraction `EARLY_GAIN`. At the noise, iterations also end where all further
+SPAN, SPAN_NEAR_NOISE, SPAN_AT_NOISE, TOLERANCE = 5, 2, 1, 1e-3
+"""Convergence: over `SPAN` iterations (`SPAN_NEAR_NOISE` near the noise, `SPAN_AT_NOISE` at the noise) the
+misfit changes by less than the fraction `TOLERANCE`. At the noise, iterations also end where all further
 iterations together are expected to change the misfit by less than that.
 """
 
@@ -47,15 +48,15 @@ def stop_reason(misfits: Sequence[float], noise: float | None) -> Stop | None:
     if not misfits:
         return None
     over = misfits[-1] / noise if noise else math.inf
-    if over <= AT_NOISE and (_is_converged(misfits, AT_NOISE_EARLY) or expected_change(misfits) < EARLY_GAIN):
+    if over <= AT_NOISE and (_is_converged(misfits, SPAN_AT_NOISE) or expected_change(misfits) < TOLERANCE):
         return "noise"
-    rests = len(misfits) > EARLY and _is_converged(misfits, NEAR_EARLY if over <= FAR else EARLY)
-    return "rest" if rests else None
+    span = SPAN_NEAR_NOISE if over <= FAR else SPAN
+    return "converged" if len(misfits) > SPAN and _is_converged(misfits, span) else None
 
 
 def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
     """Return whether the misfit hardly changed over the last iterations."""
-    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
+    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < TOLERANCE
 
 
 def expected_change(misfits: Sequence[float]) -> float:

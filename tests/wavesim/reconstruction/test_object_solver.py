@@ -18,7 +18,7 @@ from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.pixel_means import PixelMeans
 from wavesim.reconstruction import object_solver
 from wavesim.reconstruction.object_solver import SolverState, reconstruct
-from wavesim.reconstruction.stop_rule import AT_NOISE, EARLY_GAIN, STOPPED, expected_change
+from wavesim.reconstruction.stop_rule import AT_NOISE, STOPPED, TOLERANCE, expected_change
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -175,7 +175,7 @@ def test_progress_and_early_stop(case: Case) -> None:
         progress=lambda k, _: calls.append(k),
     )
     assert calls == list(range(len(found.misfit)))
-    assert found.stopped_because == "rest"
+    assert found.stopped_because == "converged"
     assert len(found.misfit) < 60
 
 
@@ -330,7 +330,7 @@ def test_it_ends_at_the_noise(case: Case) -> None:
     assert found.stopped_because == "noise"
     falls = -np.diff(found.misfit) / found.misfit[1:]
     assert found.misfit[-1] <= AT_NOISE * noise < found.misfit[2]
-    assert falls[-1] < EARLY_GAIN <= falls[:-1].min()
+    assert falls[-1] < TOLERANCE <= falls[:-1].min()
     assert whole.misfit[: len(found.misfit)] == found.misfit
     assert len(whole.misfit) > len(found.misfit)
     assert score(case, found.transmission) > 0.998
@@ -381,7 +381,7 @@ def test_the_total_variation_of_a_complex_object_stays(case: Case, monkeypatch: 
         start="amplitude",
         keep=states.append,
     )
-    assert found.stopped_because == "rest"
+    assert found.stopped_because == "converged"
     assert 1.0 < found.misfit[-1] / noise_misfit(recorded) < object_solver.LARGEST_BIAS
     assert {state.tv_factor for state in states} == {1.0}
 
@@ -401,7 +401,7 @@ def test_the_total_variation_stays_where_the_misfit_has_another_cause(case: Case
         scale=1.0,
         keep=states.append,
     )
-    assert found.stopped_because == "rest"
+    assert found.stopped_because == "converged"
     assert states[-1].tv_factor == 1.0
 
 
@@ -414,10 +414,10 @@ def test_it_ends_at_the_noise_where_all_that_is_to_come_would_change_nothing(cas
     )
     assert found.stopped_because == "noise"
     falls = -np.diff(found.misfit) / found.misfit[1:]
-    assert falls[-1] > 1.5 * EARLY_GAIN
+    assert falls[-1] > 1.5 * TOLERANCE
     to_come = found.misfit[-1] - np.array(whole.misfit[len(found.misfit) :])
     assert len(to_come) > 3
-    assert np.abs(to_come).max() < EARLY_GAIN * found.misfit[-1]
+    assert np.abs(to_come).max() < TOLERANCE * found.misfit[-1]
     assert score(case, found.transmission) > score(case, whole.transmission) - 1e-4
 
 
@@ -426,7 +426,7 @@ def test_a_single_small_change_ends_nothing() -> None:
     falls = [0.58, 0.121, 0.012, 0.0047, 0.003]
     misfits = [2.0 - sum(falls[:n]) for n in range(len(falls) + 1)]
     for n in range(len(misfits) + 1):
-        assert expected_change(misfits[:n]) > 2.0 * EARLY_GAIN
+        assert expected_change(misfits[:n]) > 2.0 * TOLERANCE
     assert expected_change([2.0, 1.8, 1.7, 1.65]) == pytest.approx(0.05 / 1.65)  # 1/2 + 1/4 + ... of it
 
 

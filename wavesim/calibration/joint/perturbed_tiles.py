@@ -1,9 +1,10 @@
 """Eikonal tiles of a lens or sensor pose that differs slightly from that of given tiles.
 
-The optical path of a ray is stationary. To first order, a change of the lens changes the path from an object
-point to a sensor point by the path difference of the changed lens's rays, and by nothing else. The field of
-a tile is multiplied by the phasor of this change at the tile's center. Away from the center, the path
-changes by the change of the direction in which rays leave the object, times the distance from the center.
+By Fermat's principle the path between two points need not be recomputed: to first order, a change of the lens
+changes the path from an object point to a sensor point by the path difference along the rays of the changed
+lens. The field of a tile is multiplied by the phasor of this change at the tile's center. Away from the
+center, the path changes by the change of the direction in which rays leave the object, times the distance
+from the center.
 
 The same holds for a sensor that is slightly off the grid of the tiles. This takes a hundredth of the time of
 new tiles. Amplitudes, and the path of a tile beyond its first order, stay unchanged.
@@ -32,7 +33,7 @@ from wavesim.scene.engine import Cost, Engine, ErrorTerm, Operator
 from wavesim.scene.scene import Scene
 from wavesim.scene.system_state import SensorPose
 
-ON_GRID = SensorPose()
+NOMINAL_SENSOR = SensorPose()
 
 
 def ray_changes(
@@ -40,7 +41,7 @@ def ray_changes(
     tile: Tile,
     carrier: RayMap,
     grid: Grid,
-    sensor_pose: SensorPose = ON_GRID,
+    sensor_pose: SensorPose = NOMINAL_SENSOR,
     removed: SmoothMap | None = None,
 ) -> SmoothMap:
     """Return how the rays of a changed scene differ from those of a tile.
@@ -87,7 +88,7 @@ def ray_changes(
 
 def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPose) -> tuple[Array, Array]:
     """Return where rays meet the sensor, (y, x) in mm about the grid's center, and their paths in mm."""
-    if sensor_pose == ON_GRID:
+    if sensor_pose == NOMINAL_SENSOR:
         return rays.sensor_mm, rays.path_mm
     transverse = rays.slopes[:, ::-1] / index
     direction = np.column_stack([transverse, np.sqrt(1.0 - np.sum(transverse**2, axis=1))])
@@ -102,6 +103,10 @@ def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPos
 
 class PerturbedTiles(Engine):
     """Tiles that differ slightly from those of another engine.
+
+    A calibration makes them; they are not among the engines that can be chosen. Cost and error terms are
+    those of the reference. Terms beyond the first order of the change are not included, so that changes must
+    be small.
 
     Parameters
     ----------
@@ -118,13 +123,16 @@ class PerturbedTiles(Engine):
         If there is free space between the tiles' plane and a sensor that is off the grid.
     """
 
-    name = "turned-tiles"
+    name = "perturbed-tiles"
 
-    def __init__(self, reference: EikonalTiles, scene: Scene, sensor_pose: SensorPose = ON_GRID) -> None:
+    def __init__(
+        self, reference: EikonalTiles, scene: Scene, sensor_pose: SensorPose = NOMINAL_SENSOR
+    ) -> None:
         super().__init__(scene)
-        if sensor_pose != ON_GRID and reference.plane.beyond is not None:
+        if sensor_pose != NOMINAL_SENSOR and reference.plane.beyond is not None:
             raise InputError(
-                f"tiles of a sensor displaced by {sensor_pose}: there must be no free space before the sensor"
+                f"sensor displaced by {sensor_pose}: needs tiles that end on the sensor plane; these end "
+                "before it"
             )
         self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
         self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
@@ -182,7 +190,7 @@ class PerturbedScene(NamedTuple):
 
     scene: Scene
     step: float
-    sensor_pose: SensorPose = ON_GRID
+    sensor_pose: SensorPose = NOMINAL_SENSOR
 
 
 def path_slopes(
@@ -260,8 +268,9 @@ def exit_field_changes_by_rays(
 def exit_field_changes_by_engines(
     engine: Operator, lit: Field, perturbed: Sequence[PerturbedScene], make: Callable[[Scene], Engine]
 ) -> list[ComplexArray]:
-    """Return the same changes from finite differences of engines, which `make` makes for the changed
-    scenes.
+    """Return the changes of :func:`exit_field_changes_by_rays` by finite differences of whole engines.
+
+    `make` returns the engine of a changed scene.
     """
     now = engine.forward(lit).values
     return [
