@@ -1,7 +1,8 @@
 """Frames from benches that differ from the design: the object before and after they are calibrated.
 
-A folder holds frames, the true object (`object.npz`) and `set.json`, which names frames, patch and errors;
-the design as the lab believes it, `nominal.toml`, lies beside the folder. Without folders the set in
+A folder holds frames, the true object (`object.npz`, or `truth.npz` with `transmission` and `inside`, the
+field stop) and `set.json`, which names frames, patch, kind of object and errors. The design as the lab
+believes it, `nominal.toml` or a file of the name of the folder, lies beside it. Without folders the set in
 `tests/golden/bench` is taken. All settings are the defaults of the commands.
 """
 
@@ -17,8 +18,9 @@ import numpy as np
 from benchmarks.timing import Row, print_table
 from lensdesign import load_design
 from wavesim import calibrate_frames, read_frames, reconstruct_frames
+from wavesim.fields.field import Field
 from wavesim.scene.settings import ReconstructionSettings
-from wavesim.targets.patch import lit_patch, read_object
+from wavesim.targets.patch import Patch, lit_patch, read_object
 
 GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "golden" / "bench" / "everything"
 
@@ -31,13 +33,15 @@ def main() -> None:
 
 def _rows(folder: Path) -> list[Row]:
     about = json.loads((folder / "set.json").read_text())
-    lens = load_design(folder.parent / "nominal.toml")
+    own = folder.with_suffix(".toml")
+    lens = load_design(own if own.exists() else folder.parent / "nominal.toml")
     frames = read_frames([folder / name for name in about["files"]], lens=lens)
-    settings = ReconstructionSettings(kind="amplitude", patch_mm=about["patch_mm"])
-    true = read_object(folder, lit_patch(lens, settings)[0])
+    kind = about.get("kind", "amplitude")
+    settings = ReconstructionSettings(kind=kind, patch_mm=about["patch_mm"])
+    true = _true_object(folder, lit_patch(lens, settings)[0])
     before = reconstruct_frames(lens, frames, settings, truth=true)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = calibrate_frames(lens, frames, kind="amplitude", patch_mm=about["patch_mm"])
+    found = calibrate_frames(lens, frames, kind=kind, patch_mm=about["patch_mm"], judges=False)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.state)
     for name, value, deviation in zip(found.parameters, found.values, found.deviations or (), strict=True):
@@ -52,6 +56,15 @@ def _rows(folder: Path) -> list[Row]:
         Row("calibration", wall, "s", at_most=180.0),
         Row("calibration, processor time", cpu, "s"),
     ]
+
+
+def _true_object(folder: Path, patch: Patch) -> Field:
+    path = folder / "truth.npz"
+    if not path.exists():
+        return read_object(folder, patch)
+    with np.load(path) as stored:
+        values = stored["transmission"] * stored["inside"]
+    return Field(patch.grid, values.astype(complex), patch.wavelength_um)
 
 
 if __name__ == "__main__":
