@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,6 @@ from wavesim.forward.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.engine import Engine, Operator, Tiled
-from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, full_weight_sigma, weights_of
 
@@ -263,14 +261,10 @@ class ForwardModel:
         """Return the spectrum of each mode's field on the exit grid."""
         return [
             scipy.fft.fftn(
-                self._at_exit(transmission, self._light(mode)), workers=-1, overwrite_x=True
+                self._at_exit(transmission, mode.on(self.illumination)), workers=-1, overwrite_x=True
             ).astype(self.dtype, copy=False)
             for mode in self.modes
         ]
-
-    def _light(self, mode: SourceMode) -> Field:
-        light = LightErrors(mode.tilt_deg).on(self.illumination)
-        return replace(light, wavelength_um=mode.wavelength_um)
 
     def _intensities(self, spectra: Sequence[ComplexArray]) -> list[RealArray]:
         """Return the total intensity of all modes on each plane."""
@@ -307,7 +301,9 @@ class ForwardModel:
         result = np.zeros(self.lit.shape, self.dtype)
         for mode in self.modes:
             exit_field = scipy.fft.ifftn(totals.pop(0), workers=-1, overwrite_x=True)
-            result += self.real.type(mode.weight) * self._adjoint_to_object(exit_field, self._light(mode))
+            result += self.real.type(mode.weight) * self._adjoint_to_object(
+                exit_field, mode.on(self.illumination)
+            )
         return result, self.scale * math.sqrt(squared_misfit) / self.size
 
     def _change_of_mode(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from lensdesign.errors import InputError
+from wavesim.fields.field import Field
+from wavesim.scene.light_errors import LightErrors
 
 RINGS, ANGLES = 2, 8
 """Nodes of the quadrature over the disc of directions; exact for polynomials up to degree 7."""
@@ -26,6 +28,13 @@ class SourceMode(NamedTuple):
     weight: float
     tilt_deg: tuple[float, float]
     wavelength_um: float
+
+    def on(self, light: Field) -> Field:
+        """Return light of this direction and wavelength, given that of the middle of the source.
+
+        The weight is not applied.
+        """
+        return replace(LightErrors(self.tilt_deg).on(light), wavelength_um=self.wavelength_um)
 
 
 @dataclass(frozen=True)

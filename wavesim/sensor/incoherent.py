@@ -9,7 +9,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 from wavesim.scene.engine import Engine
-from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import Scene
 from wavesim.scene.source import SourceMode
 
@@ -18,15 +17,14 @@ def of_mode(
     engine: Engine, behind_object: Field, mode: SourceMode, make: Callable[[Scene], Engine] | None
 ) -> tuple[Engine, Field]:
     """Return engine and field behind the object for one direction and wavelength of the source."""
-    lit = LightErrors(mode.tilt_deg).on(behind_object)
+    lit = mode.on(behind_object)
     if mode.wavelength_um == behind_object.wavelength_um:
         return engine, lit
     if make is None:
         raise InputError(
             "make: missing; light of several wavelengths needs a function that makes an engine for each"
         )
-    mode_engine = make(replace(engine.scene, wavelength_um=mode.wavelength_um))
-    return mode_engine, replace(lit, wavelength_um=mode.wavelength_um)
+    return make(replace(engine.scene, wavelength_um=mode.wavelength_um)), lit
 
 
 def added_modes(

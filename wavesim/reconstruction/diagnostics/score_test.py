@@ -36,7 +36,6 @@ from wavesim.metrics.contrast import object_correlation
 from wavesim.metrics.goodness_of_fit import Undetected
 from wavesim.reconstruction.source_search import coherent_deg, coherent_nm
 from wavesim.scene.engine import Engine
-from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import Source, SourceMode
@@ -309,9 +308,10 @@ def _source_columns(linear: LinearModel, model: ForwardModel, values: NDArray[An
 def _amplitudes_of(mode: SourceMode, model: ForwardModel, values: NDArray[Any]) -> list[RealArray]:
     """Return the amplitudes of one direction and wavelength; its engine exists only meanwhile."""
     assert isinstance(model.engine, Engine)
-    light = replace(LightErrors(mode.tilt_deg).on(model.illumination), wavelength_um=mode.wavelength_um)
     engine = model.engine.at_wavelength(mode.wavelength_um)
-    return ForwardModel(engine, light, model.recorded, model.scale, model.fill_factor).amplitudes(values)
+    return ForwardModel(
+        engine, mode.on(model.illumination), model.recorded, model.scale, model.fill_factor
+    ).amplitudes(values)
 
 
 def _free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:
