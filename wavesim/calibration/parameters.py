@@ -111,12 +111,15 @@ class Parameter:
         Expected standard deviation (prior).
     usual : float, optional
         Standard deviation of a usual bench, if it differs from `typical`.
+    lower_bound : float
+        Smallest possible value; at most 0.
     """
 
     name: str
     group: Group
     typical: float
     usual: float | None = None
+    lower_bound: float = -math.inf
 
     @property
     def small(self) -> float:
@@ -162,7 +165,7 @@ def bench_parameters(
             found.append(Parameter(PLANE_DISTANCE.format(n), "camera", TYPICAL["distance"]))
         found.append(Parameter(f"plane_{n}_background", "camera", BACKGROUND))
         found += [Parameter(f"plane_{n}_background_slope_{axis}", "camera", BACKGROUND) for axis in "xy"]
-    found.append(Parameter(VIBRATION, "camera", (VIBRATION_PIXELS * pitch_um) ** 2))
+    found.append(Parameter(VIBRATION, "camera", (VIBRATION_PIXELS * pitch_um) ** 2, lower_bound=0.0))
     half_mm = 0.5e-3 * pitch_um * max(lens.sensor.pixels)
     tilt_deg = math.degrees(TYPICAL["distance"] / half_mm)
     found += [Parameter(name, "camera", tilt_deg) for name in SENSOR_TILTS]

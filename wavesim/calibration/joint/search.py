@@ -274,26 +274,42 @@ class JointSearch:
 
     def _estimate(self, fit: _BenchFit, slopes: RaySlopes | None) -> tuple[GaussNewtonStep, Array]:
         """Return the normal equations about an object, without damping, and the estimates that solve them."""
-        names, linear = [p.name for p in self.parameters], fit.linear
+        linear = fit.linear
         columns = self.pixels.columns(fit.unknowns, linear, self.parameters, slopes)
+        equations = self._undamped_equations(fit, self.parameters, columns)
+        values = fit.unknowns.of([p.name for p in self.parameters])
+        lower_bounds = np.array([p.lower_bound for p in self.parameters])
+        estimates = values + equations.solve(ESTIMATE_ITERATIONS)
+        is_free = estimates >= lower_bounds
+        if not is_free.all():  # the others have another optimum where a parameter stays at its bound
+            free = tuple(p for p, one in zip(self.parameters, is_free, strict=True) if one)
+            step = self._undamped_equations(fit, free, columns[is_free]).solve(ESTIMATE_ITERATIONS)
+            estimates = np.maximum(values, lower_bounds)
+            estimates[is_free] = values[is_free] + step
+        return equations, estimates
+
+    def _undamped_equations(
+        self, fit: _BenchFit, parameters: tuple[Parameter, ...], columns: RealArray
+    ) -> GaussNewtonStep:
+        linear = fit.linear
         # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
         variance = residual_variance(misfit, self._pixel_count)
-        typical, values = np.array([p.typical for p in self.parameters]), fit.unknowns.of(names)
+        typical = np.array([p.typical for p in parameters])
         object_is_free = self.known is None
         equations = GaussNewtonStep(
             linear,
             columns,
-            values,
+            fit.unknowns.of([p.name for p in parameters]),
             typical,
             variance,
             fit.transmission,
             object_is_free,
-            self._compensations(fit, self.parameters) if object_is_free else {},
+            self._compensations(fit, parameters) if object_is_free else {},
             linear.unbiased_residual(),
         )
         equations.damping = np.zeros_like(equations.damping)
-        return equations, values + equations.solve(ESTIMATE_ITERATIONS)
+        return equations
 
     def _verified(self, current: _BenchFit) -> _BenchFit:
         """Return the bench with tiles of its own, after as many iterations again."""
@@ -333,9 +349,14 @@ class JointSearch:
                 else columns[[parameters.index(p) for p in parameters_sought]]
             )
             equations = self._normal_equations(current, parameters_sought, sought_columns)
-            state, best = self._search_along_step(
-                state, current, reference.engine, equations, parameters_sought
-            )
+            is_free = self._is_free(current, equations, parameters_sought)
+            free = tuple(p for p, one in zip(parameters_sought, is_free, strict=True) if one)
+            if not free:
+                reason = "converged"
+                break
+            if not is_free.all():
+                equations = self._normal_equations(current, free, sought_columns[is_free])
+            state, best = self._search_along_step(state, current, reference.engine, equations, free)
             gain = 1.0 - self._price(best) / self._price(current)
             current, state = best, replace(state, unknowns=best.unknowns)
             if gain > 0.0 and self.keep is not None:
@@ -348,6 +369,14 @@ class JointSearch:
                 del columns  # only one set of columns fits in memory
                 columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
         return _StageEnd(state, current, columns, reason)
+
+    def _is_free(
+        self, current: _BenchFit, equations: GaussNewtonStep, parameters: Sequence[Parameter]
+    ) -> NDArray[np.bool_]:
+        """Return which parameters do not leave their range in the direction of descent."""
+        values = current.unknowns.of([p.name for p in parameters])
+        lower_bounds = np.array([p.lower_bound for p in parameters])
+        return np.asarray((values > lower_bounds) | (equations.descent >= 0.0))
 
     def _is_near_noise(self, current: _BenchFit) -> bool:
         """Return whether the misfit is near enough to the noise to seek all parameters."""
@@ -367,11 +396,13 @@ class JointSearch:
         # Iterations of conjugate gradients for the direction of a step.
         step_iterations = 3
         names, step, best = [p.name for p in parameters_sought], equations.solve(step_iterations), current
+        lower_bounds = [p.lower_bound for p in parameters_sought]
         line_search = LineSearch(self._price(current), -2.0 * float(equations.descent @ step), state.stretch)
         # Misfit that is assumed where the model fails.
         failed_misfit = 4.0
         while (length := line_search.next()) is not None and len(state.trail) < self.most_benches:
-            unknowns = current.unknowns.changed(names, (current.unknowns.of(names) + length * step).tolist())
+            values = np.maximum(current.unknowns.of(names) + length * step, lower_bounds)
+            unknowns = current.unknowns.changed(names, values.tolist())
             try:
                 fit = self._fit_bench(unknowns, reference)
             except TransferLensError:

@@ -17,11 +17,12 @@ from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_result import correlated_parameters, read_calibration
 from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
-from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
+from wavesim.calibration.parameters import VIBRATION, Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_light, placed_scene
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, noise_misfit, placed_planes
 
 TRUE = {
@@ -86,6 +87,28 @@ def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, result:
         found, true = result.unknowns.values[parameter.name], TRUE.get(parameter.name, BACKGROUND)
         assert abs(found - true) < 3.0 * deviation, (parameter.name, found, deviation)
     assert all(0.0 < d <= p.typical for d, p in zip(result.deviations, search.parameters, strict=True))
+
+
+def test_a_parameter_stays_within_its_range(lens: Lens) -> None:
+    """Pictures of small pixels are sharper than those of large ones, which no vibration can explain."""
+    scene, light, bars, rng = bars_under_stop()
+    blank = [Measurement(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    engine, shift = tiles(scene), SystemState(plane_shifts_um=((0.0, 0.0), (1.0, 0.0)))
+    recorded = []
+    for amplitude in ForwardModel(engine, light, placed_planes(blank, shift), 1.0, 0.5).amplitudes(bars):
+        sigma = np.full(amplitude.shape, 0.01 * float(np.sqrt(np.mean(amplitude**2))), np.float32)
+        noisy = np.maximum(amplitude + sigma * rng.standard_normal(amplitude.shape), 0.0).astype(np.float32)
+        recorded.append(Measurement(blank[len(recorded)].distance_mm, noisy, sigma))
+    parameters = chosen_parameters(f"{VIBRATION},plane_2_shift_x_um", bench_parameters(lens, 2, 0.06, 0.532))
+    pixels = DensePixels(scene, light, recorded, None, 1.0, tiles)
+    noise = noise_misfit(recorded)
+    found = JointSearch(pixels, "amplitude", parameters, 4, 8, noise, known=bars).run(
+        SearchState(Unknowns(lens))
+    )
+    by_name = dict(zip((p.name for p in parameters), found.estimates.tolist(), strict=True))
+    assert by_name[VIBRATION] == 0.0
+    assert by_name["plane_2_shift_x_um"] == pytest.approx(1.0, abs=0.1)
+    assert found.unknowns.values[VIBRATION] == 0.0
 
 
 def fit_and_count_rays(
