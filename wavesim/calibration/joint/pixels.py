@@ -320,9 +320,9 @@ class SparsePixels(CalibrationPixels):
         perturbed = [
             PerturbedTiles(own, self._scene(state, n), state.sensor_pose(n)) for n, own in enumerate(tiles)
         ]
-        # The positions of the planes are part of their scenes and sensor poses.
+        # The positions of the planes are part of their scenes and sensor poses. Points are not blurred.
         planes = [
-            replace(plane, distance_mm=0.0, shift_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0))
+            replace(plane, distance_mm=0.0, shift_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0), blur_mm=0.0)
             for plane in placed_planes(self.recorded, state)
         ]
         operator, light = TilesToPlanes(perturbed), placed_light(self.illumination, state)

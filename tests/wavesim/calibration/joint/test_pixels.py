@@ -16,6 +16,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.forward.linear_model import LinearModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import Measurement, noise_misfit
 
 BENCH = {
@@ -128,3 +129,10 @@ def test_what_is_fast_or_without_noise_stays() -> None:
     )
     slow = replace(scene, exit_grid=Grid((438, 440), 3.2e-3, 0.7))
     assert padded_to_fast_shape(slow, [Measurement(0.0, np.ones((438, 440)))])[0] is slow
+
+
+def test_points_are_not_blurred(seen: tuple) -> None:
+    lens, _, some, _ = seen
+    model = some.model(Unknowns(lens, SystemState(vibration_um=1.0), BENCH))
+    assert model.pixels is None
+    assert [plane.blur_mm for plane in model.recorded] == [0.0, 0.0]
