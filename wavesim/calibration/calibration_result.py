@@ -19,7 +19,7 @@ from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names
+from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names, background_orders
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
@@ -133,7 +133,7 @@ class Calibrated:
         return tuple(
             name
             for name, value in applied.items()
-            if value and "_background" not in name and name != VIBRATION
+            if value and background_orders(name) is None and name != VIBRATION
         )
 
     @property

@@ -25,7 +25,7 @@ from wavesim.calibration.mounting_parameters import (
     with_values,
 )
 from wavesim.scene.light_errors import Orders
-from wavesim.scene.system_state import SystemState
+from wavesim.scene.system_state import SLOPE_ORDERS, SystemState
 
 Group = Literal["light", "lens", "mounting", "camera"]
 
@@ -255,6 +255,14 @@ def light_orders(name: str) -> Orders:
     return int(match[2]), int(match[3])
 
 
+def background_orders(name: str) -> Orders | None:
+    """Return the orders of the polynomial of a plane's background that a parameter changes, or None."""
+    _, separator, slope = name.partition("_background")
+    if not separator:
+        return None
+    return SLOPE_ORDERS["xy".index(slope[-1])] if slope else (0, 0)
+
+
 def _light_parameters(patch_mm: float, wavelength_um: float, order: int) -> list[Parameter]:
     tilt_deg = math.degrees(1e-3 * LIGHT_WAVES * wavelength_um / patch_mm)
     return [
@@ -290,12 +298,12 @@ def _lens_parameters(lens: Lens, fraction: float) -> list[Parameter]:
 
 def _with_light(unknowns: Unknowns, state: SystemState) -> SystemState:
     values, light = unknowns.values, state.light
-    x, y = (values.get(f"light_tilt_{a}_deg", own) for a, own in zip("xy", light.tilt_deg, strict=True))
     modes = {"amplitude": dict(light.amplitude), "phase": dict(light.phase_waves)}
     for name, value in values.items():
         if match := LIGHT_MODE.fullmatch(name):
             modes[match[1]][light_orders(name)] = value
-    found = replace(light, tilt_deg=(x, y), amplitude=modes["amplitude"], phase_waves=modes["phase"])
+    tilt_deg = _pair(values, "light_tilt_{}_deg", light.tilt_deg)
+    found = replace(light, tilt_deg=tilt_deg, amplitude=modes["amplitude"], phase_waves=modes["phase"])
     return replace(state, light=found)
 
 
@@ -356,6 +364,6 @@ def _with_mounting(unknowns: Unknowns, state: SystemState) -> SystemState:
         for n in unknowns.values
         if n in (*RIGID, WORKING_DISTANCE) or n.startswith(PLANE_DISTANCE.split("{}")[0])
     ]
-    x, y = (unknowns.values.get(n, own) for n, own in zip(SENSOR_TILTS, state.sensor_tilt_deg, strict=True))
-    state = replace(state, sensor_tilt_deg=(x, y))
+    tilt_deg = _pair(unknowns.values, "sensor_tilt_{}_deg", state.sensor_tilt_deg)
+    state = replace(state, sensor_tilt_deg=tilt_deg)
     return with_values(state, names, unknowns.of(names).tolist()) if names else state

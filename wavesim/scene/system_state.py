@@ -170,15 +170,17 @@ class SystemState:
         Returns
         -------
         ndarray or None
-            Shape (ny, nx); None without a background.
+            Fractions whose shape broadcasts to (ny, nx); None without a background.
         """
         fraction = self.background(index)
         slopes = _value_at(self.plane_background_slopes, index, (0.0, 0.0))
         if not (fraction or any(slopes)):
             return None
-        result = np.full(shape, fraction)
-        for slope, orders in zip(slopes, SLOPE_ORDERS, strict=True):
-            result += slope * light_mode(orders, shape)
+        result = np.array([[fraction]])
+        if any(slopes):
+            (x, y), (height, width) = slopes, shape
+            across, down = SLOPE_ORDERS
+            result = result + x * light_mode(across, (1, width)) + y * light_mode(down, (height, 1))
         return np.maximum(result, 0.0)
 
 

@@ -81,10 +81,10 @@ def placed_planes(nominal: Sequence[Measurement], state: SystemState) -> list[Me
 
 
 def _placed_plane(plane: Measurement, state: SystemState, index: int) -> Measurement:
-    background = state.background_on(index, plane.amplitude.shape)
-    if background is not None:
+    fractions, background = state.background_on(index, plane.amplitude.shape), None
+    if fractions is not None:
         mean = np.mean(np.square(plane.amplitude), dtype=float)
-        background = (mean * background).astype(plane.amplitude.dtype)
+        background = np.full_like(plane.amplitude, mean * fractions)
     pose = state.sensor_pose(index)
     return replace(
         plane,

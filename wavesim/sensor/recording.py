@@ -227,7 +227,7 @@ def _with_background(intensity: Array, fractions: Array | None) -> Array:
     if fractions is None:
         return intensity
     total = float(intensity.mean()) / (1.0 - float(fractions.mean()))
-    return np.asarray(intensity + total * fractions, intensity.dtype)
+    return np.asarray(intensity + (total * fractions).astype(intensity.dtype))
 
 
 def _light_through_free_space(

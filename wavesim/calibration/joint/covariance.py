@@ -24,7 +24,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.pixels import plane_index_of
-from wavesim.calibration.parameters import Parameter
+from wavesim.calibration.parameters import Parameter, background_orders
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.sensor.measurement import DARK, Measurement
 
@@ -101,7 +101,7 @@ def background_of_clipping(parameters: Sequence[Parameter], recorded: Sequence[M
     # Clipped noise looks like a background of this size.
     clipped_noise = 0.17
     for index, parameter in enumerate(parameters):
-        if not parameter.name.endswith("_background"):
+        if background_orders(parameter.name) != (0, 0):
             continue
         plane = recorded[plane_index_of(parameter)]
         if plane.sigma is not None:

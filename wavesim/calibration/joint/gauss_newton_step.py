@@ -7,6 +7,7 @@ that are at a bound (0 or 1), and would move beyond it, stay fixed.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -91,6 +92,22 @@ class GaussNewtonStep:
         )
         self.damping = DAMPING * linear.misfit**2 / typical**2
         self.hessian = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.prior_precision)
+
+    def restricted(self, chosen: NDArray[np.bool_]) -> GaussNewtonStep:
+        """Return the equations for some of the parameters; the others keep their values.
+
+        Parameters
+        ----------
+        chosen : ndarray of bool, shape (parameters,)
+            Whether a parameter is among them.
+        """
+        if chosen.all():
+            return self
+        result = copy.copy(self)
+        result.columns, result.hessian = self.columns[chosen], self.hessian[np.ix_(chosen, chosen)]
+        result.prior_precision, result.damping = self.prior_precision[chosen], self.damping[chosen]
+        result.descent = self.descent[chosen]
+        return result
 
     def solve(self, iterations: int) -> Array:
         """Return the step of the bench parameters, shape (parameters,)."""

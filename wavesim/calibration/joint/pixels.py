@@ -34,6 +34,7 @@ from wavesim.calibration.parameters import (
     VIBRATION,
     Parameter,
     Unknowns,
+    background_orders,
     light_orders,
 )
 from wavesim.engines.tiles.engine import EikonalTiles
@@ -43,7 +44,7 @@ from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, Lin
 from wavesim.scene.engine import Engine, Grids, Operator
 from wavesim.scene.light_errors import Orders, light_mode
 from wavesim.scene.scene import Scene, placed_light, placed_scene
-from wavesim.scene.system_state import SLOPE_ORDERS, SystemState
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import frames_by_plane
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import Measurement, placed_planes
@@ -149,10 +150,8 @@ class CalibrationPixels(ABC):
                     mode_fields[orders] = linear.exit_field_change_of_light(mode)
                 mode_factor = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
                 result[n] = linear.jacobian_times_exit_field(mode_factor * mode_fields[orders])
-            elif "_background" in parameter.name:
-                _, _, axis = parameter.name.partition("_background_slope_")
-                orders = SLOPE_ORDERS["xy".index(axis)] if axis else (0, 0)
-                result[n] = linear.jacobian_times_background(plane_index_of(parameter), orders)
+            elif (background := background_orders(parameter.name)) is not None:
+                result[n] = linear.jacobian_times_background(plane_index_of(parameter), background)
             else:
                 result[n] = self._camera_column(linear, parameter)
         return result
@@ -329,7 +328,7 @@ class SparsePixels(CalibrationPixels):
         return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
-        return parameter.group != "light" and "_background" not in parameter.name
+        return parameter.group != "light" and background_orders(parameter.name) is None
 
     def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
         assert isinstance(engine, TilesToPlanes)

@@ -276,40 +276,20 @@ class JointSearch:
         """Return the normal equations about an object, without damping, and the estimates that solve them."""
         linear = fit.linear
         columns = self.pixels.columns(fit.unknowns, linear, self.parameters, slopes)
-        equations = self._undamped_equations(fit, self.parameters, columns)
-        values = fit.unknowns.of([p.name for p in self.parameters])
-        lower_bounds = np.array([p.lower_bound for p in self.parameters])
-        estimates = values + equations.solve(ESTIMATE_ITERATIONS)
-        is_free = estimates >= lower_bounds
-        if not is_free.all():  # the others have another optimum where a parameter stays at its bound
-            free = tuple(p for p, one in zip(self.parameters, is_free, strict=True) if one)
-            step = self._undamped_equations(fit, free, columns[is_free]).solve(ESTIMATE_ITERATIONS)
-            estimates = np.maximum(values, lower_bounds)
-            estimates[is_free] = values[is_free] + step
-        return equations, estimates
-
-    def _undamped_equations(
-        self, fit: _BenchFit, parameters: tuple[Parameter, ...], columns: RealArray
-    ) -> GaussNewtonStep:
-        linear = fit.linear
         # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
         variance = residual_variance(misfit, self._pixel_count)
-        typical = np.array([p.typical for p in parameters])
-        object_is_free = self.known is None
-        equations = GaussNewtonStep(
-            linear,
-            columns,
-            fit.unknowns.of([p.name for p in parameters]),
-            typical,
-            variance,
-            fit.transmission,
-            object_is_free,
-            self._compensations(fit, parameters) if object_is_free else {},
-            linear.unbiased_residual(),
+        equations = self._normal_equations(
+            fit, self.parameters, columns, variance, linear.unbiased_residual()
         )
         equations.damping = np.zeros_like(equations.damping)
-        return equations
+        values = fit.unknowns.of([p.name for p in self.parameters])
+        estimates = values + equations.solve(ESTIMATE_ITERATIONS)
+        is_free = estimates >= _lower_bounds(self.parameters)
+        if not is_free.all():  # a parameter that would leave its range stays, and moves the others' optimum
+            estimates = values.copy()
+            estimates[is_free] += equations.restricted(is_free).solve(ESTIMATE_ITERATIONS)
+        return equations, estimates
 
     def _verified(self, current: _BenchFit) -> _BenchFit:
         """Return the bench with tiles of its own, after as many iterations again."""
@@ -348,14 +328,15 @@ class JointSearch:
                 if parameters_sought == parameters
                 else columns[[parameters.index(p) for p in parameters_sought]]
             )
-            equations = self._normal_equations(current, parameters_sought, sought_columns)
+            equations = self._normal_equations(
+                current, parameters_sought, sought_columns, _variance(current.misfit)
+            )
             is_free = self._is_free(current, equations, parameters_sought)
             free = tuple(p for p, one in zip(parameters_sought, is_free, strict=True) if one)
             if not free:
                 reason = "converged"
                 break
-            if not is_free.all():
-                equations = self._normal_equations(current, free, sought_columns[is_free])
+            equations = equations.restricted(is_free)
             state, best = self._search_along_step(state, current, reference.engine, equations, free)
             gain = 1.0 - self._price(best) / self._price(current)
             current, state = best, replace(state, unknowns=best.unknowns)
@@ -375,8 +356,7 @@ class JointSearch:
     ) -> NDArray[np.bool_]:
         """Return which parameters do not leave their range in the direction of descent."""
         values = current.unknowns.of([p.name for p in parameters])
-        lower_bounds = np.array([p.lower_bound for p in parameters])
-        return np.asarray((values > lower_bounds) | (equations.descent >= 0.0))
+        return np.asarray((values > _lower_bounds(parameters)) | (equations.descent >= 0.0))
 
     def _is_near_noise(self, current: _BenchFit) -> bool:
         """Return whether the misfit is near enough to the noise to seek all parameters."""
@@ -396,7 +376,7 @@ class JointSearch:
         # Iterations of conjugate gradients for the direction of a step.
         step_iterations = 3
         names, step, best = [p.name for p in parameters_sought], equations.solve(step_iterations), current
-        lower_bounds = [p.lower_bound for p in parameters_sought]
+        lower_bounds = _lower_bounds(parameters_sought)
         line_search = LineSearch(self._price(current), -2.0 * float(equations.descent @ step), state.stretch)
         # Misfit that is assumed where the model fails.
         failed_misfit = 4.0
@@ -480,14 +460,26 @@ class JointSearch:
         return _BenchFit(unknowns, linear, transmission, found.misfit)
 
     def _normal_equations(
-        self, fit: _BenchFit, parameters: tuple[Parameter, ...], columns: RealArray
+        self,
+        fit: _BenchFit,
+        parameters: tuple[Parameter, ...],
+        columns: RealArray,
+        variance: float,
+        residual: RealArray | None = None,
     ) -> GaussNewtonStep:
         values = fit.unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
-        variance, object_is_free = _variance(fit.misfit), self.known is None
-        compensations = self._compensations(fit, parameters) if object_is_free else {}
+        object_is_free = self.known is None
         return GaussNewtonStep(
-            fit.linear, columns, values, typical, variance, fit.transmission, object_is_free, compensations
+            fit.linear,
+            columns,
+            values,
+            typical,
+            variance,
+            fit.transmission,
+            object_is_free,
+            self._compensations(fit, parameters) if object_is_free else {},
+            residual,
         )
 
     def _compensations(self, fit: _BenchFit, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
@@ -497,6 +489,10 @@ class JointSearch:
             return {}
         changes = {n: self.pixels.light_change(fit.unknowns, p).real for n, p in light.items()}
         return {n: -change.astype(np.float32) * fit.transmission for n, change in changes.items()}
+
+
+def _lower_bounds(parameters: Sequence[Parameter]) -> Array:
+    return np.array([p.lower_bound for p in parameters])
 
 
 def _variance(misfit: float) -> float:

@@ -134,3 +134,20 @@ def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Gene
     columns[1:] *= faint / TYPICAL[1:, None]
     step_of(columns, linear).reduced_columns(1)
     assert len(asked) == 1
+
+
+def test_equations_of_some_parameters_are_those_without_the_others(rng: np.random.Generator) -> None:
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    chosen = np.arange(PARAMETERS) != 1
+    inside = np.full(OBJECT, 0.5)
+    alone = GaussNewtonStep(
+        linear,  # type: ignore[arg-type]
+        columns[chosen],
+        VALUES[chosen],
+        TYPICAL[chosen],
+        VARIANCE,
+        inside,
+    )
+    restricted = step_of(columns, linear).restricted(chosen)
+    assert restricted.descent == pytest.approx(alone.descent)
+    assert restricted.solve(20) == pytest.approx(alone.solve(20), rel=1e-6)
