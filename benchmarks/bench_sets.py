@@ -43,6 +43,8 @@ def _rows(folder: Path) -> list[Row]:
     wall, cpu = time.perf_counter(), time.process_time()
     found = calibrate_frames(lens, frames, kind=kind, patch_mm=about["patch_mm"], judges=False)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    if found.field_stop_from == "frames":
+        settings = settings.with_stop(*found.field_stop)
     after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.state)
     for name, value, deviation in zip(found.parameters, found.values, found.deviations or (), strict=True):
         print(f"{name} = {value:.4g} +- {deviation:.2g}")

@@ -30,6 +30,7 @@ from wavesim.calibration.parameters import (
     all_names,
     bench_parameters,
     chosen_parameters,
+    field_stop_parameters,
     with_priors,
 )
 from wavesim.engines.tiles.engine import EikonalTiles
@@ -72,6 +73,8 @@ class CalibrationProblem:
         Settings of the calibration.
     priors
         Expected standard deviations by parameter, where they differ from the usual ones.
+    seeks_stop
+        Whether the position of the field stop is sought, too.
 
     Attributes
     ----------
@@ -91,8 +94,10 @@ class CalibrationProblem:
         frames: Sequence[Frame],
         settings: CalibrationSettings,
         priors: Mapping[str, float] | None = None,
+        seeks_stop: bool = False,
     ) -> None:
         self.lens, self.settings, self.priors = lens, settings, priors or {}
+        self.seeks_stop = seeks_stop
         self.framed = framed = patch_of_frames(lens, frames, settings)
         self.recorded = tuple(recorded_planes(frames))
         self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
@@ -160,6 +165,8 @@ class CalibrationProblem:
                 not light_order
             )
             raise SettingError(f"{{parameters}} = {requested!r}: {error}{hint}") from None
+        if self.seeks_stop:
+            chosen += field_stop_parameters(side_mm)
         return with_priors(chosen, self.priors, all_names(self.lens))
 
 

@@ -19,8 +19,10 @@ from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from wavesim.calibration.mounting_parameters import STOP_SHIFTS
 from wavesim.calibration.parameters import VIBRATION, Unknowns, all_names, background_orders
 from wavesim.metrics.goodness_of_fit import GoodnessOfFit
+from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.scene.settings import StopOrigin
 from wavesim.scene.state_files import STATE, state_of_file, state_table
 from wavesim.scene.system_state import SystemState
@@ -124,31 +126,51 @@ class Calibrated:
         return tuple(name for name, deviation, typical in rows if deviation > largest_ratio * typical)
 
     @property
-    def changed_parameters(self) -> tuple[str, ...]:
-        """Parameters of optics and positions in which the bench differs from the design.
-
-        Backgrounds and vibration are left out: they displace nothing.
-        """
-        applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
-        return tuple(
-            name
-            for name, value in applied.items()
-            if value and background_orders(name) is None and name != VIBRATION
-        )
+    def field_stop(self) -> FieldStop:
+        """Diameter and position of the field stop."""
+        assert self.field_stop_mm is not None
+        return FieldStop(self.field_stop_mm, self.field_stop_at_mm)
 
     @property
     def stop_warning(self) -> str:
-        """Warning that position and diameter of the field stop are not determined; empty where they are.
+        """Warning that the position of the field stop is not determined; empty where it is.
 
-        A field stop is found on the nominal bench. An error of the light displaces it together with the
-        object, in a way that frames hardly distinguish from other light. Residuals do not show this.
+        An error of light or lens displaces a field stop together with the object, in a way that frames hardly
+        distinguish from other positions. Residuals do not show this.
         """
-        if self.field_stop_from != "frames" or not self.changed_parameters:
+        if self.field_stop_from != "frames" or self.field_stop_mm is None:
+            return ""
+        deviations_um = [
+            1e3 * deviation
+            for name, deviation in zip(self.parameters, self.deviations or (), strict=False)
+            if name in STOP_SHIFTS
+        ]
+        # Standard deviation in um above which pictures of the object are displaced visibly.
+        largest_um = 0.5
+        if not deviations_um:
+            return self._warning_of_nominal_stop
+        across, down = deviations_um
+        if max(across, down) <= largest_um:
+            return ""
+        return (
+            "the frames determine the common position of field stop and object only to "
+            f"{across:.2g}, {down:.2g} um (standard deviations); residuals do not show a displacement"
+        )
+
+    @property
+    def _warning_of_nominal_stop(self) -> str:
+        """Warning that a field stop was found on a bench from which the calibrated one differs."""
+        applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
+        # Backgrounds and vibration displace nothing.
+        changed = [
+            name
+            for name, value in applied.items()
+            if value and background_orders(name) is None and name != VIBRATION
+        ]
+        if not changed:
             return ""
         most_named = 4
-        names = ", ".join(self.changed_parameters[:most_named]) + ", ..." * (
-            len(self.changed_parameters) > most_named
-        )
+        names = ", ".join(changed[:most_named]) + ", ..." * (len(changed) > most_named)
         return (
             "position and diameter of the field stop were found on the nominal bench, from which the "
             f"calibrated one differs ({names}): stop and object may be displaced together, and residuals do "

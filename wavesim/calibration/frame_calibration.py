@@ -16,17 +16,17 @@ from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
 from wavesim.calibration.calibration_result import Calibrated
 from wavesim.calibration.known_object import calibrate
-from wavesim.calibration.mounting_parameters import RIGID, parameter_names, validate_parameters
+from wavesim.calibration.mounting_parameters import RIGID, STOP_SHIFTS, parameter_names, validate_parameters
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import LinearModel
 from wavesim.metrics.goodness_of_fit import Finding, PlaneResidual, verdict, with_finding
 from wavesim.metrics.next_steps import STOP_CAUSE
-from wavesim.reconstruction.field_stop import StopSearch
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.problem import validate_frames
-from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
+from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import placed_light, placed_scene
 from wavesim.scene.settings import (
@@ -34,18 +34,23 @@ from wavesim.scene.settings import (
     FramedSettings,
     ReconstructionSettings,
     SettingError,
+    StopOrigin,
 )
 from wavesim.scene.system_state import SystemState
 from wavesim.sensor.frame_sets import planes_of_frames
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.measurement import placed_planes
 from wavesim.sensor.recording import Progress
-from wavesim.targets.patch import lit, lit_patch, read_object
+from wavesim.targets.patch import lit, read_object
 
 OBJECT_OVER_NOISE, OBJECT_FRACTION = 4.0, 0.2
 """Misfit of a smooth light above which empty frames contain an object: over the noise, and as a fraction of
 the amplitude beyond the noise.
 """
+
+
+MOST_STOP_SEARCHES = 2
+"""Largest number of refinements of a field stop on a calibrated bench."""
 
 
 class EmptyWarning(UserWarning):
@@ -130,18 +135,52 @@ def calibrate_frames(
     >>> dict(zip(found.parameters, (round(value, 3) + 0.0 for value in found.values)))
     {'decenter_x_mm': 0.005, 'decenter_y_mm': 0.0}
     """
-    requested_settings = (settings or CalibrationSettings()).replaced(**changes)
-    validate_frames(lens, frames, requested_settings)
+    requested = (settings or CalibrationSettings()).replaced(**changes)
+    validate_frames(lens, frames, requested)
     progress = progress or (lambda what, done, count: None)
-    settings = _with_stop(lens, frames, requested_settings, progress)
-    found = _calibrated(lens, frames, settings, known, empty, priors, folder, progress, judges)
-    patch = lit_patch(lens, settings, frames[0].settings.wavelength_um)[0]
-    found = replace(
-        found,
-        field_stop_mm=patch.field_stop_mm,
-        field_stop_at_mm=patch.field_stop_at_mm,
-        field_stop_from=requested_settings.field_stop_from,
+    settings = requested
+    if known is None or requested.field_stop == "find":
+        settings = _with_stop(lens, frames, requested, progress)
+    stop_from = requested.field_stop_from if settings is requested else "frames"
+    seeks_stop = (
+        stop_from == "frames" and requested.field_stop_at_mm is None and known is None and empty is None
     )
+    problem = CalibrationProblem(lens, frames, settings, priors, seeks_stop)
+    if known is not None:
+        if empty is not None or priors is not None:
+            other = "empty" if priors is None else "priors"
+            raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
+        known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
+        found = _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
+        return _with_field_stop(found, problem, stop_from)
+    start = Unknowns(lens, problem.start)
+    found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
+    found = _with_field_stop(found, problem, stop_from)
+    for _ in range(MOST_STOP_SEARCHES):
+        width_mm = problem.framed.patch.field_stop_mm
+        if stop_from != "frames" or requested.field_stop_mm is not None:
+            break
+        stop = _stop_search(problem, found.state, progress).refined_width(found.field_stop)
+        if abs(stop.width_mm - width_mm) <= problem.framed.patch.grid.pitch_mm:
+            break
+        problem = CalibrationProblem(lens, frames, settings.with_stop(*stop), priors, seeks_stop)
+        applied = {n: v for n, v in (found.applied or {}).items() if n not in STOP_SHIFTS}
+        again = _searched(
+            problem,
+            frames,
+            empty,
+            start.changed(list(applied), list(applied.values())),
+            folder,
+            STOP_CHECKPOINT,
+            progress,
+        )
+        again = replace(again, misfit_before=found.misfit_before, trail=found.trail + again.trail)
+        found = _with_field_stop(again, problem, stop_from)
+    if not judges:
+        return found
+    if stop_from == "frames":
+        settings = settings.with_stop(*found.field_stop)
+    found = _with_verdict(lens, frames, settings, found, progress)
     if found.verdict is None or not found.stop_warning:
         return found
     return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_warning)))
@@ -150,58 +189,78 @@ def calibrate_frames(
 def _with_stop(
     lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, progress: Progress
 ) -> CalibrationSettings:
-    """Return settings with a stated field stop, which is found first if requested."""
-    if settings.field_stop != "find":
+    """Return settings with the field stop, as found on the nominal bench.
+
+    The stop is searched if this is requested, or if nothing is stated about it and the frames show that
+    light falls on a part of the patch beside its centre only.
+    """
+    if settings.field_stop_from == "stated":
         return settings
     problem = CalibrationProblem(lens, frames, settings)
+    search = _stop_search(problem, problem.start, progress)
+    if settings.field_stop == "find":
+        return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
     patch = problem.framed.patch
-    search = StopSearch(
-        problem.make(problem.scene),
-        problem.recorded,
-        lambda stop: lit(patch.with_stop(*stop), settings),
-        lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
+    stop = FieldStop(patch.field_stop_mm, patch.field_stop_at_mm)
+    # A displaced lens or tilted light move the light by a few hundredths of the patch.
+    better = search.find_better_stop(stop) if search.is_displaced_from(stop) else None
+    return settings if better is None else settings.with_stop(*better)
+
+
+def _stop_search(problem: CalibrationProblem, state: SystemState, progress: Progress) -> StopSearch:
+    """Return the search for the field stop on a bench."""
+    settings, patch = problem.settings, problem.framed.patch
+    return StopSearch(
+        problem.make(placed_scene(problem.scene, state)),
+        placed_planes(problem.recorded, state),
+        lambda stop: placed_light(lit(patch.with_stop(*stop), settings), state),
+        problem.lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
         settings.fill_factor,
         progress=lambda text: progress(text, 0, 0),
     )
-    return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
 
 
-def _calibrated(
-    lens: Lens,
+def _with_field_stop(found: Calibrated, problem: CalibrationProblem, stop_from: StopOrigin) -> Calibrated:
+    """Return the result with the field stop of its problem, at the position that the state gives it.
+
+    The shift of the object goes from the state to the field stop, so that positions of an object are those
+    relative to the axis.
+    """
+    patch = problem.framed.patch
+    x_mm, y_mm, z_mm = found.state.object_shift_mm
+    at_mm = patch.field_stop_at_mm[0] + x_mm, patch.field_stop_at_mm[1] + y_mm
+    return replace(
+        found,
+        state=replace(found.state, object_shift_mm=(0.0, 0.0, z_mm)),
+        field_stop_mm=patch.field_stop_mm,
+        field_stop_at_mm=at_mm,
+        field_stop_from=stop_from,
+    )
+
+
+def _searched(
+    problem: CalibrationProblem,
     frames: Sequence[Frame],
-    settings: CalibrationSettings,
-    known: Field | Path | None,
     empty: Sequence[Frame] | None,
-    priors: Mapping[str, float] | None,
+    start: Unknowns,
     folder: Path | None,
+    checkpoint_name: str,
     progress: Progress,
-    judges: bool,
 ) -> Calibrated:
     """Return the bench for a stated field stop."""
-    problem = CalibrationProblem(lens, frames, settings, priors)
-    if known is not None:
-        if empty is not None or priors is not None:
-            other = "empty" if priors is None else "priors"
-            raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
-        known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
-        return _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
-    start, checkpoint_path = (
-        Unknowns(lens, problem.start),
-        None if folder is None else folder / CHECKPOINT,
-    )
+    checkpoint_path = None if folder is None else folder / checkpoint_name
     if empty is None:
-        found = search_bench(problem, problem.parameters(), start, checkpoint_path, progress)
-        return _with_verdict(lens, frames, settings, found, progress) if judges else found
+        return search_bench(problem, problem.parameters(), start, checkpoint_path, progress)
     validate_same_frames(empty, frames)
+    lens, settings, priors = problem.lens, problem.settings, problem.priors
     measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
     remaining = tuple(p for p in problem.parameters(light_order=0) if p.name in measured.parameters)
     if not remaining:
-        return _with_verdict(lens, frames, settings, measured, progress) if judges else measured
+        return measured
     start = start.changed(measured.parameters, list((measured.applied or {}).values()))
-    found = _with_light(measured, search_bench(problem, remaining, start, checkpoint_path, progress))
-    return _with_verdict(lens, frames, settings, found, progress) if judges else found
+    return _with_light(measured, search_bench(problem, remaining, start, checkpoint_path, progress))
 
 
 def calibrate_empty(

@@ -20,6 +20,9 @@ WORKING_DISTANCE = "working_distance_mm"
 
 PLANE_DISTANCE = "plane_distance_{}_mm"
 
+STOP_SHIFTS = ("field_stop_shift_x_mm", "field_stop_shift_y_mm")
+"""Shift of the field stop, together with the object, from a first position that was found from the frames."""
+
 
 def values_of(state: SystemState, parameters: Sequence[str]) -> NDArray[np.float64]:
     """Return the values of named parameters (:func:`parameter_names`) of a state."""
@@ -28,6 +31,8 @@ def values_of(state: SystemState, parameters: Sequence[str]) -> NDArray[np.float
         plane = plane_of(name)
         if name == WORKING_DISTANCE:
             return 0.0 - state.object_shift_mm[2]
+        if name in STOP_SHIFTS:
+            return state.object_shift_mm[STOP_SHIFTS.index(name)]
         if plane is None:
             return float(getattr(state.pose, name))
         return state.sensor_pose(plane).distance_mm
@@ -39,6 +44,7 @@ def with_values(state: SystemState, parameters: Sequence[str], values: Sequence[
     """Return the state with new values of named parameters (:func:`parameter_names`)."""
     given = dict(zip(parameters, map(float, values), strict=True))
     x, y, z = state.object_shift_mm
+    x, y = (given.get(name, own) for name, own in zip(STOP_SHIFTS, (x, y), strict=True))
     planes = {plane_of(name): value for name, value in given.items()}
     count = max((n + 1 for n in planes if n is not None), default=0)
     current = values_of(state, [PLANE_DISTANCE.format(n + 1) for n in range(count)]).tolist()

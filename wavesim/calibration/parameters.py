@@ -20,6 +20,7 @@ from wavesim.calibration.mounting_parameters import (
     DECENTERS,
     PLANE_DISTANCE,
     RIGID,
+    STOP_SHIFTS,
     TILTS,
     WORKING_DISTANCE,
     with_values,
@@ -39,10 +40,12 @@ TYPICAL = {
     "decenter": 5e-3,
     "tilt_deg": 0.3,
     "distance": 0.01,
+    "field_stop": 0.1,
 }
 """Usual deviations for a lens whose object is 1 mm in front of it, relative or in mm.
 
-Deviations of an equal number of waves are smaller for a larger lens.
+Deviations of an equal number of waves are smaller for a larger lens. That of the field stop is relative to
+the patch: nothing but the frames tells its position.
 """
 
 LIGHT_WAVES, PHASE_WAVES, AMPLITUDE = 1.0, 0.15, 0.1
@@ -178,11 +181,22 @@ def bench_parameters(
     return tuple(found)
 
 
+def field_stop_parameters(patch_mm: float) -> tuple[Parameter, ...]:
+    """Return the parameters of a field stop whose position was found from the frames.
+
+    Parameters
+    ----------
+    patch_mm
+        Side of the object patch in mm.
+    """
+    return tuple(Parameter(name, "mounting", TYPICAL["field_stop"] * patch_mm) for name in STOP_SHIFTS)
+
+
 def all_names(lens: Lens) -> tuple[str, ...]:
     """Return the names of all parameters that a lens and its bench can have."""
     most_planes = 99
     found = bench_parameters(lens, most_planes, 1.0, 1.0, light_order=LIGHT_ORDER_ALONE)
-    return tuple(p.name for p in found)
+    return *(p.name for p in found), *STOP_SHIFTS
 
 
 def with_priors(
@@ -362,7 +376,7 @@ def _with_mounting(unknowns: Unknowns, state: SystemState) -> SystemState:
     names = [
         n
         for n in unknowns.values
-        if n in (*RIGID, WORKING_DISTANCE) or n.startswith(PLANE_DISTANCE.split("{}")[0])
+        if n in (*RIGID, WORKING_DISTANCE, *STOP_SHIFTS) or n.startswith(PLANE_DISTANCE.split("{}")[0])
     ]
     tilt_deg = _pair(unknowns.values, "sensor_tilt_{}_deg", state.sensor_tilt_deg)
     state = replace(state, sensor_tilt_deg=tilt_deg)

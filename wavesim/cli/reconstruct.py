@@ -73,7 +73,7 @@ def reconstruct(
     from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.plots.result_files import remove_unfinished
     from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-    from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
+    from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
@@ -111,8 +111,8 @@ def reconstruct(
             calibrated = _calibrated(
                 lens, pictures[0], without, expected, settings, folder, free.calibrate, state
             )
-            if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
-                settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
+            if free.calibrate and calibrated.field_stop_from == "frames":
+                settings = settings.with_stop(*calibrated.field_stop)
                 stop_from, stop_doubt = "frames", calibrated.stop_warning
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             state = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
@@ -141,7 +141,7 @@ def reconstruct(
         "versions": versions(),
     }
     summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    searches = (output / subfolder / name for name in (CHECKPOINT, EMPTY_CHECKPOINT))
+    searches = (output / subfolder / name for name in (CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT))
     for path in (output / CHECKPOINT, *searches):
         with suppress(OSError):  # the results are written
             path.unlink(missing_ok=True)

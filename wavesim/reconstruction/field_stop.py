@@ -159,17 +159,24 @@ class StopSearch:
 
         No search is made if the centroids and the spectra agree with the given stop.
         """
-        centre, width_mm = self.estimated_centre(), self.estimated_width_mm()
-        # Offset of the light's centroid over the diameter above which another stop is searched.
-        least_offset = 0.1
-        is_displaced = math.dist(centre, stop.at_mm) > least_offset * stop.width_mm
+        width_mm = self.estimated_width_mm()
         has_other_width = width_mm is not None and abs(width_mm / stop.width_mm - 1.0) > SPECTRAL_ERROR
-        if not (is_displaced or has_other_width):
+        if not (has_other_width or self.is_displaced_from(stop)):
             return None
         current, better = self.misfit(stop, STAGES[0][0]), self.run()
         # Ratio of misfits below which another stop explains the frames better.
         improving_ratio = 0.95
         return better if self.misfit(better, STAGES[0][0]) < improving_ratio * current else None
+
+    def is_displaced_from(self, stop: FieldStop) -> bool:
+        """Return whether the centroids of the light contradict the position of a stop."""
+        # Offset of the light's centroid over the diameter above which another stop is searched.
+        least_offset = 0.1
+        return math.dist(self.estimated_centre(), stop.at_mm) > least_offset * stop.width_mm
+
+    def refined_width(self, stop: FieldStop) -> FieldStop:
+        """Return the stop at the same position whose diameter explains the frames best."""
+        return self._pattern_search(stop, *STAGES[-1], np.array((False, False, True)))
 
     def estimated_centre(self) -> tuple[float, float]:
         """Return the center of the stop from the centroids of the light on all planes, in mm."""

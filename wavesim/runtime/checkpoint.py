@@ -13,8 +13,14 @@ import numpy as np
 from lensdesign.common.array_files import read_arrays
 from lensdesign.errors import InputError, atomic_path
 
-CHECKPOINT, EMPTY_CHECKPOINT = "checkpoint.npz", "checkpoint_empty.npz"
-"""Names of the checkpoint of a run, and of a search in frames without an object."""
+CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT = (
+    "checkpoint.npz",
+    "checkpoint_empty.npz",
+    "checkpoint_stop.npz",
+)
+"""Names of the checkpoints of a run, of a search in frames without an object, and of a search that follows a
+change of the field stop.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A calibration whose field stop was found on another bench than the calibrated one."""
+"""A calibration whose field stop was found from the frames."""
 
 from __future__ import annotations
 
@@ -43,3 +43,14 @@ def test_a_stop_found_on_the_nominal_bench_is_undetermined_where_the_bench_is_an
 def test_a_stated_stop_and_a_nominal_bench_leave_no_doubt(found: Calibrated) -> None:
     assert not found.stop_warning
     assert not found.table()["undetermined"]
+
+
+@pytest.mark.parametrize(("deviation_mm", "warns"), [(2e-4, False), (2e-3, True)])
+def test_a_stop_that_was_sought_is_as_certain_as_its_deviation(deviation_mm: float, warns: bool) -> None:
+    names = "field_stop_shift_x_mm", "field_stop_shift_y_mm"
+    found = replace(
+        calibrated({"decenter_x_mm": 0.01, **dict.fromkeys(names, 0.001)}),
+        deviations=(0.001, 1e-4, deviation_mm),
+    )
+    assert ("2 um" in found.stop_warning) is warns
+    assert bool(found.table()["undetermined"]) is warns

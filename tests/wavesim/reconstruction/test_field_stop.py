@@ -11,9 +11,11 @@ from scipy.ndimage import gaussian_filter
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
+from wavesim.calibration import calibrate_frames
 from wavesim.fields.field import Field
 from wavesim.reconstruction.found_object import FoundObject
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.imaging import Imaged, image
 from wavesim.targets.illumination import field_stop
 from wavesim.targets.patch import object_patch
@@ -76,6 +78,30 @@ def test_the_stop_is_found_from_the_frames() -> None:
     assert found.patch.field_stop_mm == pytest.approx(STOP_MM, abs=2 * SAMPLE_MM)
     assert math.dist(found.patch.field_stop_at_mm, AT_MM) < 2 * SAMPLE_MM
     assert found.figures()["field_stop_from"] == "frames"
+
+
+@pytest.mark.usefixtures("quick_verdicts")
+def test_a_calibration_finds_the_stop_together_with_the_bench() -> None:
+    """Nothing is stated about the stop, and a camera that moved displaces its first estimate."""
+    bench = SystemState(plane_shifts_um=((0.0, 0.0), (2.0, -1.5)))
+    stop = {"field_stop_mm": STOP_MM, "field_stop_at_mm": AT_MM}
+    frames = image(LENS, grains(), state=bench, exposures=(1.0, 30.0), pixels=108, **TILES, **stop).frames
+    found = calibrate_frames(
+        LENS,
+        frames,
+        patch_mm=PATCH_MM,
+        kind="amplitude",
+        parameters="plane_2_shift_x_um,plane_2_shift_y_um",
+        iterations=6,
+        **TILES,
+    )
+    assert found.field_stop_from == "frames"
+    assert found.field_stop_mm == pytest.approx(STOP_MM, abs=2 * SAMPLE_MM)
+    assert math.dist(found.field_stop_at_mm, AT_MM) < 0.5 * SAMPLE_MM
+    assert found.state.plane_shifts_um[1] == pytest.approx((2.0, -1.5), abs=0.05)
+    assert found.state.object_shift_mm == (0.0, 0.0, 0.0)
+    assert found.explained
+    assert not found.stop_warning
 
 
 def test_nothing_is_found_where_all_is_stated() -> None:

@@ -38,6 +38,7 @@ NOMINAL_SENSOR = SensorPose()
 
 def ray_changes(
     scene: Scene,
+    reference: Scene,
     tile: Tile,
     carrier: RayMap,
     grid: Grid,
@@ -49,7 +50,9 @@ def ray_changes(
     Parameters
     ----------
     scene
-        Scene with the changed lens.
+        Scene with the changed lens, or with a displaced object.
+    reference
+        Scene of the tile.
     tile, carrier
         Part of the object, and the original rays of its center.
     grid
@@ -74,7 +77,8 @@ def ray_changes(
         # Order of the polynomials that fit changes of the path, which are smooth.
         order = 10
         pupil = sample_points(carrier.traced, order)
-        rays = trace_bundle(scene, np.asarray(tile.centre_mm), pupil, grid.z_mm)
+        displacement_mm = np.subtract(scene.object_grid.centre_mm, reference.object_grid.centre_mm)
+        rays = trace_bundle(scene, tile.centre_mm + displacement_mm, pupil, grid.z_mm)
         if not np.any(rays.ok):
             raise InputError("no ray of the changed lens arrives: the change is too large")
         sensor_points, path_mm = _on_sensor(rays, float(scene.system.index[0, -1]), grid, sensor_pose)
@@ -111,7 +115,7 @@ class PerturbedTiles(Engine):
     Parameters
     ----------
     reference
-        Engine whose scene has the same grids, except for the distance of the object.
+        Engine whose scene has the same grids, except for the position of the object.
     scene
         Scene with the changed lens.
     sensor_pose
@@ -139,14 +143,16 @@ class PerturbedTiles(Engine):
 
     def _perturbed_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:
-            grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
+            wavenumber = self.scene.wavenumber_per_mm
             self._operators[dtype] = tuple(
-                operator.perturbed(
-                    carrier, ray_changes(self.scene, tile, carrier, grid, self.sensor_pose), wavenumber
-                )
+                operator.perturbed(carrier, self.changes(tile, carrier), wavenumber)
                 for tile, carrier, operator in self.reference.tile_operators(dtype)
             )
         return self._operators[dtype]
+
+    def changes(self, tile: Tile, carrier: RayMap) -> SmoothMap:
+        """Return how the rays of a tile differ from those of the reference, see :func:`ray_changes`."""
+        return ray_changes(self.scene, self.reference.scene, tile, carrier, self.plane.grid, self.sensor_pose)
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
         """Yield each tile, its original rays, and its operator for fields of a data type."""
@@ -218,12 +224,12 @@ def path_slopes(
         If the rays of a changed lens do not arrive.
     """
     grid, slopes = engine.plane.grid, []
+    reference = engine.reference.scene if isinstance(engine, PerturbedTiles) else engine.scene
     for tile, carrier, _ in engine.tile_operators(np.dtype(dtype)):
-        existing = None
-        if isinstance(engine, PerturbedTiles):
-            existing = ray_changes(engine.scene, tile, carrier, grid, engine.sensor_pose)
+        existing = engine.changes(tile, carrier) if isinstance(engine, PerturbedTiles) else None
         ray_maps = [
-            ray_changes(each.scene, tile, carrier, grid, each.sensor_pose, existing) for each in perturbed
+            ray_changes(each.scene, reference, tile, carrier, grid, each.sensor_pose, existing)
+            for each in perturbed
         ]
         slopes.append(
             [

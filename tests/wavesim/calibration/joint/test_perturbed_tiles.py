@@ -19,7 +19,7 @@ from wavesim.fields.field import Field
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.system_state import SystemState
 
-WHAT = ("decenter", "tilt", "lens", "object farther")
+WHAT = ("decenter", "tilt", "lens", "object farther", "object aside")
 
 
 def changed(scene: Scene, what: str, size: float) -> Scene:
@@ -31,6 +31,7 @@ def changed(scene: Scene, what: str, size: float) -> Scene:
             surface_perturbations={0: SurfacePerturbation(index=3e-4 * size, thickness_mm=4e-4 * size)}
         ),
         "object farther": SystemState(object_shift_mm=(0.0, 0.0, -5e-4 * size)),
+        "object aside": SystemState(object_shift_mm=(4e-4 * size, -3e-4 * size, 0.0)),
     }[what]
     return placed_scene(scene, state)
 

@@ -10,7 +10,12 @@ from small_twins import PIXEL_MM, WAVELENGTH_UM, lit_within, twin_scene
 
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.joint.pixels import DensePixels, SparsePixels, TilesToPlanes, padded_to_fast_shape
-from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
+from wavesim.calibration.parameters import (
+    Unknowns,
+    bench_parameters,
+    chosen_parameters,
+    field_stop_parameters,
+)
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.linear_model import LinearModel
@@ -86,6 +91,7 @@ def test_the_way_back_is_the_adjoint(seen: tuple) -> None:
         "tilt_x_deg",
         "surface_2_radius_mm",
         "working_distance_mm",
+        "field_stop_shift_x_mm",
         "light_phase_20_waves",
         "plane_2_background",
         "plane_2_background_slope_y",
@@ -95,7 +101,8 @@ def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None
     """About a bench that is not as designed, so that tiles are turned already."""
     lens, _, some, bars = seen
     bench = Unknowns(lens, values=BENCH | {"plane_2_background": 0.01})
-    (parameter,) = chosen_parameters(name, bench_parameters(lens, 2, 0.025, WAVELENGTH_UM))
+    allowed = *bench_parameters(lens, 2, 0.025, WAVELENGTH_UM), *field_stop_parameters(0.025)
+    (parameter,) = chosen_parameters(name, allowed)
     here = LinearModel(some.model(bench), bars, False)
     (column,) = some.columns(bench, here, (parameter,))
     # What a tilt of the sensor does is near the rounding of single precision.
