@@ -36,7 +36,7 @@ from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.merits.registry import merit_from_table
-from tolerancing.prediction.reconstruction_loss import DRAWS, loss_chains, loss_paths
+from tolerancing.prediction.reconstruction_loss import DRAWS, loss_model, loss_paths
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import sample_perturbations
 from wavesim.scene.system_state import SystemState
@@ -185,16 +185,16 @@ def interval(values: Array) -> str:
 def predicted(goal: str) -> str:
     """Mean losses of the lens at its own size, with the nominal and with a calibrated model.
 
-    All lenses take the chain of the first, whose speckle would otherwise hide what paths differ by.
+    All lenses take the loss model of the first: different speckle would otherwise hide the differences.
     """
     study = load_study(DESIGNS / "as_built_tolerances.toml").study
     merit = merit_from_table(LOSS, "benchmark")
     assert isinstance(merit, ReconstructionLoss)
-    chains, amounts, found = loss_chains(lens_of(REFERENCE), merit), drawn_amounts(study, DRAWS), []
+    model, amounts, found = loss_model(lens_of(REFERENCE), merit), drawn_amounts(study, DRAWS), []
     for compensators in ((), COMPENSATORS):
         own = study.model_copy(update={"compensators": compensators})
         paths = loss_paths(lens_of(goal), own, merit)
-        losses, _ = chains.losses(chains.coefficients(paths, amounts))
+        losses, _ = model.losses(model.coefficients(paths, amounts))
         found.append(f"{np.mean(losses.max(axis=0)):.3g}")
     return " | ".join(found)
 

@@ -12,9 +12,9 @@ import argparse
 import numpy as np
 
 from lensdesign import Pose, load_design, scaled
-from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.context import Context, Sampling
-from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
+from tolerancing.merits.reconstructed_contrast import ReconstructedContrast
+from tolerancing.merits.reconstruction.line_imaging_chain import LineImagingChain, ReconstructionEngine
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
@@ -27,7 +27,7 @@ def twin() -> None:
     """Print a line for each perturbation of a twin: contrast on the line, and in the plane."""
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
     planes, wavelength = lens.sensor.plane_distances_mm, lens.wavelengths_um[0]
-    chain = LineChain(lens, 0.0, REGION_MM, planes, "lines", (1.2,), wavelength, margin_mm=0.0)
+    chain = LineImagingChain(lens, 0.0, REGION_MM, planes, "lines", (1.2,), wavelength, margin_mm=0.0)
     settings = {"line_width_um": 1.2, "patch_mm": REGION_MM, "orientation": "y", "refocus": False}
     plane = ReconstructedContrast(kind="reconstructed_contrast", at_least=0.5, iterations=20, **settings)
     print("parameter, value: contrast of 1.2 um bars on the line, in the plane")
@@ -45,7 +45,7 @@ def main() -> None:
     """Print a line for each pose: what the nominal and the true model find."""
     lens = load_design("designs/paper_singlet.toml")
     planes, wavelength = lens.sensor.plane_distances_mm, lens.wavelengths_um[0]
-    chain = LineChain(lens, 0.0, REGION_MM, planes, "lines", WIDTHS_UM, wavelength, margin_mm=0.0)
+    chain = LineImagingChain(lens, 0.0, REGION_MM, planes, "lines", WIDTHS_UM, wavelength, margin_mm=0.0)
     engine = ReconstructionEngine("eikonal")
     print("decenter mm, tilt deg: correlation, contrast of 0.775 um lines; correlation by the true model")
     poses = [Pose(decenter_y_mm=d) for d in DECENTERS_MM] + [Pose(tilt_x_deg=t) for t in TILTS_DEG]

@@ -9,7 +9,7 @@ from .plots.page import write_zoom_page
 from .plots.pyramid import write_pyramid
 from .pupil.characteristic import PupilSampler
 from .pupil.line_pairs import line_pair_contrast
-from .pupil.patch_chain import PatchChain
+from .pupil.patch_reconstructor import PatchReconstructor
 from .pupil.pupil import ReconstructionPupil, mtf, psf, refocus, rms_waves, strehl
 from .reconstruction.found_object import FoundObject
 from .reconstruction.frame_reconstruction import reconstruct_frames
@@ -41,7 +41,7 @@ __all__ = [
     "ImageSettings",
     "Imaged",
     "Measurement",
-    "PatchChain",
+    "PatchReconstructor",
     "PupilSampler",
     "ReconstructionPupil",
     "ReconstructionSettings",

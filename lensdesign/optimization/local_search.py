@@ -126,14 +126,16 @@ def search_from(
     """
     specification = problem.specification
     rays, dense = problem.sample_rays(3, 5, 1, _heights(problem)), dense_rays(problem)
-    chain = _chain("slsqp" if only_feasible else specification.optimize.algorithm)
+    algorithms = _algorithm_sequence("slsqp" if only_feasible else specification.optimize.algorithm)
     point, spent_before, limit = start, budget.spent, ""
     # Largest number of times that worse rays of the dense check are added to the working set.
     most_exchanges = 12
     for _ in range(most_exchanges):
-        outcome = _solve(problem, rays, point, chain, budget, seed, on_improvement, only_feasible, on_point)
+        outcome = _solve(
+            problem, rays, point, algorithms, budget, seed, on_improvement, only_feasible, on_point
+        )
         point, limit = outcome.point, budget.used_up
-        chain = _chain("slsqp") if ALGORITHMS[chain[0]].everywhere else chain
+        algorithms = _algorithm_sequence("slsqp") if ALGORITHMS[algorithms[0]].everywhere else algorithms
         worse = worse_rays(problem, point, rays, dense)
         if worse is None or limit:
             break
@@ -201,7 +203,7 @@ def _heights(problem: DesignProblem) -> tuple[float, ...]:
     return tuple(f.field_mm for f in problem.specification.constraints.field_spread)
 
 
-def _chain(algorithm: str) -> tuple[str, ...]:
+def _algorithm_sequence(algorithm: str) -> tuple[str, ...]:
     """Return the algorithms to run one after the other, each from the last point, until one converges.
 
     SLSQP is the fastest but may stall in narrow valleys. COBYLA does not stall, and SLSQP makes the last
@@ -223,7 +225,7 @@ def _solve(
     problem: DesignProblem,
     rays: Rays,
     start: Array,
-    chain: tuple[str, ...],
+    algorithms: tuple[str, ...],
     budget: Budget,
     seed: int,
     on_improvement: Improved,
@@ -254,28 +256,28 @@ def _solve(
 
     point = start
     if only_feasible or evaluate(start).violation > FEASIBLE:
-        outcome = _run_chain(restore, start, _chain("slsqp"), run, enough=FEASIBLE)
+        outcome = _run_in_sequence(restore, start, _algorithm_sequence("slsqp"), run, enough=FEASIBLE)
         if only_feasible or (outcome.objective > FEASIBLE and _stationary(restore, outcome.point)):
             return outcome
         point = outcome.point
-    return _run_chain(evaluate, point, chain, run)
+    return _run_in_sequence(evaluate, point, algorithms, run)
 
 
-def _run_chain(
+def _run_in_sequence(
     function: Callable[[Array], Evaluation],
     point: Array,
-    chain: tuple[str, ...],
+    algorithms: tuple[str, ...],
     run: Callable[[Callable[[Array], Evaluation], Array, str, int], Outcome],
     enough: float = -math.inf,
 ) -> Outcome:
-    """Run the algorithms of a chain until one converges or the objective is small enough."""
-    # Largest number of evaluations of one algorithm of a chain before the next one continues.
+    """Run the algorithms one after the other until one converges or the objective is small enough."""
+    # Largest number of evaluations of one algorithm before the next one continues.
     local_evaluations = 200
     # Largest number of evaluations of a single algorithm, or of a global one.
     lone_evaluations = 2000
-    for algorithm in chain:
+    for algorithm in algorithms:
         everywhere = ALGORITHMS[algorithm].everywhere
-        lone = everywhere or len(chain) == 1
+        lone = everywhere or len(algorithms) == 1
         outcome = run(function, point, algorithm, lone_evaluations if lone else local_evaluations)
         point = outcome.point
         if outcome.objective <= enough or (not everywhere and _stationary(function, point)):

@@ -240,7 +240,7 @@ class DesignProblem:
     ) -> GradientTrace:
         """Trace rays to some planes, or to those of the sensor."""
         check_time()
-        lens, chain = self.lens_at(point), None
+        lens, chain_rule = self.lens_at(point), None
         stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
         variables = self.variables if derivatives else ()
         if self.temperature_change is not None:
@@ -248,7 +248,9 @@ class DesignProblem:
             stop = hot.stop_semi_diameter_mm
             if derivatives:
                 variables = self.temperature_change.own
-                chain = hot.chain if planes_mm is None else hot.chain.with_fixed_planes(len(planes_mm))
+                chain_rule = (
+                    hot.chain_rule if planes_mm is None else hot.chain_rule.with_fixed_planes(len(planes_mm))
+                )
         return gradient_trace(
             _shaped(base, lens),
             lens.object_z_mm,
@@ -259,7 +261,7 @@ class DesignProblem:
             rays.fields_mm,
             rays.pupil,
             variables,
-            chain,
+            chain_rule,
         )
 
     def placed(self, point: Array, variable: int, step: complex) -> tuple[list[Shape], Array, complex]:
@@ -268,7 +270,7 @@ class DesignProblem:
         shapes = [surface.shape for surface in lens.surfaces]
         own, by = self.variables, np.eye(len(self.variables))[:, variable]
         if self.temperature_change is not None:
-            own, by = self.temperature_change.own, self._heated(point, True).chain.variables[:, variable]
+            own, by = self.temperature_change.own, self._heated(point, True).chain_rule.variables[:, variable]
         vertices, object_z = lens.vertex_z_mm.astype(complex), complex(lens.object_z_mm)
         for one, change in zip(own, step * by, strict=True):
             if one.is_shape_term and change:
@@ -283,7 +285,7 @@ class DesignProblem:
         """Return the derivatives of the sensor distances by a variable, due to the temperature."""
         if self.temperature_change is None:
             return np.zeros(len(self.base.sensor.plane_distances_mm))
-        return np.asarray(self._heated(point, True).chain.planes[:, variable])
+        return np.asarray(self._heated(point, True).chain_rule.planes[:, variable])
 
     def predicted(self, point: Array, lens: Lens | None = None) -> tuple[AsBuiltValues, ...]:
         """Predict the lens as built at a point, as designed and at each temperature.

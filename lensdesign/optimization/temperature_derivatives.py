@@ -32,14 +32,14 @@ class HeatedLens:
         The lens, not validated.
     stop_semi_diameter_mm
         Semi-diameter of the expanded stop.
-    chain
+    chain_rule
         Derivatives of the variables of :attr:`TemperatureChange.own`, the stop and the sensor planes with
         respect to the variables of the search.
     """
 
     lens: Lens
     stop_semi_diameter_mm: float
-    chain: ChainRule
+    chain_rule: ChainRule
 
 
 class TemperatureChange:
@@ -103,7 +103,7 @@ class TemperatureChange:
             self._lens(lens, np.array(spaces), planes),
             float(self.sizes[stop]) * grown.stop_semi_diameter_mm,
             ChainRule(
-                self._chained(cold.variables, lengths_by, sags_by),
+                self._jacobian(cold.variables, lengths_by, sags_by),
                 self.sizes[stop] * grown.stop_semi_diameter_by,
                 self._grown(last, np.zeros((len(planes), len(cold.variables))), sags_by[:, None]),
             ),
@@ -113,7 +113,7 @@ class TemperatureChange:
         """Return the expanded space behind a surface, or its derivatives."""
         return length + self.change_k * self.expansions.of_space(surface, length, sags)
 
-    def _chained(self, variables: tuple[Variable, ...], lengths_by: Array, sags_by: Array) -> Array:
+    def _jacobian(self, variables: tuple[Variable, ...], lengths_by: Array, sags_by: Array) -> Array:
         """Return the derivatives of the own variables by those of the search, shape (own, v)."""
         if not variables:
             return np.zeros((len(self.own), 0))

@@ -105,7 +105,7 @@ def gradient_trace(
     fields_mm: Array,
     pupil: Array,
     variables: tuple[Variable, ...],
-    chain: ChainRule | None = None,
+    chain_rule: ChainRule | None = None,
 ) -> GradientTrace:
     """Trace rays through fixed points of the stop, with their derivatives.
 
@@ -126,7 +126,7 @@ def gradient_trace(
         Object point in mm, and stop point relative to the semi-diameter, of each ray; shape (n, 2) each.
     variables
         Variables of the derivatives.
-    chain
+    chain_rule
         Derivatives of the variables, a given stop and the planes with respect to other variables, by which
         the rays are then differentiated (default: the variables themselves).
 
@@ -148,8 +148,8 @@ def gradient_trace(
     )
     origins, directions = launch_pairs(system, fields_mm, pupil, object_z_mm, stop_index, semi)
     raw = _differentiate(system, origins, directions, planes_mm, variables)
-    if chain is not None:
-        raw, semi_by = _chained(raw, chain), chain.stop
+    if chain_rule is not None:
+        raw, semi_by = _with_chain_rule(raw, chain_rule), chain_rule.stop
     at_stop = raw.heights_by[:, stop_index]
     required = pupil[:, :, None] * semi_by
     v = len(semi_by)
@@ -177,14 +177,14 @@ def gradient_trace(
     )
 
 
-def _chained(raw: GradientTrace, chain: ChainRule) -> GradientTrace:
+def _with_chain_rule(raw: GradientTrace, chain_rule: ChainRule) -> GradientTrace:
     """Return the derivatives by other variables at fixed launch directions; the last two columns stay."""
-    v, w = chain.variables.shape
+    v, w = chain_rule.variables.shape
     whole = np.zeros((v + 2, w + 2))
-    whole[:v, :w], whole[v:, w:] = chain.variables, np.eye(2)
+    whole[:v, :w], whole[v:, w:] = chain_rule.variables, np.eye(2)
     forward = np.sqrt(1.0 - np.sum(raw.cosines**2, axis=-1, keepdims=True))
     planes = raw.plane_points_by @ whole
-    planes[..., :w] += (raw.cosines / forward)[:, None, :, None] * chain.planes[:, None]
+    planes[..., :w] += (raw.cosines / forward)[:, None, :, None] * chain_rule.planes[:, None]
     return replace(
         raw,
         heights_by=raw.heights_by @ whole,

@@ -13,7 +13,7 @@ from lensdesign.lens.lens import Lens
 from studio.model.whatif import WhatIf
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast
-from wavesim.pupil.patch_chain import PatchChain
+from wavesim.pupil.patch_reconstructor import PatchReconstructor
 from wavesim.pupil.pupil import refocus, rms_waves, strehl
 
 SAMPLES, COARSE = 128, 48
@@ -123,41 +123,43 @@ def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | 
     height_mm
         Field height of the patch's centre along y in mm.
     samples
-        Samples of the stop; see :class:`wavesim.PatchChain`.
+        Samples of the stop; see :class:`wavesim.PatchReconstructor`.
 
     Raises
     ------
     InputError
         If rays do not arrive.
     """
-    chain = _chain(lens, height_mm, samples)
-    actual = chain.perturbed(what_if.state(lens)).reconstruct(_chart(chain), "focus").values
-    return PatchPicture(chain.patch_um, np.abs(actual) ** 2, _nominal(lens, height_mm, samples))
+    reconstructor = _reconstructor(lens, height_mm, samples)
+    actual = reconstructor.perturbed(what_if.state(lens)).reconstruct(_chart(reconstructor), "focus").values
+    return PatchPicture(reconstructor.patch_um, np.abs(actual) ** 2, _nominal(lens, height_mm, samples))
 
 
 @lru_cache(maxsize=4)
-def _chain(lens: Lens, height_mm: float, samples: int | None) -> PatchChain:
+def _reconstructor(lens: Lens, height_mm: float, samples: int | None) -> PatchReconstructor:
     # Side of the patch for a resolution of 0.532 um; it is proportional to the resolution.
     patch_um = 16.0
-    return PatchChain(
+    return PatchReconstructor(
         lens, (0.0, height_mm), patch_um=patch_um / 0.532 * _resolution_um(lens), samples=samples
     )
 
 
 @lru_cache(maxsize=4)
 def _nominal(lens: Lens, height_mm: float, samples: int | None) -> Array:
-    chain = _chain(lens, height_mm, samples)
-    return np.asarray(np.abs(chain.perturbed().reconstruct(_chart(chain), "focus").values) ** 2)
+    reconstructor = _reconstructor(lens, height_mm, samples)
+    return np.asarray(
+        np.abs(reconstructor.perturbed().reconstruct(_chart(reconstructor), "focus").values) ** 2
+    )
 
 
 def _resolution_um(lens: Lens) -> float:
     return 0.5 * lens.wavelengths_um[0] / lens.object.numerical_aperture
 
 
-def _chart(chain: PatchChain) -> Array:
+def _chart(reconstructor: PatchReconstructor) -> Array:
     """Return a chart: three groups of three bars in each direction, 2, 1.5, 1.1 times the resolution wide."""
-    xy, unit = chain.patch.coordinates_um, _resolution_um(chain.lens)
-    chart = np.zeros(chain.patch.shape)
+    xy, unit = reconstructor.patch.coordinates_um, _resolution_um(reconstructor.lens)
+    chart = np.zeros(reconstructor.patch.shape)
     for row, width in ((-8.2, 2.0), (1.5, 1.5), (9.3, 1.1)):
         for column, across in ((-7.0, True), (7.0, False)):
             x, y = np.meshgrid(xy / unit - column, xy / unit - row)

@@ -1,11 +1,11 @@
 from .base import Merit
-from .chain import ReconstructedContrast
 from .compensators import Compensator
 from .context import Context, Sampling
 from .line_pairs import LinePairContrast
 from .pupil import ImageShift, ModulationTransfer, PupilMerit, RmsWaves, SmallestResolvedLine, Strehl
 from .python import PythonMerit, Trial
 from .rays import FootprintRadius, LargestSpread, RayMerit, Throughput
+from .reconstructed_contrast import ReconstructedContrast
 from .reconstruction_loss import ReconstructionLoss
 from .registry import MERITS, merit_from_table
 

@@ -53,7 +53,7 @@ def electronics_for(electrons: float | None, bits: int) -> Electronics:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class BarImagingChain:
     """A bar target, imaged through perturbed lenses and reconstructed through the nominal lens.
 
     Attributes

@@ -23,7 +23,7 @@ from tolerancing.perturbations.parameters import IRREGULARITIES, PerturbedParame
 from wavesim.scene.system_state import SystemState
 
 if TYPE_CHECKING:
-    from wavesim import PatchChain, PupilSampler, ReconstructionPupil
+    from wavesim import PatchReconstructor, PupilSampler, ReconstructionPupil
     from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 
@@ -101,7 +101,7 @@ def _model(
 
 def less_model_patch(
     patch: PerturbedPatch,
-    chain: PatchChain,
+    reconstructor: PatchReconstructor,
     compensators: tuple[Compensator, ...],
     values: Array,
     pivot_z_mm: float,
@@ -113,8 +113,8 @@ def less_model_patch(
     if not np.any(values):
         return patch
     wavelength = patch.patch.wavelength_um
-    system = _model(chain.lens, compensators, values, pivot_z_mm, wavelength)
-    pupil, model = patch.pupil, chain.perturbed(system).pupil
+    system = _model(reconstructor.lens, compensators, values, pivot_z_mm, wavelength)
+    pupil, model = patch.pupil, reconstructor.perturbed(system).pupil
     residual = replace(pupil, opd_mm=pupil.opd_mm - model.opd_mm, valid=pupil.valid & model.valid)
     return replace(patch, pupil=residual)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lensdesign.raytrace.bundles import PupilSamples
     from tolerancing.merits.compensators import Compensator, ModelPupils
     from tolerancing.merits.sensor_rays import Arrival
-    from wavesim import PatchChain, PupilSampler, ReconstructionPupil
+    from wavesim import PatchReconstructor, PupilSampler, ReconstructionPupil
     from wavesim.pupil.patch_reconstruction import PerturbedPatch
 
 Result = TypeVar("Result")
@@ -247,36 +247,36 @@ class Context:
     def patches(
         self,
         batch: PerturbationBatch,
-        chain: PatchChain,
+        reconstructor: PatchReconstructor,
         wavelength_um: float | None,
         compensated: bool = False,
     ) -> list[PerturbedPatch]:
         """Propagate a patch through each trial's lens and back through the nominal or the adapted lens."""
 
         def compute() -> list[PerturbedPatch]:
-            return [chain.perturbed(one) for one in self.states(batch, wavelength_um)]
+            return [reconstructor.perturbed(one) for one in self.states(batch, wavelength_um)]
 
-        patches = self.cached_for(batch, ("patches", chain), compute)
+        patches = self.cached_for(batch, ("patches", reconstructor), compute)
         if not (compensated and self.compensators):
             return patches
         from tolerancing.merits.compensators import less_model_patch
 
         values = self.compensator_values(batch)
         return [
-            less_model_patch(patch, chain, self.compensators, own, self._pivot_z_mm)
+            less_model_patch(patch, reconstructor, self.compensators, own, self._pivot_z_mm)
             for patch, own in zip(patches, values, strict=True)
         ]
 
-    def patch_chain(
+    def patch_reconstructor(
         self, field_mm: tuple[float, float], wavelength_um: float | None, patch_um: float, line: bool
-    ) -> PatchChain:
-        """Return the imaging chain of a patch about one field point, on a meridional line or in the plane."""
+    ) -> PatchReconstructor:
+        """Return the reconstructor of a patch about one field point, on a meridional line or in the plane."""
         wavelength = self.wavelength_um(wavelength_um)
 
-        def make() -> PatchChain:
-            from wavesim import PatchChain
+        def make() -> PatchReconstructor:
+            from wavesim import PatchReconstructor
 
-            return PatchChain(
+            return PatchReconstructor(
                 self.lens, field_mm, wavelength, self.sampling.plane_distance_mm, patch_um, line=line
             )
 

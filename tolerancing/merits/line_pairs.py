@@ -86,8 +86,8 @@ class LinePairContrast(PupilMerit):
     ) -> Array:
         if self.used_level == "pupil":
             return super().scores_at(point, context, batch, compensated)
-        chain = context.patch_chain(point, self.wavelength_um, self.patch_um, self.line)
-        patches = context.patches(batch, chain, self.wavelength_um, compensated)
+        reconstructor = context.patch_reconstructor(point, self.wavelength_um, self.patch_um, self.line)
+        patches = context.patches(batch, reconstructor, self.wavelength_um, compensated)
         numbers = batch.trial_numbers or (0,) * len(batch)
         return np.array(
             [
@@ -108,11 +108,11 @@ class LinePairContrast(PupilMerit):
         return worse(best, self.orientation)
 
     def _patch_contrast(self, patch: PerturbedPatch, refocused: bool, seed: int, number: int) -> float:
-        from wavesim.pupil import chain_contrast
+        from wavesim.pupil import patch_bar_contrast
 
         def contrast(axis: Axis) -> float:
             stream = np.random.SeedSequence(seed, spawn_key=(number, NOISE_STREAM, int(axis == "y")))
-            return chain_contrast(
+            return patch_bar_contrast(
                 patch,
                 self.line_width_um,
                 axis,

@@ -1,4 +1,4 @@
-"""Expected loss of correlation of a reconstruction, from the linearised imaging chain."""
+"""Expected loss of correlation of a reconstruction, from a linearised model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tolerancing.merits.pupil import PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
-    from wavesim.pupil import LinearisedChain
+    from wavesim.pupil import LinearisedReconstruction
 
 AZIMUTHS_DEG = (0.0, 90.0)
 """Azimuths of the two meridians."""
@@ -27,9 +27,10 @@ AZIMUTHS_DEG = (0.0, 90.0)
 class ReconstructionLoss(PupilMerit):
     """Correlation that an object-domain reconstruction is expected to lose: 0 is none, 1 is all.
 
-    The loss is the mean over random objects on two perpendicular meridians in the linearised chain
-    (:mod:`wavesim.pupil.linearised_chain`). Path errors that do not change intensities cause no loss. The
-    study's compensators are fitted to changes of intensity, as a calibration from frames would do.
+    The loss is the mean over random objects on two perpendicular meridians. Each has a linearised
+    reconstruction (:mod:`wavesim.pupil.linearised_reconstruction`). Path errors that do not change
+    intensities cause no loss. The study's compensators are fitted to changes of intensity, as a calibration
+    from frames would do.
 
     Attributes
     ----------
@@ -81,25 +82,27 @@ class ReconstructionLoss(PupilMerit):
         from wavesim.pupil import expected_loss
 
         key = (point, self.patch_mm, self.object, self.planes_mm, self.electrons, self.wavelength_um)
-        chains = context.cached(("meridians", *key), lambda: self.chains(context.lens, point))
+        reconstructions = context.cached(
+            ("meridians", *key), lambda: self.reconstructions(context.lens, point)
+        )
         model: _AdaptedModel | None = None
         if compensated and context.compensators:
             model = context.cached(
-                ("adapted", *key), lambda: _AdaptedModel(context, chains, self.wavelength_um)
+                ("adapted", *key), lambda: _AdaptedModel(context, reconstructions, self.wavelength_um)
             )
         scores = []
         for system in context.states(batch, self.wavelength_um):
-            waves = [chain.meridian.waves(system) for chain in chains]
-            scores.append(expected_loss(chains, model.residual(waves) if model else waves))
+            waves = [one.meridian.waves(system) for one in reconstructions]
+            scores.append(expected_loss(reconstructions, model.residual(waves) if model else waves))
         return np.array(scores)
 
-    def chains(self, lens: Lens, point: tuple[float, float]) -> list[LinearisedChain]:
-        """Return the linearised chains of a nominal lens about an object point, one for each meridian."""
-        from wavesim.pupil import LinearisedChain, Meridian
+    def reconstructions(self, lens: Lens, point: tuple[float, float]) -> list[LinearisedReconstruction]:
+        """Return a linearised reconstruction about an object point for each meridian."""
+        from wavesim.pupil import LinearisedReconstruction, Meridian
 
         wavelength = lens.wavelengths_um[0] if self.wavelength_um is None else self.wavelength_um
         return [
-            LinearisedChain(
+            LinearisedReconstruction(
                 Meridian(lens, point, self.patch_mm, azimuth, self.planes_mm, wavelength),
                 self.object,
                 self.electrons,
@@ -112,9 +115,12 @@ class _AdaptedModel:
     """The reconstruction's model, with compensators fitted to the visible path error of a perturbed lens."""
 
     def __init__(
-        self, context: Context, chains: Sequence[LinearisedChain], wavelength_um: float | None
+        self,
+        context: Context,
+        reconstructions: Sequence[LinearisedReconstruction],
+        wavelength_um: float | None,
     ) -> None:
-        self._context, self._chains, self._wavelength_um = context, chains, wavelength_um
+        self._context, self._reconstructions, self._wavelength_um = context, reconstructions, wavelength_um
         self._compensators: tuple[Compensator, ...] = context.compensators
         self._limits = np.array([c.limit for c in self._compensators])
         slopes = []
@@ -137,9 +143,11 @@ class _AdaptedModel:
         return residual
 
     def _visible(self, waves: list[list[Array]]) -> Array:
-        return np.concatenate([c.visible(own) for c, own in zip(self._chains, waves, strict=True)])
+        return np.concatenate(
+            [one.visible(own) for one, own in zip(self._reconstructions, waves, strict=True)]
+        )
 
     def _waves(self, values: Array) -> list[list[Array]]:
         batch = self._context.perturbed(self._compensators, values[None])
         (system,) = self._context.states(batch, self._wavelength_um)
-        return [chain.meridian.waves(system) for chain in self._chains]
+        return [one.meridian.waves(system) for one in self._reconstructions]

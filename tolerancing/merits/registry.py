@@ -6,7 +6,6 @@ from typing import Any
 
 from lensdesign.common.toml_files import pick, validate
 from tolerancing.merits.base import Merit
-from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.merits.pupil import (
     ImageShift,
@@ -17,6 +16,7 @@ from tolerancing.merits.pupil import (
 )
 from tolerancing.merits.python import PythonMerit
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
+from tolerancing.merits.reconstructed_contrast import ReconstructedContrast
 from tolerancing.merits.reconstruction.merit import Reconstruction
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 

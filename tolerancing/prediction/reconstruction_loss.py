@@ -3,7 +3,7 @@
 The merit `reconstruction_loss` (:mod:`tolerancing.merits.reconstruction_loss`) traces rays through each
 perturbed lens. Here the change of path on a meridian is linear in the perturbations, by Fermat's principle
 along nominal rays (:mod:`tolerancing.prediction.paths`). Everything else is as in the merit
-(:mod:`wavesim.pupil.linearised_chain_losses`). The compensators of the study are the parameters of a
+(:mod:`wavesim.pupil.batched_reconstruction`). The compensators of the study are the parameters of a
 calibrated reconstruction. A least-squares fit to the visible part of the path changes determines them within
 their limits.
 """
@@ -30,8 +30,8 @@ from tolerancing.prediction.paths import Paths
 from tolerancing.prediction.system import Changes, changes_of, columns_of
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.study import Study
-from wavesim.pupil import LinearisedChain
-from wavesim.pupil.linearised_chain_losses import TERMS, ChainDraws, polynomial_terms
+from wavesim.pupil import LinearisedReconstruction
+from wavesim.pupil.batched_reconstruction import TERMS, BatchedReconstruction, polynomial_terms
 from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
 
 DRAWS = 256
@@ -55,16 +55,16 @@ class LossPaths:
 
 
 @dataclass(frozen=True, eq=False)
-class LossChains:
-    """The chains of a merit's object points.
+class LossModel:
+    """The linearised reconstructions at a merit's object points.
 
     Attributes
     ----------
-    points : tuple of tuple of ChainDraws
-        Chain of each meridian for each object point.
+    points : tuple of tuple of BatchedReconstruction
+        Reconstruction on each meridian for each object point.
     """
 
-    points: tuple[tuple[ChainDraws, ...], ...]
+    points: tuple[tuple[BatchedReconstruction, ...], ...]
 
     def coefficients(self, paths: LossPaths, amounts: Array) -> Array:
         """Return the change of path of each lens that remains after calibration.
@@ -81,8 +81,8 @@ class LossChains:
         """
         found = np.einsum("pmtd,nd->pmnt", paths.lens, amounts, optimize=True)
         if paths.model.shape[-1]:
-            for k, chains in enumerate(self.points):
-                fractions = _calibrated(chains, paths.lens[k], paths.model[k], amounts)
+            for k, reconstructions in enumerate(self.points):
+                fractions = _calibrated(reconstructions, paths.lens[k], paths.model[k], amounts)
                 found[k] -= np.einsum("mtk,nk->mnt", paths.model[k], fractions)
         return found
 
@@ -103,8 +103,11 @@ class LossChains:
             Derivatives by the coefficients; zero if `derivatives` is False.
         """
         losses, by = np.empty((len(self.points), coefficients.shape[2])), np.zeros(coefficients.shape)
-        for k, chains in enumerate(self.points):
-            pairs = [c.correlations(own, derivatives) for c, own in zip(chains, coefficients[k], strict=True)]
+        for k, reconstructions in enumerate(self.points):
+            pairs = [
+                one.correlations(own, derivatives)
+                for one, own in zip(reconstructions, coefficients[k], strict=True)
+            ]
             squares = 1.0 + np.maximum(sum(r**-2 - 1.0 for r, _ in pairs), 0.0)
             losses[k] = 1.0 - squares**-0.5
             for m, (r, slopes) in enumerate(pairs):
@@ -112,8 +115,8 @@ class LossChains:
         return losses, by
 
 
-def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float | None = None) -> LossChains:
-    """Return the chains of a merit.
+def loss_model(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float | None = None) -> LossModel:
+    """Return the linearised reconstructions at a merit's object points.
 
     Parameters
     ----------
@@ -122,8 +125,8 @@ def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float 
     merit
         The merit.
     pixels_per_sample
-        Pixels of each plane for each sample of the object, for a coarser chain. None: the chain of the
-        merit.
+        Pixels of each plane for each sample of the object, for a coarser and faster model. None: the number
+        of the merit.
 
     Raises
     ------
@@ -131,13 +134,13 @@ def loss_chains(lens: Lens, merit: ReconstructionLoss, pixels_per_sample: float 
         If rays of a line do not pass.
     """
 
-    def chains(point: tuple[float, float]) -> tuple[ChainDraws, ...]:
-        own = merit.chains(lens, point)
+    def reconstructions(point: tuple[float, float]) -> tuple[BatchedReconstruction, ...]:
+        own = merit.reconstructions(lens, point)
         if pixels_per_sample is not None:
-            own = [_coarser(chain, pixels_per_sample) for chain in own]
-        return tuple(map(ChainDraws, own))
+            own = [_coarser(one, pixels_per_sample) for one in own]
+        return tuple(map(BatchedReconstruction, own))
 
-    return LossChains(tuple(map(chains, merit.points)))
+    return LossModel(tuple(map(reconstructions, merit.points)))
 
 
 def loss_paths(lens: Lens, study: Study, merit: ReconstructionLoss) -> LossPaths:
@@ -187,8 +190,8 @@ def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts
     InputError
         If rays of a line do not pass, or the lens does not have a perturbed parameter.
     """
-    chains = loss_chains(lens, merit)
-    losses, _ = chains.losses(chains.coefficients(loss_paths(lens, study, merit), amounts))
+    model = loss_model(lens, merit)
+    losses, _ = model.losses(model.coefficients(loss_paths(lens, study, merit), amounts))
     return np.asarray(losses.max(axis=0))
 
 
@@ -205,18 +208,22 @@ def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss) -> float:
     return float(np.mean(expected_losses(lens, study, merit, drawn_amounts(study, DRAWS))))
 
 
-def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:
-    """Return the chain with fewer fans and fewer pixels, which receive the same total light."""
+def _coarser(reconstruction: LinearisedReconstruction, pixels_per_sample: float) -> LinearisedReconstruction:
+    """Return the reconstruction with fewer fans and fewer pixels, which receive the same total light."""
     # Nominal rays are traced from nine object points.
-    meridian = replace(chain.meridian, fans=9, pixels_per_sample=pixels_per_sample)
+    meridian = replace(reconstruction.meridian, fans=9, pixels_per_sample=pixels_per_sample)
     return replace(
-        chain, meridian=meridian, electrons=chain.electrons * PIXELS_PER_SAMPLE / pixels_per_sample
+        reconstruction,
+        meridian=meridian,
+        electrons=reconstruction.electrons * PIXELS_PER_SAMPLE / pixels_per_sample,
     )
 
 
-def _calibrated(chains: Sequence[ChainDraws], lens: Array, model: Array, amounts: Array) -> Array:
+def _calibrated(
+    reconstructions: Sequence[BatchedReconstruction], lens: Array, model: Array, amounts: Array
+) -> Array:
     """Return the fitted compensators of each lens as fractions of their limits, shape (lenses, k)."""
-    visible = [chain.visible for chain in chains]
+    visible = [one.visible for one in reconstructions]
     matrix = sum(m.T @ v @ m for v, m in zip(visible, model, strict=True))
     across = sum(m.T @ v @ own for v, own, m in zip(visible, lens, model, strict=True))
     right_side = amounts @ across.T

@@ -7,9 +7,9 @@ from .line_pairs import (
     line_pair_profile,
     smallest_resolved_line_width_um,
 )
-from .linearised_chain import LinearisedChain, expected_loss
+from .linearised_reconstruction import LinearisedReconstruction, expected_loss
 from .meridian import Meridian
-from .patch_chain import PatchChain, chain_contrast
+from .patch_reconstructor import PatchReconstructor, patch_bar_contrast
 from .pupil import (
     PupilGrid,
     ReconstructionPupil,
@@ -24,9 +24,9 @@ from .pupil import (
 from .ray_aiming import RayAimError
 
 __all__ = [
-    "LinearisedChain",
+    "LinearisedReconstruction",
     "Meridian",
-    "PatchChain",
+    "PatchReconstructor",
     "PointCharacteristic",
     "PupilGrid",
     "PupilSampler",
@@ -34,13 +34,13 @@ __all__ = [
     "ReconstructionPupil",
     "Refocused",
     "best_focus",
-    "chain_contrast",
     "expected_loss",
     "line_pair_contrast",
     "line_pair_displacement_um",
     "line_pair_image",
     "line_pair_profile",
     "mtf",
+    "patch_bar_contrast",
     "psf",
     "refocus",
     "remove_shift",

@@ -58,7 +58,7 @@ class PatchGrid:
         return (len(self.coordinates_um),) * (1 if self.line else 2)
 
     def bars(self, line_width_um: float, orientation: Orientation, bars: int) -> ComplexArray:
-        """Return bright bars on a dark ground, see :meth:`wavesim.pupil.patch_chain.PatchChain.bars`."""
+        """Return bright bars on a dark ground; see :meth:`wavesim.PatchReconstructor.bars`."""
         axis = axis_of(orientation)
         if self.line and axis == 0:
             raise InputError("orientation = 'x': a meridional line has bars along 'y' only")

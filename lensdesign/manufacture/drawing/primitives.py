@@ -24,8 +24,8 @@ THICK_MM, THIN_MM = 0.5, 0.25
 LEAST_MM = 1.6
 """Smallest type size; a longer text is truncated."""
 
-CHAIN: tuple[float, ...] = (8.0, 1.2, 1.2, 1.2)
-"""Dash pattern of centre lines: long dash, dot."""
+CENTRE_LINE_DASHES: tuple[float, ...] = (8.0, 1.2, 1.2, 1.2)
+"""Dash pattern of centre lines in mm: long dash, gap, dot, gap."""
 
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 

@@ -13,7 +13,7 @@ from lensdesign.lens.edges import Flange
 from lensdesign.lens.solid import Element
 from lensdesign.manufacture.drawing.primitives import (
     ASCENT,
-    CHAIN,
+    CENTRE_LINE_DASHES,
     THICK_MM,
     Area,
     Item,
@@ -191,7 +191,7 @@ def _centred(limit: float) -> Array:
 
 def _axis(body: _Body) -> list[Item]:
     y = body.axis_y
-    return [Stroke(((body.left - 8.0, y), (body.right + 8.0, y)), dashes_mm=CHAIN)]
+    return [Stroke(((body.left - 8.0, y), (body.right + 8.0, y)), dashes_mm=CENTRE_LINE_DASHES)]
 
 
 def _names(body: _Body) -> list[Item]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from tolerancing.prediction.reconstruction_loss import expected_losses, loss_chains, loss_paths
+from tolerancing.prediction.reconstruction_loss import expected_losses, loss_model, loss_paths
 from tolerancing.prediction.system import amounts_of
 from tolerancing.study.evaluate import context_of, sample_perturbations
 from tolerancing.study.files import study_from_tables
@@ -79,11 +79,11 @@ def test_a_calibration_stays_within_its_limits(twin):
 
 def test_derivatives_by_coefficients_are_those_of_differences(twin):
     study = study_of()
-    chains, paths = loss_chains(twin, study.merits[0], 2.0), loss_paths(twin, study, study.merits[0])
-    middle = chains.coefficients(paths, amounts_of(sample_perturbations(study, range(4))))
+    model, paths = loss_model(twin, study.merits[0], 2.0), loss_paths(twin, study, study.merits[0])
+    middle = model.coefficients(paths, amounts_of(sample_perturbations(study, range(4))))
     step = 1e-3 * np.random.default_rng(1).standard_normal(middle.shape) * np.abs(middle)
-    high, low = (chains.losses(middle + sign * step)[0] for sign in (1.0, -1.0))
-    _, by = chains.losses(middle, derivatives=True)
+    high, low = (model.losses(middle + sign * step)[0] for sign in (1.0, -1.0))
+    _, by = model.losses(middle, derivatives=True)
     assert 0.5 * np.sum(high - low, axis=1) == pytest.approx(np.sum(by * step, axis=(1, 2, 3)), rel=0.05)
 
 

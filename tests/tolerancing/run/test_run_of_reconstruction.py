@@ -118,7 +118,7 @@ def test_a_run_that_is_killed_goes_on_and_makes_the_same_rows(study, unbroken, t
 def test_what_is_set_up_for_each_number_of_slices_is_told(study, monkeypatch):
     """Matrices of slices are made once in a process, and each worker makes its own."""
     own = matrices.Matrices()
-    for module in ("matrices", "line_chain"):
+    for module in ("matrices", "line_imaging_chain"):
         monkeypatch.setattr(f"tolerancing.merits.reconstruction.{module}.MATRICES", own)
     monkeypatch.setattr(matrices.Matrices, "seconds", lambda self, engine: 1000.0 * engine.slices)
     loaded = load_study(study)

@@ -8,7 +8,7 @@ import pytest
 from lensdesign.errors import SamplingError
 from lensdesign.lens.poses import Pose
 from wavesim import line_pair_contrast, refocus, strehl
-from wavesim.pupil import PatchChain, PupilSampler, best_focus, chain_contrast, remove_shift
+from wavesim.pupil import PatchReconstructor, PupilSampler, best_focus, patch_bar_contrast, remove_shift
 from wavesim.pupil.focus import search_range_um
 
 WIDTH_UM = 0.775
@@ -72,9 +72,9 @@ def test_planes_that_cannot_be_held_are_passed_over(samplers):
 
 
 def test_a_patch_of_waves_is_brought_to_the_focus_of_its_pupil(paper_lens, samplers):
-    chain = PatchChain(paper_lens, patch_um=20.0)
-    trial = chain.perturbed(Pose(tilt_x_deg=0.45))
-    by_waves = chain_contrast(trial, WIDTH_UM, "x", best=True)
-    assert by_waves > chain_contrast(trial, WIDTH_UM, "x") + 0.02
+    reconstructor = PatchReconstructor(paper_lens, patch_um=20.0)
+    trial = reconstructor.perturbed(Pose(tilt_x_deg=0.45))
+    by_waves = patch_bar_contrast(trial, WIDTH_UM, "x", best=True)
+    assert by_waves > patch_bar_contrast(trial, WIDTH_UM, "x") + 0.02
     by_pupil = contrast(best_focus(refocus(samplers[0.0].pupil(Pose(tilt_x_deg=0.45))).pupil, contrast).pupil)
     assert by_waves == pytest.approx(by_pupil, abs=0.05)

@@ -1,1 +1,1 @@
-"""Merits of the whole chain: object, frames recorded through the perturbed lens, reconstruction."""
+"""Merits of the whole imaging chain: object, frames recorded through the perturbed lens, reconstruction."""

@@ -27,7 +27,7 @@ from tolerancing.perturbations.parameters import PerturbedParameter, validate_in
 from wavesim.scene.system_state import AS_DESIGNED, SystemState
 
 if TYPE_CHECKING:
-    from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
+    from tolerancing.merits.reconstruction.line_imaging_chain import LineImagingChain, ReconstructionEngine
     from tolerancing.merits.reconstruction.objects import LineScores
 
 Figure = Literal["correlation", "contrast", "lost_correlation"]
@@ -38,7 +38,7 @@ LEAST_CORRELATION = 0.97
 
 
 class Reconstruction(Merit):
-    """Correlation of the reconstructed object, or contrast of its lines, after the whole chain.
+    """Correlation of the reconstructed object, or contrast of its lines, after the whole imaging chain.
 
     Merits that differ only in figure, line width, limit and name share one run of the chain in each trial.
 
@@ -243,8 +243,8 @@ class Reconstruction(Merit):
         engine = (self.reconstruction_engine, self.slices, self.compensation)
         return (*noise, *engine, self.model, self.iterations)
 
-    def chain(self, context: Context, height_mm: float) -> LineChain:
-        """Return the chain at one field height after a check of its reconstruction by the unperturbed lens.
+    def chain(self, context: Context, height_mm: float) -> LineImagingChain:
+        """Return the imaging chain at one field height, after a check without perturbations.
 
         Raises
         ------
@@ -254,11 +254,14 @@ class Reconstruction(Merit):
         key = ("line chain", self._imaging_settings(height_mm), self.electrons, self.bits, self.iterations)
         return context.cached(key, lambda: self._checked_chain(context, height_mm))
 
-    def _checked_chain(self, context: Context, height_mm: float) -> LineChain:
-        from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
+    def _checked_chain(self, context: Context, height_mm: float) -> LineImagingChain:
+        from tolerancing.merits.reconstruction.line_imaging_chain import (
+            LineImagingChain,
+            ReconstructionEngine,
+        )
 
-        def make() -> LineChain:
-            return LineChain(
+        def make() -> LineImagingChain:
+            return LineImagingChain(
                 context.lens,
                 height_mm,
                 self.region_mm,
@@ -304,7 +307,7 @@ class Reconstruction(Merit):
 
     def engine_of(self, slices: float) -> ReconstructionEngine:
         """Return the engine of a reconstruction with this number of slices; 0 means the merit's `slices`."""
-        from tolerancing.merits.reconstruction.line_chain import ReconstructionEngine
+        from tolerancing.merits.reconstruction.line_imaging_chain import ReconstructionEngine
 
         if self.reconstruction_engine == "eikonal":
             return ReconstructionEngine("eikonal")

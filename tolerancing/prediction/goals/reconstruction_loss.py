@@ -1,10 +1,10 @@
 """Mean reconstruction losses of the lenses of a search, with derivatives.
 
-The chain from object to reconstruction has speckle: the phases of thousands of waves determine which pixels
-are dark, so that the mean losses of two almost equal lenses differ by 10 to 30 %. A search therefore uses the
-chain of the study's own lens for all lenses; only the changes of path are those of each lens, and these are
-smooth. Derivatives of the path changes by design variables are central differences. Derivatives of the losses
-by the path changes are computed by adjoint differentiation.
+Frames have speckle: the phases of thousands of waves determine which pixels are dark, so that the mean losses
+of two almost equal lenses differ by 10 to 30 %. A search therefore uses the linearised reconstructions of the
+study's own lens (the loss model) for all lenses. Only the changes of path are those of each lens, and these
+are smooth. Derivatives of the path changes by design variables are central differences. Derivatives of the
+losses by the path changes are computed by adjoint differentiation.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lensdesign.optimization.as_built import LossValues
 from lensdesign.optimization.problem import DesignProblem
 from tolerancing.merits.reconstruction_loss import ReconstructionLoss
 from tolerancing.prediction.goals.design import DIFFERENCE_STEP, bent, rim_heights, sized
-from tolerancing.prediction.reconstruction_loss import LossChains, loss_chains, loss_paths
+from tolerancing.prediction.reconstruction_loss import LossModel, loss_model, loss_paths
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study
@@ -36,7 +36,7 @@ class SearchedLosses:
     ----------
     study : Study
     reference : Lens
-        The study's own lens, whose chain approximates those of all lenses.
+        The study's own lens, whose loss models serve all lenses of the search.
     factor
         Factor that multiplies the tolerances of a lens.
     source : str
@@ -54,7 +54,7 @@ class SearchedLosses:
         return tuple(merit for merit in self.study.merits if isinstance(merit, ReconstructionLoss))
 
     def check(self, lens: Lens) -> None:
-        """Check that the chain of the study's lens is valid for lenses of a search.
+        """Check that the loss models of the study's lens are valid for lenses of a search.
 
         Raises
         ------
@@ -64,19 +64,18 @@ class SearchedLosses:
         try:
             for merit in self.merits:
                 merit.check(lens)
-            self.chains(lens)
+            self._models_and_scale(lens)
         except (InputError, ValueError) as error:
             raise DesignError(
                 f"{self.source}: a search for a small reconstruction loss needs the study's own lens with "
                 f"the object, sensor and wavelengths of the specification, which is not possible: {error}"
             ) from None
 
-    def chains(self, lens: Lens) -> tuple[LossChains, ...]:
-        """Return chains of the merits for lenses with the object, sensor and wavelengths of this lens."""
-        return self._held(lens)[0]
+    def _models_and_scale(self, lens: Lens) -> tuple[tuple[LossModel, ...], float]:
+        """Return the cached loss model of each merit, and the largest mean loss of the study's own lens.
 
-    def _held(self, lens: Lens) -> tuple[tuple[LossChains, ...], float]:
-        """Return the cached chains, and the largest mean loss of the study's own lens."""
+        The models hold for lenses with the object, sensor and wavelengths of `lens`.
+        """
         scene = lens.object.replaced(working_distance_mm=self.reference.object.working_distance_mm)
         key = scene, lens.sensor, lens.wavelengths_um
         if key not in self._known:
@@ -86,17 +85,17 @@ class SearchedLosses:
             # Pixels for each sample of the object. Mean losses are 3 to 16 % larger than with those of the
             # merit, tiny ones up to 60 %; lenses are ranked alike.
             search_pixels = 2.0
-            chains = tuple(loss_chains(other, merit, search_pixels) for merit in self.merits)
+            models = tuple(loss_model(other, merit, search_pixels) for merit in self.merits)
             means = []
-            for merit, chain in zip(self.merits, chains, strict=True):
+            for merit, model in zip(self.merits, models, strict=True):
                 paths = loss_paths(bent(other), self.study, merit)
-                losses, _ = chain.losses(chain.coefficients(paths, self._amounts))
+                losses, _ = model.losses(model.coefficients(paths, self._amounts))
                 means.append(float(np.mean(losses.max(axis=0))))
-            self._known[key] = chains, max(*means, float(np.finfo(float).tiny))
+            self._known[key] = models, max(*means, float(np.finfo(float).tiny))
         return self._known[key]
 
     @cached_property
-    def _known(self) -> dict[object, tuple[tuple[LossChains, ...], float]]:
+    def _known(self) -> dict[object, tuple[tuple[LossModel, ...], float]]:
         return {}
 
     @cached_property
@@ -113,12 +112,12 @@ class SearchedLosses:
         TransferLensError
             If the lens cannot be traced.
         """
-        chains, scale = self._held(problem.specification.lens)
+        models, scale = self._models_and_scale(problem.specification.lens)
         count = len(problem.variables) if derivatives else 0
-        losses, by = np.empty(len(chains)), np.zeros((len(chains), count))
-        for m, (merit, own) in enumerate(zip(self.merits, chains, strict=True)):
+        losses, by = np.empty(len(models)), np.zeros((len(models), count))
+        for m, (merit, own) in enumerate(zip(self.merits, models, strict=True)):
 
-            def coefficients(point: Array, merit: ReconstructionLoss = merit, own: LossChains = own) -> Array:
+            def coefficients(point: Array, merit: ReconstructionLoss = merit, own: LossModel = own) -> Array:
                 lens = sized(problem.lens_at(point), rim_heights(problem, point))
                 amounts = self.factor(lens) * self._amounts
                 return own.coefficients(loss_paths(lens, self.study, merit), amounts)

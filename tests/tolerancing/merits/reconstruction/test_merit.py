@@ -10,7 +10,7 @@ from lensdesign import scaled
 from lensdesign.errors import InputError
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
-from tolerancing.merits.reconstruction.line_chain import LineChain
+from tolerancing.merits.reconstruction.line_imaging_chain import LineImagingChain
 from tolerancing.merits.reconstruction.merit import Reconstruction
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -55,13 +55,13 @@ def test_slices_decenter_and_tilt_vary_together(context):
 def test_one_run_of_the_chain_gives_all_figures(context, monkeypatch):
     counts = {"record": 0, "reconstruct": 0}
     for name in counts:
-        plain = getattr(LineChain, name)
+        plain = getattr(LineImagingChain, name)
 
         def counted(self, *args, name=name, plain=plain, **keys):
             counts[name] += 1
             return plain(self, *args, **keys)
 
-        monkeypatch.setattr(LineChain, name, counted)
+        monkeypatch.setattr(LineImagingChain, name, counted)
     merit().chain(context, 0.0)
     counts.update(record=0, reconstruct=0)
     trial = batch((DECENTER, [0.002]))

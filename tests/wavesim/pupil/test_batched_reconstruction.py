@@ -1,12 +1,12 @@
-"""Chains whose changes of path are polynomials: the chain itself beside them, and their derivatives."""
+"""Batches of lenses whose path changes are polynomials: the single reconstruction, and derivatives."""
 
 import numpy as np
 import pytest
 
 from lensdesign import Pose, scaled
 from wavesim import SystemState
-from wavesim.pupil import LinearisedChain, Meridian
-from wavesim.pupil.linearised_chain_losses import TERMS, ChainDraws, polynomial_terms
+from wavesim.pupil import LinearisedReconstruction, Meridian
+from wavesim.pupil.batched_reconstruction import TERMS, BatchedReconstruction, polynomial_terms
 
 PATCH_MM = 0.03
 
@@ -14,12 +14,12 @@ PATCH_MM = 0.03
 @pytest.fixture(scope="module", params=["amplitude", "complex"])
 def draws(request, paper_lens):
     meridian = Meridian(scaled(paper_lens, 1 / 48), (0.0, 0.008), PATCH_MM, 90.0)
-    return ChainDraws(LinearisedChain(meridian, request.param))
+    return BatchedReconstruction(LinearisedReconstruction(meridian, request.param))
 
 
-def coefficients(chain, state):
+def coefficients(reconstruction, state):
     """Of the polynomials that changes of path are."""
-    meridian, found = chain.meridian, []
+    meridian, found = reconstruction.meridian, []
     x = meridian.coordinates_mm / (0.5 * PATCH_MM)
     for plane, waves in zip(meridian.planes, meridian.waves(state), strict=True):
         row, column = np.nonzero(np.abs(plane.matrix) > 0.0)
@@ -36,14 +36,14 @@ def cases():
 
 
 def test_correlations_are_those_of_the_chain(draws, cases):
-    chain = draws.chain
-    own, _ = draws.correlations(np.array([coefficients(chain, case) for case in cases]))
-    expected = [np.mean(chain.correlations(chain.meridian.waves(case))) for case in cases]
+    reconstruction = draws.reconstruction
+    own, _ = draws.correlations(np.array([coefficients(reconstruction, case) for case in cases]))
+    expected = [np.mean(reconstruction.correlations(reconstruction.meridian.waves(case))) for case in cases]
     assert 1.0 - np.array(expected) == pytest.approx(1.0 - own, rel=2e-3, abs=2e-6)
 
 
 def test_derivatives_are_those_of_differences(draws, cases):
-    middle = np.array([coefficients(draws.chain, cases[0])])
+    middle = np.array([coefficients(draws.reconstruction, cases[0])])
     step = 1e-3 * np.random.default_rng(3).standard_normal(middle.shape) * np.abs(middle)
     ends = [draws.correlations(middle + sign * step)[0] for sign in (1.0, -1.0)]
     _, by = draws.correlations(middle, derivatives=True)
@@ -51,8 +51,8 @@ def test_derivatives_are_those_of_differences(draws, cases):
 
 
 def test_what_intensities_see_is_the_chains(draws, cases):
-    own = coefficients(draws.chain, cases[1])
-    seen = draws.chain.visible(draws.chain.meridian.waves(cases[1]))
+    own = coefficients(draws.reconstruction, cases[1])
+    seen = draws.reconstruction.visible(draws.reconstruction.meridian.waves(cases[1]))
     assert own @ draws.visible @ own == pytest.approx(np.sum(seen**2), rel=1e-3)
 
 

@@ -1,12 +1,12 @@
-"""The linearised chain for many path changes that are polynomials, with derivatives.
+"""The linearised reconstruction for many lenses whose path changes are polynomials, with derivatives.
 
 The path change on a meridian is a polynomial in the object coordinate x and the nominal cosine p for each
 plane (:mod:`wavesim.pupil.meridian`). If its coefficients are known, a perturbed lens needs no rays.
 Correlations of found and true object are those of
-:meth:`wavesim.pupil.linearised_chain.LinearisedChain.correlations`, in single precision. Their derivatives
-with respect to the coefficients follow by adjoint differentiation. Intensities depend on a part of the path
-change, to which a calibration fits its parameters. The square of this part is a quadratic form of the
-coefficients.
+:meth:`wavesim.pupil.linearised_reconstruction.LinearisedReconstruction.correlations`, in single precision.
+Their derivatives with respect to the coefficients follow by adjoint differentiation. Intensities depend on a
+part of the path change, to which a calibration fits its parameters. The square of this part is a quadratic
+form of the coefficients.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from wavesim.pupil.linearised_chain import DARK, FINER, JUDGED, LinearisedChain
+from wavesim.pupil.linearised_reconstruction import DARK, FINER, JUDGED, LinearisedReconstruction
 from wavesim.pupil.meridian import ORDERS, MeridianPlane
 from wavesim.pupil.pupil import ComplexArray
 
@@ -39,18 +39,19 @@ def polynomial_terms(x: Array, p: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainDraws:
-    """The chain on a meridian, for lenses whose path changes are given as coefficients in waves.
+class BatchedReconstruction:
+    """The reconstruction on a meridian for a batch of lenses.
 
-    The coefficients of all planes follow each other, `TERMS` for each plane.
+    The lenses are given by the coefficients of their path changes in waves. The coefficients of all planes
+    follow each other, `TERMS` for each plane.
 
     Attributes
     ----------
-    chain : LinearisedChain
-        The chain on the meridian.
+    reconstruction : LinearisedReconstruction
+        The reconstruction on the meridian.
     """
 
-    chain: LinearisedChain
+    reconstruction: LinearisedReconstruction
 
     def correlations(self, coefficients: Array, derivatives: bool = False) -> tuple[Array, Array]:
         """Return the mean correlation of found and true objects for each lens.
@@ -78,9 +79,9 @@ class ChainDraws:
 
     @cached_property
     def visible(self) -> Array:
-        """Quadratic form of the square of the visible path change (:meth:`LinearisedChain.visible`)."""
-        chain = self.chain
-        pairs = zip(chain.meridian.planes, chain.noise, strict=True)
+        """Quadratic form of the squared visible path change (:meth:`LinearisedReconstruction.visible`)."""
+        reconstruction = self.reconstruction
+        pairs = zip(reconstruction.meridian.planes, reconstruction.noise, strict=True)
         blocks = [self._visible(plane, noise) for plane, noise in pairs]
         total = np.zeros((TERMS * len(blocks),) * 2)
         for k, block in enumerate(blocks):
@@ -111,7 +112,7 @@ class ChainDraws:
 
     @cached_property
     def _planes(self) -> list[_SinglePlane]:
-        return [_SinglePlane(plane, self.chain) for plane in self.chain.meridian.planes]
+        return [_SinglePlane(plane, self.reconstruction) for plane in self.reconstruction.meridian.planes]
 
     @cached_property
     def _nominal(self) -> Array:
@@ -120,26 +121,26 @@ class ChainDraws:
     @cached_property
     def _passed(self) -> ComplexArray:
         """Transmitted objects where they are compared, minus the mean; shape (judged, samples)."""
-        meridian = self.chain.meridian
+        meridian = self.reconstruction.meridian
         judged = np.abs(meridian.coordinates_mm) <= 0.5 * JUDGED * meridian.length_mm
-        passed = self.chain.passed[judged]
+        passed = self.reconstruction.passed[judged]
         return np.asarray(passed - passed.mean(axis=0))
 
     @cached_property
     def _true(self) -> ComplexArray:
         """Each object as it is compared, shape (objects, judged)."""
-        return np.asarray((self._passed @ self.chain.objects).T)
+        return np.asarray((self._passed @ self.reconstruction.objects).T)
 
     @cached_property
     def _finding(self) -> ComplexArray:
         """Change of each reconstructed object due to amplitude changes; shape (objects, judged, pixels)."""
-        return np.stack([(self._passed @ one).astype(np.complex64) for one in self.chain.solutions])
+        return np.stack([(self._passed @ one).astype(np.complex64) for one in self.reconstruction.solutions])
 
     def _visible(self, plane: MeridianPlane, noise: float) -> Array:
         weights = np.abs(plane.matrix) ** 2 / noise**2
         total = np.maximum(weights.sum(axis=1), np.finfo(float).tiny)
         across, down = ORDERS[0] + 1, ORDERS[1] + 1
-        meridian, moments = self.chain.meridian, []
+        meridian, moments = self.reconstruction.meridian, []
         powers = np.vander(meridian.coordinates_mm / (0.5 * meridian.length_mm), 2 * ORDERS[0] + 1, True)
         for order in range(2 * ORDERS[1] + 1):
             if order:
@@ -207,11 +208,11 @@ class _Field:
 class _SinglePlane:
     """Model of one plane in single precision."""
 
-    def __init__(self, plane: MeridianPlane, chain: LinearisedChain) -> None:
-        meridian = chain.meridian
+    def __init__(self, plane: MeridianPlane, reconstruction: LinearisedReconstruction) -> None:
+        meridian = reconstruction.meridian
         self.matrix = plane.matrix.astype(np.complex64)
         self.cosines = plane.cosines.astype(np.float32)
-        self.objects = chain.objects.astype(np.complex64)
+        self.objects = reconstruction.objects.astype(np.complex64)
         self.powers = np.vander(meridian.coordinates_mm / (0.5 * meridian.length_mm), ORDERS[0] + 1, True)
 
     def field(self, coefficients: Array) -> _Field:

@@ -67,7 +67,7 @@ class ReconstructionEngine:
 
 
 @dataclass(frozen=True, eq=False)
-class LineChain:
+class LineImagingChain:
     """Imaging and reconstruction of one region of the object on a meridional line.
 
     Attributes

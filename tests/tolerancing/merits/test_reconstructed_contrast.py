@@ -6,9 +6,9 @@ from pydantic import ValidationError
 
 from lensdesign.errors import InputError
 from tolerancing.merits.bars import DARK
-from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
+from tolerancing.merits.reconstructed_contrast import ReconstructedContrast
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from wavesim.sensor.recording import recorded_scene

@@ -51,7 +51,7 @@ DARK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class LinearisedChain:
+class LinearisedReconstruction:
     """The linearised model on a meridian, from random objects to the objects that a reconstruction finds.
 
     Attributes
@@ -182,27 +182,29 @@ class LinearisedChain:
         return registered_correlations(found, true)
 
 
-def expected_loss(chains: Sequence[LinearisedChain], waves: Sequence[Sequence[Array]]) -> float:
+def expected_loss(
+    reconstructions: Sequence[LinearisedReconstruction], waves: Sequence[Sequence[Array]]
+) -> float:
     """Return 1 minus the expected correlation of an object in the plane.
 
     The losses on perpendicular meridians add.
 
     Parameters
     ----------
-    chains
-        One chain for each meridian.
+    reconstructions
+        One reconstruction for each meridian.
     waves
-        Path change of each chain in waves (:meth:`Meridian.waves`).
+        Path change of each reconstruction in waves (:meth:`Meridian.waves`).
 
     Returns
     -------
     float
         Loss, 0 to 1.
     """
-    if not chains:
+    if not reconstructions:
         raise InputError("expected_loss: needs one meridian at least")
     errors = [
-        np.mean(chain.correlations(path)) ** -2 - 1.0 for chain, path in zip(chains, waves, strict=True)
+        np.mean(one.correlations(path)) ** -2 - 1.0 for one, path in zip(reconstructions, waves, strict=True)
     ]
     return float(1.0 - 1.0 / np.sqrt(1.0 + max(sum(errors), 0.0)))
 

@@ -5,9 +5,9 @@ import pytest
 
 from lensdesign import Pose, scaled
 from lensdesign.errors import InputError
-from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.context import Context, Sampling
-from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
+from tolerancing.merits.reconstructed_contrast import ReconstructedContrast
+from tolerancing.merits.reconstruction.line_imaging_chain import LineImagingChain, ReconstructionEngine
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from wavesim import resolve
@@ -18,7 +18,7 @@ EIKONAL = ReconstructionEngine("eikonal")
 
 
 def chain_of(lens, widths=(0.775, 1.55), **keys):
-    return LineChain(lens, 0.0, 0.05, lens.sensor.plane_distances_mm, "lines", widths, 0.532, **keys)
+    return LineImagingChain(lens, 0.0, 0.05, lens.sensor.plane_distances_mm, "lines", widths, 0.532, **keys)
 
 
 @pytest.fixture(scope="module")

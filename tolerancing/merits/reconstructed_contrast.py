@@ -1,4 +1,4 @@
-"""Contrast of bars after the whole chain: perturbed lens, sensor, phase retrieval, nominal lens.
+"""Contrast of bars after the whole imaging chain: perturbed lens, sensor, phase retrieval, nominal lens.
 
 A plane wave illuminates an object in a round field stop. Its light propagates through the perturbed lens
 (eikonal tiles) to the actual sensor planes. The recorded intensities are reconstructed as if the lens and all
@@ -21,7 +21,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.frozen_model import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.bars import SIDE, Chain, Ground, Method, Point
+from tolerancing.merits.bars import SIDE, BarImagingChain, Ground, Method, Point
 from tolerancing.merits.base import Merit, orientation_text, refocus_text
 from tolerancing.merits.context import Context
 from tolerancing.merits.line_pairs import NOISE_STREAM
@@ -161,7 +161,7 @@ class ReconstructedContrast(Merit):
             scores.append(self._score(chain, system, planes, refocused))
         return np.array(scores)
 
-    def _chain(self, lens: Lens) -> Chain:
+    def _chain(self, lens: Lens) -> BarImagingChain:
         from wavesim.targets.patch import object_patch
 
         width_um = self.line_width_um
@@ -176,10 +176,10 @@ class ReconstructedContrast(Merit):
         sets: tuple[tuple[Axis, Point], ...] = (("x", (-offset, 0.0)), ("y", (offset, 0.0)))
         if self.orientation != "worse":
             sets = ((self.orientation, (0.0, 0.0)),)
-        return Chain(lens, patch, sets, width_um, self.ground)
+        return BarImagingChain(lens, patch, sets, width_um, self.ground)
 
     def _score(
-        self, chain: Chain, system: SystemState, planes: Sequence[Measurement], refocused: bool
+        self, chain: BarImagingChain, system: SystemState, planes: Sequence[Measurement], refocused: bool
     ) -> float:
         """Return the contrast of the worse set of bars, reconstructed from one trial's planes."""
         from wavesim import refocus

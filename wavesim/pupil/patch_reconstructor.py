@@ -42,10 +42,10 @@ from wavesim.scene.system_state import AS_DESIGNED, SystemState, state_of
 
 
 @dataclass(frozen=True, eq=False)
-class PatchChain:
+class PatchReconstructor:
     """Propagation of a patch of the object through perturbed lenses, and back through the nominal lens.
 
-    The nominal rays are traced once. :mod:`wavesim.pupil.patch_chain` describes the model.
+    The nominal rays are traced once. :mod:`wavesim.pupil.patch_reconstructor` describes the model.
 
     Attributes
     ----------
@@ -80,11 +80,11 @@ class PatchChain:
     Contrast of lines on a meridian that a tilted lens has recorded:
 
     >>> from lensdesign import Pose, load_design
-    >>> from wavesim import PatchChain
-    >>> from wavesim.pupil import chain_contrast
+    >>> from wavesim import PatchReconstructor
+    >>> from wavesim.pupil import patch_bar_contrast
     >>> lens = load_design("designs/paper_singlet.toml")
-    >>> chain = PatchChain(lens, field_mm=(0.0, 1.0), patch_um=16.0, line=True)
-    >>> round(chain_contrast(chain.perturbed(Pose(tilt_x_deg=0.1)), line_width_um=0.775), 1)
+    >>> reconstructor = PatchReconstructor(lens, field_mm=(0.0, 1.0), patch_um=16.0, line=True)
+    >>> round(patch_bar_contrast(reconstructor.perturbed(Pose(tilt_x_deg=0.1)), line_width_um=0.775), 1)
     0.6
     """
 
@@ -240,7 +240,7 @@ class PatchChain:
         return (ErrorTerm(path, 2.0 * math.pi * rms), ErrorTerm(rim, math.nan))
 
 
-def chain_contrast(
+def patch_bar_contrast(
     trial: PerturbedPatch,
     line_width_um: float,
     orientation: Orientation = "y",
@@ -263,7 +263,7 @@ def chain_contrast(
     trial
         The patch through one perturbed lens.
     line_width_um, orientation, bars
-        As in :meth:`PatchChain.bars`.
+        As in :meth:`PatchReconstructor.bars`.
     refocused
         Whether to remove defocus by a least-squares fit to the phase. Displacement is always removed.
     best
@@ -274,7 +274,8 @@ def chain_contrast(
     Raises
     ------
     InputError, SamplingError
-        As :meth:`PatchChain.bars` and :meth:`wavesim.pupil.patch_reconstruction.PerturbedPatch.reconstruct`.
+        As :meth:`PatchReconstructor.bars` and
+        :meth:`wavesim.pupil.patch_reconstruction.PerturbedPatch.reconstruct`.
     """
     lines = trial.patch.bars(line_width_um, orientation, bars)
     reconstructed = trial.reconstruct(lines, "focus" if refocused else "shift", electrons, rng)
