@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 from paper.element import BUDGETS, DESIGNS, Budget, Element, Made, Number, Picture
 
 PICTURES, PARTS, PAGE = "pictures", "parts", "paper.md"

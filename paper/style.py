@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import atomic_path
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.plots.saving import save_figure
 from tolerancing.report.figures.style import (
     BLUE,

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, atomic_path, validate_positive
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError, validate_positive
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.intersection import Figure

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none, visible
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 from lensdesign.manufacture.exports import ExportOptions, export_kinds, export_lens
 

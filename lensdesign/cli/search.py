@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.cli.tables import print_tables, table
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
     from lensdesign.analysis.report import Constraint

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import message_console, print_json
 from lensdesign.common.options import Json, output_option
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
     from lensdesign.optimization.testplates import PlateFit

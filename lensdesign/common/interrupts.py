@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from lensdesign.errors import UNFINISHED
+from lensdesign.common.atomic_files import UNFINISHED
 
 REPEAT_SECONDS = 1.0
 """Time after the first signal in which repeated signals are ignored, since a key may be pressed twice."""

@@ -7,7 +7,8 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from lensdesign.errors import InputError, resolved_output
+from lensdesign.common.atomic_files import resolved_output
+from lensdesign.errors import InputError
 
 
 def check_output_file(path: str | os.PathLike[str]) -> None:

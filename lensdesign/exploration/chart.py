@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.text import visible
-from lensdesign.errors import atomic_path
 from lensdesign.exploration.front import ExploredPoint, front_of
 from lensdesign.exploration.objectives import Axis, Objective
 from lensdesign.plots.charts import INK, label_axes, white_figure

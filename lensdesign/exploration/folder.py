@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.text import safe_cell
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.exploration.front import ExploredPoint, front_of
 from lensdesign.exploration.objectives import Axis
 from lensdesign.files.design import design_text, load_design

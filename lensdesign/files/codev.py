@@ -27,7 +27,8 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.assembly import assemble
 from lensdesign.files.codev_glasses import PrivateGlass
 from lensdesign.files.draft import (

@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 
 import tomli_w
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
-from lensdesign.errors import DesignError, InputError, atomic_path
+from lensdesign.errors import DesignError, InputError
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.edges import Edge, Flange
 from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.tables import read_grid_row, read_number, validate_no_comma_pairs
 from lensdesign.common.toml_files import read_text, unknown_key
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM, FigureSource
 from lensdesign.lens.lens import Lens

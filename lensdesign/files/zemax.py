@@ -26,7 +26,8 @@ from decimal import Context, Decimal
 from pathlib import Path
 from typing import Any
 
-from lensdesign.errors import InputError, MaterialError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError, MaterialError
 from lensdesign.files.assembly import assemble
 from lensdesign.files.draft import (
     MAX_SURFACES,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.mesh.rings import circle
 from lensdesign.manufacture.mesh.writing import glass_visuals, plain_visuals

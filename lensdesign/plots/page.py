@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensdesign.analysis.check import check_design
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.notebook import page_template
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.scene import SHARP_DEG, ScenePart, scene_parts
 from lensdesign.plots.scene3d import VIEW_CHORD_FRACTION

@@ -18,7 +18,8 @@ from lensdesign.analysis.arrival_angles import ArrivalAngles, arrival_angles
 from lensdesign.analysis.space_bandwidth import spread_limit_sine
 from lensdesign.analysis.traced_spread import rms_spot_diameter
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.charts import BEYOND, INK, label_axes, spread_figure, title_figure, white_figure
 from lensdesign.plots.figures import figure_map

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, TransferLensError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.labels import PlacedLabel, placed_labels
 from lensdesign.plots.scene import SHARP_DEG, ScenePart, scene_parts

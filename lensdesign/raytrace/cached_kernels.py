@@ -24,7 +24,8 @@ from typing import Any
 
 import numba
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 
 
 class KernelCacheWarning(UserWarning):

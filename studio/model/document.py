@@ -14,8 +14,9 @@ from typing import Any
 
 import tomli_w
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.toml_files import read_toml
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.design import design_text
 from studio.model.editing import Editing, Step, Tables, lens_from
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS

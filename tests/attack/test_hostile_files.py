@@ -21,6 +21,7 @@ from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 
 from lensdesign import DesignError, InputError, Lens, Surface, load_design
 from lensdesign.cli.commands import main
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.input_files import (
     CATALOG_BYTES,
     LENS_FILE_BYTES,
@@ -30,7 +31,6 @@ from lensdesign.common.input_files import (
     files_from,
 )
 from lensdesign.common.text import safe_cell, visible
-from lensdesign.errors import atomic_path
 from lensdesign.files import read_figure_grid
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
@@ -400,7 +400,7 @@ def test_formulas_in_cells(text: str, cell: str) -> None:
 
 
 def test_formulas_in_the_tables_of_a_comparison(tmp_path: Path) -> None:
-    from wavesim.plots.result_files import write_csv
+    from wavesim.cli.result_files import write_csv
 
     write_csv(
         [{"scene": "=HYPERLINK(1)", "error": -0.5}, {"scene": "fine", "error": 1.0}], tmp_path / "a.csv"

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.clusters import toolkit_version
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from tolerancing.report.blocks import Block, Report, plain
 from tolerancing.report.data import ReportData
 from tolerancing.report.sections.prediction import Front, prediction_section, read_front

@@ -9,8 +9,9 @@ from contextlib import closing, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.clusters import toolkit_version
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from tolerancing.store.file import exclusive_access, remove_logs, start_writing, translated_errors
 from tolerancing.store.schema import (
     APPLICATION_ID,

@@ -9,8 +9,9 @@ from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.text import safe_cell
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from tolerancing.store.checks import Columns, check_kinds
 from tolerancing.store.file import damage_as_error
 from tolerancing.store.schema import number_columns

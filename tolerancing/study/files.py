@@ -10,10 +10,11 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, validate_inside
 from lensdesign.common.toml_files import joined_faults, read_toml, validate
-from lensdesign.errors import DesignError, InputError, atomic_path
+from lensdesign.errors import DesignError, InputError
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit

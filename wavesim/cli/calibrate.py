@@ -46,7 +46,7 @@ def calibrate(
     within their noise, and 1 if they are not. After an interrupt, repeat the command to continue.
     """
     from wavesim.calibration.frame_calibration import calibrate_frames
-    from wavesim.plots.result_files import remove_unfinished
+    from wavesim.cli.result_files import remove_unfinished
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
 
@@ -85,9 +85,9 @@ def write_calibration(
     found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], extra: dict[str, Any], output: Path
 ) -> dict[str, Any]:
     """Write the table and the figure of a calibration, and return the table."""
+    from wavesim.cli.result_files import new_results, write_json
     from wavesim.plots.calibrations import calibration_figure
     from wavesim.plots.frames import save
-    from wavesim.plots.result_files import new_results, write_json
     from wavesim.sensor.frame_sets import planes_of_frames
 
     summary = {

@@ -53,7 +53,7 @@ def image(
     A run on a whole field (engine hierarchical) stores its finished parts. After an interrupt, repeat the
     command to continue.
     """
-    from wavesim.plots.result_files import remove_unfinished
+    from wavesim.cli.result_files import remove_unfinished
 
     remove_unfinished(output)
     lens = load_design(design)
@@ -188,11 +188,11 @@ def _names(recording: Recording) -> list[tuple[str, float]]:
 
 def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     """Return the names of the written files."""
+    from wavesim.cli.result_files import new_results, write_json
     from wavesim.fields.files import write_field
     from wavesim.plots.frames import frames_figure, save
     from wavesim.plots.objects import object_figure
     from wavesim.plots.pyramid import write_pyramid
-    from wavesim.plots.result_files import new_results, write_json
     from wavesim.sensor.frames import write_frame
 
     patch, transmission = imaged.patch, imaged.target.transmission

@@ -69,9 +69,9 @@ def reconstruct(
     case the most likely causes are tested and named. After an interrupt, repeat the command to continue from
     the last checkpoint.
     """
+    from wavesim.cli.result_files import remove_unfinished
     from wavesim.metrics.goodness_of_fit import Finding, with_finding
     from wavesim.metrics.next_steps import STOP_CAUSE
-    from wavesim.plots.result_files import remove_unfinished
     from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
@@ -242,9 +242,9 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     """Write all files together, and return their names."""
     import numpy as np
 
+    from wavesim.cli.result_files import new_results, write_csv, write_json
     from wavesim.plots.frames import curves_figure, residual_figure, save
     from wavesim.plots.objects import object_figure
-    from wavesim.plots.result_files import new_results, write_csv, write_json
 
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
     distances = [plane.distance_mm for plane in found.planes]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lensdesign.errors import atomic_path
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.plots.saving import save_figure
 from wavesim.metrics.result_quality import plane_metrics
 from wavesim.plots.panels import AS_SAMPLED, colour_bar, for_screen, panel_row, scale_bar, title_figure

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.notebook import page_template
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from wavesim.plots.layers import PictureLayer
 from wavesim.plots.pyramid import TILE
 

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.errors import InputError, atomic_path, validate_positive
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError, validate_positive
 
 TILE = 512
 """Side of a tile, in samples."""

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.array_files import read_arrays
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 
 CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT = (
     "checkpoint.npz",

@@ -16,10 +16,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, field_validator
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.input_files import read_json
 from lensdesign.common.toml_files import validate
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from pydantic import model_validator
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.toml_files import did_you_mean, validate
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
 from wavesim.scene.settings import SettingError
 from wavesim.sensor.pixels.maps import PixelMaps

@@ -8,8 +8,9 @@ from typing import Annotated
 
 from pydantic import Field
 
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import FrozenModel
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, closed_elements
 from lensdesign.manufacture.drawing.asphere import asphere_panel

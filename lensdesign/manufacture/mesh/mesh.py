@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.memory import check_memory
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.poses import Pose, SurfacePerturbation

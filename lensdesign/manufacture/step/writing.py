@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.common.atomic_files import atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements

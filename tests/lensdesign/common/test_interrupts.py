@@ -17,7 +17,7 @@ COMMAND = """
 import ctypes, sys, time
 from lensdesign.common import interrupts
 from lensdesign.common.console import make_app, run_app
-from lensdesign.errors import atomic_path
+from lensdesign.common.atomic_files import atomic_path
 
 app = make_app("a test")
 {times}

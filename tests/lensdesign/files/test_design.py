@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from random_lenses import lenses
 
 from lensdesign import DesignError, InputError, Lens, MaterialError, load_design, save_design
+from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.input_files import files_from
-from lensdesign.errors import atomic_path
 from lensdesign.files.design import design_text
 
 GOOD = """

@@ -12,8 +12,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from lensdesign.common.atomic_files import MARK, UNFINISHED, atomic_path, is_abandoned, new_mark
 from lensdesign.common.text import safe_cell
-from lensdesign.errors import MARK, UNFINISHED, InputError, atomic_path, is_abandoned, new_mark
+from lensdesign.errors import InputError
 
 UNFINISHED_FOLDER = re.compile(rf"\.new\.(?:{MARK}|[0-9a-f]{{8}})")
 """Names of folders in which results are written until they are complete."""
