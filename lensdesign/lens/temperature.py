@@ -8,9 +8,9 @@ vertex distance becomes
 
     t(T) - t = (a_m L - a' s' + a s) T,
 
-with the expansions a and a' of the surfaces before and behind the space. The same holds for the space between
-object and front surface, and for those between last surface and sensor planes. Object and sensor planes count
-as flat edges (s = 0).
+with the coefficients a and a' of the surfaces before and behind the space. The same holds for the space
+between object and front surface, and for those between last surface and sensor planes. Object and sensor
+planes count as flat edges (s = 0).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ThermalExpansion:
 
 
 @dataclass(frozen=True)
-class Expansions:
+class ExpansionCoefficients:
     """Linear expansion coefficients of the glasses and the mount of a lens, in 1/K.
 
     Attributes
@@ -99,7 +99,9 @@ class Expansions:
         return change
 
 
-def expansions(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Expansions:
+def expansion_coefficients(
+    lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K
+) -> ExpansionCoefficients:
     """Return the linear expansion coefficients of the glasses and the mount of a lens.
 
     Raises
@@ -113,10 +115,10 @@ def expansions(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Ex
     for adjoining in zip([None, *glasses[:-1]], glasses, strict=True):
         known = [value for value in adjoining if value is not None]
         surfaces.append(sum(known) / len(known) if known else mount_expansion_per_k)
-    return Expansions(np.array(surfaces), tuple(glasses), mount_expansion_per_k)
+    return ExpansionCoefficients(np.array(surfaces), tuple(glasses), mount_expansion_per_k)
 
 
-def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> ThermalExpansion:
+def thermal_expansion(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> ThermalExpansion:
     """Return the changes per kelvin of a lens and of the spaces around it.
 
     Parameters
@@ -131,19 +133,19 @@ def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Therma
     MaterialError
         If the expansion of a glass is not known, or a glass is already given at a temperature.
     """
-    found = expansions(lens, mount_expansion_per_k)
+    coefficients = expansion_coefficients(lens, mount_expansion_per_k)
     sags = np.array([edge_sag_mm(s.shape, s.semi_diameter_mm) for s in lens.surfaces])
     last = len(lens.surfaces) - 1
     return ThermalExpansion(
-        found.surfaces,
-        float(found.of_space(-1, np.array(lens.object.working_distance_mm), sags)),
+        coefficients.surfaces,
+        float(coefficients.of_space(-1, np.array(lens.object.working_distance_mm), sags)),
         np.array(
             [
-                found.of_space(i, np.array(s.thickness_mm or 0.0), sags)
+                coefficients.of_space(i, np.array(s.thickness_mm or 0.0), sags)
                 for i, s in enumerate(lens.surfaces[:last])
             ]
         ),
-        found.of_space(last, np.array(lens.sensor.plane_distances_mm), sags),
+        coefficients.of_space(last, np.array(lens.sensor.plane_distances_mm), sags),
     )
 
 
@@ -185,7 +187,7 @@ def lens_at_temperature(
     >>> hot.surfaces[0].material, round(hot.surfaces[0].radius_mm, 5)
     ('N-BK7@50C', 42.30901)
     """
-    difference, per_kelvin = temperature_c - REFERENCE_C, growth(lens, mount_expansion_per_k)
+    difference, per_kelvin = temperature_c - REFERENCE_C, thermal_expansion(lens, mount_expansion_per_k)
     surfaces = []
     for i, surface in enumerate(lens.surfaces):
         thickness = surface.thickness_mm
@@ -257,7 +259,7 @@ def check_heat(lens: Lens) -> None:
     MaterialError
         If data are missing; the message names surface, glass and the missing data.
     """
-    expansions(lens)
+    expansion_coefficients(lens)
     for i in range(len(lens.surfaces)):
         heated_material(lens, i, REFERENCE_C)
 

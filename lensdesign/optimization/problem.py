@@ -216,7 +216,7 @@ class DesignProblem:
             tuple(self._trace(point, base, rays, derivatives) for base in self.compiled),
             self.as_built(point, derivatives),
             None if change is None else change.temperature_c,
-            None if change is None else change.sizes,
+            None if change is None else change.expansion_factors,
             tuple(other.state(point, rays, derivatives) for other in self.heated),
             self.losses(point, derivatives),
         )
@@ -392,7 +392,7 @@ def _heights_mm(state: State, surface: int) -> Array:
     """Return the radial heights of all rays on a surface, scaled to the size of the surface as designed."""
     heights = [
         np.linalg.norm(trace.heights[trace.ok, surface], axis=-1)
-        / (1.0 if one.sizes is None else one.sizes[surface])
+        / (1.0 if one.expansion_factors is None else one.expansion_factors[surface])
         for one in state.all
         for trace in one.traces
     ]

@@ -1,7 +1,7 @@
 """The lens of a search at another temperature, with derivatives by the variables of the lens as designed.
 
 All thermal changes follow from the lens as designed: terms of its shapes are multiplied by factors, and
-spaces grow with their lengths and with the sags at the edges that the mount touches
+spaces expand with their lengths and with the sags at the edges that the mount touches
 (:mod:`lensdesign.lens.temperature`).
 """
 
@@ -16,7 +16,7 @@ from lensdesign.lens.catalogues.thermal import REFERENCE_C
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.lens.surface import Surface
-from lensdesign.lens.temperature import expansions, heated_keys, heated_material
+from lensdesign.lens.temperature import expansion_coefficients, heated_keys, heated_material
 from lensdesign.optimization.operands.glass import edge_sag
 from lensdesign.optimization.operands.operand import State
 from lensdesign.raytrace.gradients import ChainRule, Variable
@@ -67,12 +67,12 @@ class TemperatureChange:
     ) -> None:
         self.temperature_c, self.change_k = temperature_c, temperature_c - REFERENCE_C
         self.variables = variables
-        self.expansions = expansions(base, mount_expansion_per_k)
-        self.sizes = 1.0 + self.change_k * self.expansions.surfaces
+        self.coefficients = expansion_coefficients(base, mount_expansion_per_k)
+        self.expansion_factors = 1.0 + self.change_k * self.coefficients.surfaces
         self.materials = [heated_material(base, i, temperature_c) for i in range(len(base.surfaces))]
         self.factors = np.array(
             [
-                _scale_factor(base.surfaces[v.surface], v.kind, float(self.sizes[v.surface]))
+                _scale_factor(base.surfaces[v.surface], v.kind, float(self.expansion_factors[v.surface]))
                 if v.is_shape_term
                 else 0.0
                 for v in variables
@@ -96,29 +96,29 @@ class TemperatureChange:
         thickness = np.array([s.thickness_mm or 0.0 for s in lens.surfaces[:last]])
         lengths = np.array([lens.object.working_distance_mm, *thickness])
         lengths_by = np.array([[float(_is_space(v, i - 1)) for v in cold.variables] for i in range(last + 1)])
-        spaces = [self._grown(i - 1, length, sags) for i, length in enumerate(lengths)]
-        planes = self._grown(last, np.array(lens.sensor.plane_distances_mm), sags)
-        stop, grown = lens.stop_index, cold.traces[0]
+        spaces = [self._expanded(i - 1, length, sags) for i, length in enumerate(lengths)]
+        planes = self._expanded(last, np.array(lens.sensor.plane_distances_mm), sags)
+        stop, trace = lens.stop_index, cold.traces[0]
         return HeatedLens(
             self._lens(lens, np.array(spaces), planes),
-            float(self.sizes[stop]) * grown.stop_semi_diameter_mm,
+            float(self.expansion_factors[stop]) * trace.stop_semi_diameter_mm,
             ChainRule(
                 self._jacobian(cold.variables, lengths_by, sags_by),
-                self.sizes[stop] * grown.stop_semi_diameter_by,
-                self._grown(last, np.zeros((len(planes), len(cold.variables))), sags_by[:, None]),
+                self.expansion_factors[stop] * trace.stop_semi_diameter_by,
+                self._expanded(last, np.zeros((len(planes), len(cold.variables))), sags_by[:, None]),
             ),
         )
 
-    def _grown(self, surface: int, length: Array, sags: Array) -> Array:
+    def _expanded(self, surface: int, length: Array, sags: Array) -> Array:
         """Return the expanded space behind a surface, or its derivatives."""
-        return length + self.change_k * self.expansions.of_space(surface, length, sags)
+        return length + self.change_k * self.coefficients.of_space(surface, length, sags)
 
     def _jacobian(self, variables: tuple[Variable, ...], lengths_by: Array, sags_by: Array) -> Array:
         """Return the derivatives of the own variables by those of the search, shape (own, v)."""
         if not variables:
             return np.zeros((len(self.own), 0))
         shapes = np.diag(self.factors)[[v.is_shape_term for v in variables]]
-        spaces = [self._grown(i - 1, by, sags_by) for i, by in enumerate(lengths_by)]
+        spaces = [self._expanded(i - 1, by, sags_by) for i, by in enumerate(lengths_by)]
         return np.vstack([shapes, *spaces])
 
     def _lens(self, cold: Lens, spaces: Array, planes: Array) -> Lens:
@@ -128,7 +128,7 @@ class TemperatureChange:
                 update=heated_keys(surface, size - 1.0) | {"thickness_mm": t, "material": material}
             )
             for surface, size, t, material in zip(
-                cold.surfaces, self.sizes.tolist(), thickness, self.materials, strict=True
+                cold.surfaces, self.expansion_factors.tolist(), thickness, self.materials, strict=True
             )
         ]
         scene = cold.object.model_copy(update={"working_distance_mm": float(spaces[0])})

@@ -12,7 +12,7 @@ from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import term_of
 from lensdesign.lens.surface import Surface
-from lensdesign.lens.temperature import growth, heated_keys, heated_material
+from lensdesign.lens.temperature import heated_keys, heated_material, thermal_expansion
 
 
 def heat_deltas(
@@ -43,17 +43,17 @@ def heat_deltas(
     MaterialError
         If the thermal data of a glass are unknown.
     """
-    grown, indices = growth(lens, mount_expansion_per_k), lens.indices(wavelength_um)
+    expansion, indices = thermal_expansion(lens, mount_expansion_per_k), lens.indices(wavelength_um)
     shifts, inverse = np.unique(change_c, return_inverse=True)
     for i, surface in enumerate(lens.surfaces):
-        strains = (grown.surfaces_per_k[i] * shifts).tolist()
+        strains = (expansion.surfaces_per_k[i] * shifts).tolist()
         heated = [surface.replaced(**heated_keys(surface, strain)) for strain in strains]
         for name in surface.shape_parameters:
             values = np.array([_value(one, name) - _value(surface, name) for one in heated])
             if np.any(values):
                 yield i, name, values[inverse]
         if i < len(lens.surfaces) - 1:
-            yield i, "thickness_mm", float(grown.thickness_mm_per_k[i]) * change_c
+            yield i, "thickness_mm", float(expansion.thickness_mm_per_k[i]) * change_c
         hot = [heated_material(lens, i, REFERENCE_C + shift) for shift in shifts.tolist()]
         changes = [
             0.0 if m is None else refractive_index(m, wavelength_um, lens.glass_catalogs) - indices[i + 1]
@@ -74,9 +74,9 @@ def heat_shifts_mm(lens: Lens, change_c: Array, mount_expansion_per_k: float) ->
         Shift of each plane from its nominal position. It includes the motion of the exit vertex, from which
         plane distances are measured and which moves with the thicknesses.
     """
-    grown = growth(lens, mount_expansion_per_k)
-    planes = grown.planes_mm_per_k + grown.thickness_mm_per_k.sum()
-    return grown.object_mm_per_k * change_c, change_c[:, None] * planes
+    expansion = thermal_expansion(lens, mount_expansion_per_k)
+    planes = expansion.planes_mm_per_k + expansion.thickness_mm_per_k.sum()
+    return expansion.object_mm_per_k * change_c, change_c[:, None] * planes
 
 
 def _value(surface: Surface, parameter: str) -> float:

@@ -186,14 +186,14 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
         return given, np.zeros(len(state.variables))
     best = (0.0, np.zeros(len(state.variables)))
     for one in state.all:
-        size = 1.0 if one.sizes is None else float(one.sizes[i])
+        factor = 1.0 if one.expansion_factors is None else float(one.expansion_factors[i])
         for trace in one.traces:
             squares, by = heights_of(trace, i)
             squares = np.where(trace.ok, squares, 0.0)
             worst = int(np.argmax(squares))
             height = math.sqrt(squares[worst])
-            if height and height / size + SEMI_DIAMETER_STEP_MM > best[0]:
-                best = (height / size + SEMI_DIAMETER_STEP_MM, by[worst] / (2.0 * height * size))
+            if height and height / factor + SEMI_DIAMETER_STEP_MM > best[0]:
+                best = (height / factor + SEMI_DIAMETER_STEP_MM, by[worst] / (2.0 * height * factor))
     return best
 
 

@@ -38,7 +38,7 @@ class State:
         Predictions of the lens as built; None if not needed.
     temperature_c
         Temperature of the lens; None as designed.
-    sizes : ndarray, shape (surfaces,)
+    expansion_factors : ndarray, shape (surfaces,)
         Factors by which the surfaces have expanded; None as designed.
     heated
         The lens at the other temperatures of the specification.
@@ -52,7 +52,7 @@ class State:
     traces: tuple[GradientTrace, ...]
     as_built: AsBuiltValues | None = None
     temperature_c: float | None = None
-    sizes: Array | None = None
+    expansion_factors: Array | None = None
     heated: tuple[State, ...] = ()
     losses: LossValues | None = None
 

@@ -6,7 +6,7 @@ import pytest
 from lensdesign import load_design, save_design
 from lensdesign.errors import MaterialError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.temperature import ALUMINIUM_PER_K, growth, lens_at_temperature
+from lensdesign.lens.temperature import ALUMINIUM_PER_K, lens_at_temperature, thermal_expansion
 
 
 def lens_of(*surfaces, **changes) -> Lens:
@@ -58,7 +58,7 @@ def test_a_space_follows_the_edges_that_its_mount_stands_on():
 
 def test_a_cemented_surface_grows_by_the_mean():
     lens = lens_of(FRONT, {**BACK, "thickness_mm": 3.0, "material": "N-SF5"}, {"radius_mm": -50.0})
-    grown = growth(lens).surfaces_per_k
+    grown = thermal_expansion(lens).surfaces_per_k
     assert grown == pytest.approx([7.1e-6, 0.5 * (7.1e-6 + 7.94e-6), 7.94e-6], rel=0.01)
 
 
