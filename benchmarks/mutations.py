@@ -145,7 +145,7 @@ MUTATIONS = (
     ),
     Mutation(
         "interferometer at 633 nm",
-        "lensdesign/lens/figure_source.py",
+        "lensdesign/lens/surface_figure_source.py",
         "TEST_WAVELENGTH_UM = 0.6328",
         "TEST_WAVELENGTH_UM = 0.633",
     ),

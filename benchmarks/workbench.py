@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import DESIGNS
+from studio.model.analysis import AnalysisRequest, patch_of, rays_of, waves_of
 from studio.model.document import opened
 from studio.model.editing import with_value
-from studio.model.figures import FigureRequest, patch_of, rays_of, waves_of
 from studio.model.whatif import WhatIf
 
 ROUNDS = 100
@@ -81,7 +81,7 @@ def computing() -> None:
             for k in range(ROUNDS // 10 if settled else ROUNDS):
                 tables = with_value(editing.now.tables, ("surface", 1, "radius_mm"), -12.0 - 1e-4 * (k + 1))
                 lens = editing.changed(tables, "").lens
-                asked = FigureRequest(lens, WhatIf({"lens.decenter_y_mm": 0.01}), made, 0.0)
+                asked = AnalysisRequest(lens, WhatIf({"lens.decenter_y_mm": 0.01}), made, 0.0)
                 began, used = time.perf_counter(), time.process_time()
                 stage(asked, settled=settled)
                 wall.append(time.perf_counter() - began)

@@ -5,12 +5,12 @@ from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
 from .files.zemax import read_zmx, write_zmx
 from .lens.edges import Edge, Flange
-from .lens.figure_source import FigureSource
 from .lens.glass import get_material
 from .lens.lens import Lens, ObjectSpace, Sensor
 from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
 from .lens.surface import Surface
+from .lens.surface_figure_source import SurfaceFigureSource
 from .manufacture.drawing.sheets import lens_drawing, write_drawing
 from .manufacture.mesh.mesh import write_mesh
 from .manufacture.mesh.reading import read_mesh
@@ -29,7 +29,6 @@ __all__ = [
     "CheckReport",
     "DesignError",
     "Edge",
-    "FigureSource",
     "Flange",
     "InputError",
     "Lens",
@@ -41,6 +40,7 @@ __all__ = [
     "Sensor",
     "Specification",
     "Surface",
+    "SurfaceFigureSource",
     "SurfacePerturbation",
     "TransferLensError",
     "check_design",

@@ -19,9 +19,9 @@ from lensdesign.analysis.space_bandwidth import (
     smallest_exit_beam_diameter_mm,
     spread_limit_sine,
 )
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.glass import LINE_C_UM, LINE_D_UM, LINE_F_UM, get_material
 from lensdesign.lens.poses import rotation_matrix
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.zernikes import zernike
 from lensdesign.manufacture.drawing.tolerances import GENERAL
 from tolerancing.perturbations.distributions import (

@@ -11,7 +11,7 @@ from small_twins import small_spot, stopped_down
 
 from lensdesign import Pose, SurfacePerturbation, load_design
 from lensdesign.errors import InputError
-from lensdesign.lens import figure_from_zernike
+from lensdesign.lens import surface_figure_from_zernike
 from lensdesign.raytrace.bundles import launch
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import trace
@@ -35,7 +35,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::wavesim.fields.sampling_checks.
 
 def figured(surface: int, um: dict[int, float]) -> dict[int, SurfacePerturbation]:
     """Zernike figure of one surface of the paper's lens."""
-    return {surface: SurfacePerturbation(figure=figure_from_zernike(um, SEMI_MM[surface]))}
+    return {surface: SurfacePerturbation(figure=surface_figure_from_zernike(um, SEMI_MM[surface]))}
 
 
 # Where the surface lies.
@@ -65,7 +65,7 @@ def test_height_of_an_upright_surface_is_sag_plus_figure() -> None:
     um = {5: 0.3, 8: -0.2}
     system = compile_system(PAPER, 0.532, surface_perturbations=figured(0, um))
     x, y = np.array([1.0, -3.0]), np.array([2.0, 4.0])
-    right = PAPER.surfaces[0].sag_mm(np.hypot(x, y)) + figure_from_zernike(um, SEMI_MM[0]).sag(x, y)
+    right = PAPER.surfaces[0].sag_mm(np.hypot(x, y)) + surface_figure_from_zernike(um, SEMI_MM[0]).sag(x, y)
     assert surface_map(system, 0, x, y).z_mm == pytest.approx(right, abs=1e-15)
 
 
@@ -91,7 +91,7 @@ def test_path_difference_follows_from_the_nominal_rays(surface: int) -> None:
     for scale in (0.02, 0.01):
         um = {3: scale, 7: 0.5 * scale, 12: -scale}
         found = sampler.pupil(SystemState(surface_perturbations=figured(surface, um))).opd_mm
-        right = -change * figure_from_zernike(um, SEMI_MM[surface]).sag(x, y)
+        right = -change * surface_figure_from_zernike(um, SEMI_MM[surface]).sag(x, y)
         assert np.std(right) > 1e-6 * scale / 0.02
         left.append(float(np.max(np.abs(found - right))))
         assert left[-1] < 2e-2 * np.max(np.abs(right))

@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.files.figures import surface_figure
-from lensdesign.lens.figure import SurfaceFigure
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
+from lensdesign.files.surface_figures import surface_figure
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface_figure import SurfaceFigure
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.zernikes import zernike
 from lensdesign.raytrace.bundles import pupil_rings
 
@@ -53,8 +53,8 @@ def form_errors(lens: Lens) -> tuple[FormError, ...]:
 
     Examples
     --------
-    >>> from lensdesign import FigureSource, Lens, ObjectSpace, Sensor, Surface
-    >>> figure = FigureSource(zernike_waves_633nm={12: 0.05}, semi_diameter_mm=4.0)
+    >>> from lensdesign import SurfaceFigureSource, Lens, ObjectSpace, Sensor, Surface
+    >>> figure = SurfaceFigureSource(zernike_waves_633nm={12: 0.05}, semi_diameter_mm=4.0)
     >>> lens = Lens(
     ...     wavelengths_um=(0.55,),
     ...     object=ObjectSpace(field_diameter_mm=2.0, numerical_aperture=0.1, working_distance_mm=20.0),
@@ -95,8 +95,8 @@ def pv_rms_waves(
 
     Examples
     --------
-    >>> from lensdesign.lens import figure_from_zernike
-    >>> figure = figure_from_zernike({4: 0.6328}, semi_diameter_mm=5.0)
+    >>> from lensdesign.lens import surface_figure_from_zernike
+    >>> figure = surface_figure_from_zernike({4: 0.6328}, semi_diameter_mm=5.0)
     >>> [round(value, 2) for value in pv_rms_waves(figure, 5.0)]
     [3.46, 1.0]
     """

@@ -13,9 +13,9 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError, validate_positive
-from lensdesign.files.figures import surface_figure
+from lensdesign.files.surface_figures import surface_figure
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.shapes.intersection import Figure
+from lensdesign.lens.shapes.intersection import SagError
 from lensdesign.lens.surface import Surface
 
 COLUMNS = ("radial_height_mm", "sag_mm", "slope", "departure_mm", "best_fit_radius_mm")
@@ -176,7 +176,7 @@ def _symmetric(surface: Surface, r: Array) -> tuple[Array, Array, Array]:
     # Rounding must not place the rim of a whole hemisphere outside its edge.
     within = np.minimum(r, (1.0 - 1e-15) * surface.shape.edge_radius_mm)
     shape, figure = surface.shape, surface_figure(surface)
-    asymmetric: list[Figure] = [] if figure is None else [figure.sag_and_slopes]
+    asymmetric: list[SagError] = [] if figure is None else [figure.sag_and_slopes]
     if shape.ROTATIONAL:
         sag, slope = surface.sag_mm(within), surface.slope(within)
     else:

@@ -59,7 +59,7 @@ def export(
     options = ExportOptions(chord_error_um, measured, warn=lambda note: typer.echo(note, err=True))
     exported = export_lens(load_design(design), file, options)
     if as_json:
-        print_json(exported.figures)
+        print_json(exported.values)
     else:
         print_outline(exported.outline)
         typer.echo(f"wrote {file}: {exported.sentence}")
@@ -198,13 +198,13 @@ def drawing(
     if reason:
         notes.append(f"the yield of the sheet is not predicted: {reason}")
     if as_json:
-        figures = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
+        values = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
         if assumed is not None:
-            figures |= {
+            values |= {
                 "study_yield": None if predicted_yield is None else predicted_yield.study_yield,
                 "as_drawn_yield": None if predicted_yield is None else predicted_yield.as_drawn_yield,
             }
-        print_json(figures)
+        print_json(values)
     else:
         for note in notes:
             typer.echo(f"note: {visible(note)}", err=True)
@@ -270,7 +270,7 @@ def sag(
         raise InputError(f"cannot write {output}: the name must end in .csv")
     table = sag_table(lens, surface - 1, spacing_mm)
     write_sag_table(table, output)
-    figures = {
+    values = {
         "file": str(output),
         "rows": len(table.sag_mm),
         "best_fit_radius_mm": finite_or_none(table.best_fit_radius_mm),
@@ -278,7 +278,7 @@ def sag(
         "asymmetric_rms_mm": table.asymmetric_rms_mm,
     }
     if as_json:
-        print_json(figures)
+        print_json(values)
         return
     departure_um = 1e3 * float(abs(table.departure_mm).max())
     typer.echo(
@@ -341,13 +341,13 @@ def _print_import(found: Imported, output: Path, deviation: str, as_json: bool) 
     first = found.first_order
     lens = found.lens
     if as_json:
-        figures = first and {k: v if math.isfinite(v) else None for k, v in asdict(first).items()}
+        values = first and {k: v if math.isfinite(v) else None for k, v in asdict(first).items()}
         print_json(
             {
                 "design": str(output),
                 "dropped": dropped,
                 "remarks": list(found.remarks),
-                "first_order": figures,
+                "first_order": values,
             }
         )
         return

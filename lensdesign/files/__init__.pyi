@@ -1,8 +1,8 @@
 from .codev import read_seq, write_seq
 from .design import design_text, load_design, save_design
 from .draft import Imported, LossyImportError, Supplement
-from .figures import read_figure_grid, surface_figure, write_figure_grid
 from .formats import LensFormat, read_lens_file, write_lens_file
+from .surface_figures import read_surface_figure_grid, surface_figure, write_surface_figure_grid
 from .zemax import read_zmx, write_zmx
 
 __all__ = [
@@ -12,14 +12,14 @@ __all__ = [
     "Supplement",
     "design_text",
     "load_design",
-    "read_figure_grid",
     "read_lens_file",
     "read_seq",
+    "read_surface_figure_grid",
     "read_zmx",
     "save_design",
     "surface_figure",
-    "write_figure_grid",
     "write_lens_file",
     "write_seq",
+    "write_surface_figure_grid",
     "write_zmx",
 ]

@@ -14,7 +14,7 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.input_files import validate_inside
 from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError
-from lensdesign.files.figures import check_figures
+from lensdesign.files.surface_figures import check_surface_figures
 from lensdesign.lens.edges import Edge, Flange
 from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
@@ -77,7 +77,7 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
     validate_kind(data, path, "design")
     lens = validated_lens(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
-    surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
+    surfaces = tuple(_with_resolved_figure_file(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
         validate_inside(catalog, path, "glass_catalogs", DesignError)
     for index, surface in enumerate(surfaces, start=1):
@@ -85,7 +85,7 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
             validate_inside(surface.figure.file, path, f"surface {index}, figure, file", DesignError)
     lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
     try:
-        check_figures(lens)
+        check_surface_figures(lens)
         for wavelength in lens.wavelengths_um:
             lens.indices(wavelength)
     except InputError as error:
@@ -215,7 +215,7 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
         return []  # the tables have another fault, which the caller reports
 
 
-def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:
+def _with_resolved_figure_file(surface: Surface, folder: Path) -> Surface:
     """Return the surface with an absolute path of its figure's file, if it has one."""
     if surface.figure is None or surface.figure.file is None:
         return surface

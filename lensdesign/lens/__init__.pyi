@@ -1,6 +1,4 @@
 from .edges import Edge, Flange
-from .figure import SurfaceFigure, figure_from_grid, figure_from_zernike
-from .figure_source import FigureSource
 from .glass import get_material, glass_summary, list_glasses, refractive_index
 from .lens import Lens, ObjectSpace, Sensor
 from .meridian import SurfaceMeridian
@@ -8,13 +6,14 @@ from .poses import Pose, SurfacePerturbation, rotation_matrix
 from .scaling import scaled
 from .solid import Element, closed_elements
 from .surface import Surface
+from .surface_figure import SurfaceFigure, surface_figure_from_grid, surface_figure_from_zernike
+from .surface_figure_source import SurfaceFigureSource
 from .temperature import lens_at_temperature
 from .zernikes import zernike, zernike_orders
 
 __all__ = [
     "Edge",
     "Element",
-    "FigureSource",
     "Flange",
     "Lens",
     "ObjectSpace",
@@ -22,11 +21,10 @@ __all__ = [
     "Sensor",
     "Surface",
     "SurfaceFigure",
+    "SurfaceFigureSource",
     "SurfaceMeridian",
     "SurfacePerturbation",
     "closed_elements",
-    "figure_from_grid",
-    "figure_from_zernike",
     "get_material",
     "glass_summary",
     "lens_at_temperature",
@@ -34,6 +32,8 @@ __all__ = [
     "refractive_index",
     "rotation_matrix",
     "scaled",
+    "surface_figure_from_grid",
+    "surface_figure_from_zernike",
     "zernike",
     "zernike_orders",
 ]

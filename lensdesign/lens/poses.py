@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
-    from lensdesign.lens.figure import SurfaceFigure
+    from lensdesign.lens.surface_figure import SurfaceFigure
 
 Value = float | NDArray[np.float64]
 

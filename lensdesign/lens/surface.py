@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
-from lensdesign.lens.figure_source import FigureSource
 from lensdesign.lens.shapes.base import Shape, curvature_of, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
+from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 
 
 class Surface(FrozenModel):
@@ -61,7 +61,7 @@ class Surface(FrozenModel):
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
     stop: bool = False
-    figure: FigureSource | None = None
+    figure: SurfaceFigureSource | None = None
 
     @field_validator("shape_type")
     @classmethod

@@ -26,14 +26,14 @@ class Exported:
     ----------
     sentence
         Summary of the contents.
-    figures
+    values
         Numbers of the export, for JSON.
     outline
         One sentence on the outline of each element.
     """
 
     sentence: str
-    figures: dict[str, Any]
+    values: dict[str, Any]
     outline: tuple[str, ...] = ()
 
 
@@ -110,14 +110,14 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         measured=options.measured,
         statement="; ".join(statements),
     )
-    figures = {
+    values = {
         "file": str(path),
         "triangles": mesh.triangles,
         "chord_error_um": mesh.chord_error_um,
         "edge_error_um": mesh.edge_error_um,
         "volume_mm3": mesh.volume_mm3,
         "exact_volume_mm3": mesh.exact_volume_mm3,
-        "surfaces_without_their_figure": [] if options.measured else _with_figure(lens),
+        "surfaces_without_their_figure": [] if options.measured else _surfaces_with_figure(lens),
         "outline": list(statements),
         "ground_diameters_mm": [] if figured else _diameters(outline),
     }
@@ -125,7 +125,7 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         f"{mesh.triangles} triangles, within {mesh.chord_error_um:.3g} um of the true surface, "
         f"volume {mesh.volume_mm3:.6g} mm^3 (exact {mesh.exact_volume_mm3:.6g} mm^3)"
     )
-    return Exported(sentence, figures, statements)
+    return Exported(sentence, values, statements)
 
 
 def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
@@ -137,11 +137,11 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         )
     outline = drawn_outline(lens)
     found = write_step(outline.lens, path, warn=options.warn, statement="; ".join(outline.statements))
-    figures = {
+    values = {
         "file": str(path),
         "bytes": found.bytes,
         "solids": [asdict(body) for body in found.bodies],
-        "surfaces_without_their_figure": _with_figure(lens),
+        "surfaces_without_their_figure": _surfaces_with_figure(lens),
         "outline": list(outline.statements),
         "ground_diameters_mm": _diameters(outline),
     }
@@ -150,7 +150,7 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         f"{1e6 * found.largest_error_mm:.2g} nm of the true surface, volume {found.volume_mm3:.9g} mm^3 "
         f"(exact {found.exact_volume_mm3:.9g} mm^3)"
     )
-    return Exported(sentence, figures, outline.statements)
+    return Exported(sentence, values, outline.statements)
 
 
 def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
@@ -176,7 +176,7 @@ def _diameters(outline: DrawnOutline) -> list[float]:
     return [edge.diameter_mm for edge in outline.edges]
 
 
-def _with_figure(lens: Lens) -> list[int]:
+def _surfaces_with_figure(lens: Lens) -> list[int]:
     return [i for i, surface in enumerate(lens.surfaces, start=1) if surface.figure]
 
 

@@ -99,7 +99,7 @@ def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_um: float) -> str:
     return page_template("lensdesign.plots", "view.html.j2").render(
         title=lens.title or "Lens",
         groups=[(kind, list(group)) for kind, group in groupby(legend, lambda entry: entry["kind"])],
-        figures=_figures(lens),
+        facts=_facts(lens),
         chord_error=f"{chord_error_um:.2g} µm",
         scene={"smooth": math.cos(math.radians(2.0 * SHARP_DEG)), "parts": [_packed(p) for p in parts]},
     )
@@ -126,8 +126,8 @@ def _base64(values: ArrayLike, dtype: str) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode("ascii")
 
 
-def _figures(lens: Lens) -> list[tuple[str, str, bool]]:
-    """Return name, value, and whether a limit is violated, of the main figures of the lens."""
+def _facts(lens: Lens) -> list[tuple[str, str, bool]]:
+    """Return name, value, and whether a limit is violated, of the main properties of the lens."""
     report, sensor = check_design(lens), lens.sensor
     (columns, rows), (width, height) = sensor.pixels, sensor.size_mm
     beyond = any(not c.met for c in report.constraints if "(Eq. 2)" in c.name)

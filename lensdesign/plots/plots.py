@@ -22,10 +22,10 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.plots.charts import BEYOND, INK, label_axes, spread_figure, title_figure, white_figure
-from lensdesign.plots.figures import figure_map
 from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.saving import save_figure
 from lensdesign.plots.scene3d import RenderingError, render_lens
+from lensdesign.plots.surface_figures import surface_figure_map
 from lensdesign.raytrace.bundles import launch, pupil_hexapolar
 from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
 from lensdesign.raytrace.rays import trace
@@ -86,7 +86,7 @@ def draw_all(
     }
     for i, surface in enumerate(lens.surfaces):
         if surface.figure is not None:
-            figures[f"surface_{i + 1}_figure"] = figure_map(lens, i)
+            figures[f"surface_{i + 1}_figure"] = surface_figure_map(lens, i)
     paths = []
     for name, figure in figures.items():
         for form in formats:

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.files.figures import surface_figure
-from lensdesign.lens.figure import SurfaceFigure, packed_figures
+from lensdesign.files.surface_figures import surface_figure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
 from lensdesign.lens.shapes.base import Shape, term_of
-from lensdesign.lens.shapes.intersection import Figure, sag_and_slopes
+from lensdesign.lens.shapes.intersection import SagError, sag_and_slopes
 from lensdesign.lens.shapes.registry import code_of
 from lensdesign.lens.surface import Surface
+from lensdesign.lens.surface_figure import SurfaceFigure, packed_surface_figures
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class CompiledSystem:
         codes, starts, terms = self.packed_shapes
         if not any(self.figures):
             return codes if np.any(codes) else None, starts, terms, None
-        packed = packed_figures(self.figures)
+        packed = packed_surface_figures(self.figures)
         return codes, starts, terms, (packed.first, packed.layout, packed.per_mm, packed.coefficients)
 
     @property
@@ -90,7 +90,7 @@ class CompiledSystem:
         moved = np.any(self.tilted) or np.any(self.vertex[..., :2])
         return not (moved or any(self.figures)) and all(shape.ROTATIONAL for shape in self.shapes)
 
-    def figure(self, surface: int) -> Figure | None:
+    def sag_error(self, surface: int) -> SagError | None:
         """Return the sag error of a surface in its own frame (first trial) as a function, or None."""
         figures = [figure.trial(0) for figure in self.figures[surface]]
         if not figures:
@@ -109,7 +109,7 @@ class CompiledSystem:
 
     def sag_and_slopes(self, surface: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Return the sag in mm and the slopes along x and y, as in :meth:`sag`."""
-        return sag_and_slopes(self.shapes[surface].trial(0), x, y, self.figure(surface))
+        return sag_and_slopes(self.shapes[surface].trial(0), x, y, self.sag_error(surface))
 
 
 def compile_system(
@@ -157,11 +157,11 @@ def compile_system(
         index=index,
         semi_diameter=semi,
         tilted=np.any(rotation != np.eye(3), axis=(0, 2, 3)),
-        figures=tuple(_figures(lens, i, changes.get(i)) for i in range(count)),
+        figures=tuple(_surface_figures(lens, i, changes.get(i)) for i in range(count)),
     )
 
 
-def _figures(lens: Lens, i: int, change: SurfacePerturbation | None) -> tuple[SurfaceFigure, ...]:
+def _surface_figures(lens: Lens, i: int, change: SurfacePerturbation | None) -> tuple[SurfaceFigure, ...]:
     """Return the measured figure of a surface and the figure of its perturbation, if any."""
     surface, added = lens.surfaces[i], None if change is None else change.figure
     if added is not None and added.semi_diameter_mm < (surface.semi_diameter_mm or 0.0):

@@ -75,12 +75,11 @@ def trace_kernel(
     vectorizes accesses with the known stride 3.
 
     `codes`, `starts` and `terms` come from :class:`lensdesign.raytrace.compiled.CompiledSystem`. `figures`
-    are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
-    `first_trial`. `figures` is None without figures, and `codes` is None if all surfaces are conics; code
-    that a lens does not need is then not compiled.
-    The six arrays from `position` on are filled for the rays from `first_ray` up to `end_ray`. `hits` may
-    have no rays and is then not filled. Returns the number of rays whose origin is not finite or whose
-    direction is not a finite unit vector.
+    are the arrays of :class:`lensdesign.lens.surface_figure.PackedSurfaceFigures`, in which these trials
+    begin at `first_trial`. `figures` is None without figures, and `codes` is None if all surfaces are conics;
+    code that a lens does not need is then not compiled. The six arrays from `position` on are filled for the
+    rays from `first_ray` up to `end_ray`. `hits` may have no rays and is then not filled. Returns the number
+    of rays whose origin is not finite or whose direction is not a finite unit vector.
     """
     trials, surfaces = status.shape[0], vertex.shape[1]
     ray, after = np.empty(7 * BLOCK), np.empty(7 * BLOCK)

@@ -1,1 +1,1 @@
-"""Model of the workbench, independent of the page: the edited lens and its figures."""
+"""Model of the workbench, independent of the page: the edited lens and its analysis."""

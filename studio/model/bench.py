@@ -1,7 +1,7 @@
-"""Workbench: a design that is edited, and its figures, which are updated after each change.
+"""Workbench: a design that is edited, and its analysis, which is updated after each change.
 
-One thread computes the figures of the newest state. Intermediate states, such as those of a moving slider,
-are skipped, so that no queue builds up. When the design stops changing, the figures are computed again with
+One thread analyses the newest state. Intermediate states, such as those of a moving slider,
+are skipped, so that no queue builds up. When the design stops changing, the analysis is repeated with
 the accuracy of the commands.
 """
 
@@ -17,10 +17,10 @@ from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.paths import FIELD_FRACTIONS
+from studio.model.analysis import AnalysisRequest, LensAnalysis, patch_of, rays_of, waves_of
 from studio.model.built import ManufacturingQuality, manufacturing_quality
 from studio.model.document import Autosave, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
-from studio.model.figures import FigureRequest, Figures, patch_of, rays_of, waves_of
 from studio.model.values import parsed, path_of_key
 from studio.model.whatif import WhatIf
 
@@ -28,7 +28,7 @@ Listener = Callable[[], None]
 
 
 class Workbench:
-    """A design that is edited, and its figures.
+    """A design that is edited, and its analysis.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Workbench:
         self.what_if = WhatIf()
         self.grade = grade
         self.patch_fraction = FIELD_FRACTIONS[1]
-        self.figures = Figures(self.lens)
+        self.analysis = LensAnalysis(self.lens)
         self.refused: dict[str, str] = {}
         self._quality: tuple[str, tuple[Any, ...], ManufacturingQuality | None] | None = None
         self._listeners: list[Listener] = []
@@ -169,11 +169,11 @@ class Workbench:
             listener()
 
     def request_update(self) -> None:
-        """Request figures of the present state."""
+        """Request an analysis of the present state."""
         with self._condition:
             self._requested += 1
             if self._thread is None or not self._thread.is_alive():
-                self._thread = threading.Thread(target=self._work, daemon=True, name="figures")
+                self._thread = threading.Thread(target=self._work, daemon=True, name="analysis")
                 self._thread.start()
             self._condition.notify_all()
         self.notify()
@@ -184,12 +184,12 @@ class Workbench:
             self._ended = True
             self._condition.notify_all()
 
-    def settle(self) -> Figures:
-        """Compute figures with full accuracy in this thread."""
-        request = FigureRequest(self.lens, self.what_if, self._quality_for(self.lens), self.patch_fraction)
+    def settle(self) -> LensAnalysis:
+        """Analyse the present state with full accuracy in this thread."""
+        request = AnalysisRequest(self.lens, self.what_if, self._quality_for(self.lens), self.patch_fraction)
         for stage in (rays_of, waves_of, patch_of):
             self._publish(stage(request, settled=True))
-        return self.figures
+        return self.analysis
 
     def _work(self) -> None:
         done = 0
@@ -203,7 +203,7 @@ class Workbench:
                     continue
                 done = self._requested
             try:
-                request = FigureRequest(self.lens, self.what_if, None, self.patch_fraction)
+                request = AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction)
                 self._keep()
                 self._publish(rays_of(request, settled=False))
                 request = replace(request, quality=self._quality_for(request.lens))
@@ -215,11 +215,11 @@ class Workbench:
                         if self._requested != done:
                             break
             except TransferLensError as error:
-                self._publish(Figures(self.lens, refused=(str(error),)))
+                self._publish(LensAnalysis(self.lens, refused=(str(error),)))
 
     def _is_idle(self, done: int) -> bool:
         with self._condition:
-            # Time without a change after which figures are computed with full accuracy.
+            # Time without a change after which the analysis has full accuracy.
             settle_seconds = 0.25
             self._condition.wait_for(lambda: self._ended or self._requested != done, settle_seconds)
             return not self._ended and self._requested == done
@@ -236,14 +236,14 @@ class Workbench:
             self._quality = (self.grade, built_of, quality)
         return self._quality[2]
 
-    def _publish(self, result: Figures) -> None:
-        """Update the figures with the results of a stage."""
+    def _publish(self, result: LensAnalysis) -> None:
+        """Update the analysis with the results of a stage."""
         new = {
             f.name: value
             for f in fields(result)
             if (value := getattr(result, f.name)) not in (None, ()) or f.name == "refused"
         }
-        self.figures = replace(self.figures, **new)
+        self.analysis = replace(self.analysis, **new)
         self.notify()
 
     def _keep(self) -> None:

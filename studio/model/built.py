@@ -48,8 +48,8 @@ class ManufacturingQuality:
 
 
 @dataclass(frozen=True, eq=False)
-class AsBuiltFigures:
-    """Predicted figures of a lens as built.
+class AsBuiltPrediction:
+    """Predicted yield and cost of a lens as built.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
     return ManufacturingQuality(Path(name).name, study)
 
 
-def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
+def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltPrediction:
     """Predict a lens as built, like `tolerancing predict`, or coarsely if not `settled`.
 
     Raises
@@ -104,7 +104,7 @@ def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) ->
         cost = cost_of(quality.study, lens, _costs()).total
     except InputError:
         cost = None
-    return AsBuiltFigures(quality.name, prediction, cost)
+    return AsBuiltPrediction(quality.name, prediction, cost)
 
 
 @lru_cache(maxsize=1)

@@ -1,4 +1,4 @@
-"""Comparison of designs: their values and figures, and which of them differ."""
+"""Comparison of designs: their values and properties, and which of them differ."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ComparedValue:
 
 
 def compared(lenses: Sequence[Lens]) -> tuple[ComparedValue, ...]:
-    """Return values and figures of several designs, one line for each."""
+    """Return values and properties of several designs, one line for each."""
     columns = [_values(lens) for lens in lenses]
     names = list(dict.fromkeys(name for column in columns for name in column))
     return tuple(_line(name, [column.get(name) for column in columns]) for name in names)

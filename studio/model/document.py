@@ -128,7 +128,7 @@ class Autosave:
 
         If the folder cannot be written, one warning is printed and the page continues without a store.
         """
-        with self._turn:  # both the page and the thread of the figures store values
+        with self._turn:  # both the page and the thread of the analysis store values
             try:
                 self._write(self.read() | values)
             except OSError as error:

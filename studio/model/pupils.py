@@ -24,8 +24,8 @@ COARSE_PATCH = 67
 
 
 @dataclass(frozen=True, eq=False)
-class PupilFigures:
-    """Figures of the pupil of one object point.
+class PupilAnalysis:
+    """Quality of the pupil of one object point.
 
     Attributes
     ----------
@@ -51,10 +51,10 @@ class PupilFigures:
     waves: Array
 
 
-def pupil_figures(
+def analyse_pupils(
     lens: Lens, what_if: WhatIf, heights_mm: Sequence[float], samples: int = SAMPLES
-) -> tuple[PupilFigures, ...]:
-    """Return the pupil figures of object points, as in `wavesim pupil`.
+) -> tuple[PupilAnalysis, ...]:
+    """Return the quality of the pupils of object points, as in `wavesim pupil`.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def pupil_figures(
         )
         waves = np.where(inside, pupil.waves_on_grid, np.nan)
         found.append(
-            PupilFigures(
+            PupilAnalysis(
                 height,
                 strehl(pupil),
                 rms_waves(pupil),

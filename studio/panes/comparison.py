@@ -33,7 +33,7 @@ def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
 
 
 def compare(lens: Workbench | Lens) -> pn.Column:
-    """Return a pane that compares values and figures of the lens with those of one or two other designs."""
+    """Return a pane that compares values and properties of the lens with those of other designs."""
     bench = bench_of(lens)
     others: dict[str, Lens] = {}
     name = pn.widgets.TextInput(name="design file to compare", placeholder="designs/feasible_singlet.toml")
@@ -46,11 +46,11 @@ def compare(lens: Workbench | Lens) -> pn.Column:
     last_state: list[Any] = [None]
 
     def update() -> None:
-        state = (bench.figures.lens, bench.figures.settled, tuple(others))
-        if not bench.figures.settled or state == last_state[0]:
+        state = (bench.analysis.lens, bench.analysis.settled, tuple(others))
+        if not bench.analysis.settled or state == last_state[0]:
             return
         last_state[0] = state
-        table.object = comparison(["this lens", *others], [bench.figures.lens, *others.values()])
+        table.object = comparison(["this lens", *others], [bench.analysis.lens, *others.values()])
 
     def add_design(_: object) -> None:
         note.object = ""

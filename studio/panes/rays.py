@@ -57,11 +57,11 @@ def layout(lens: Workbench | Lens) -> ThemedChart:
             sources["rays"].data = dict(sources["rays"].data)
 
     def draw(found: Layout) -> None:
-        _fill(sources, found, bench.figures.lens, theme)
-        _frame(box, found, bench.figures.lens)
+        _fill(sources, found, bench.analysis.lens, theme)
+        _frame(box, found, bench.analysis.lens)
 
     pane = ThemedChart(plot, dress)
-    follow_result(bench, pane, lambda: bench.figures.layout, draw)
+    follow_result(bench, pane, lambda: bench.analysis.layout, draw)
     return pane
 
 
@@ -81,7 +81,7 @@ def spread(lens: Workbench | Lens) -> ThemedChart:
     colors: dict[str, str] = {}
 
     def paint() -> None:
-        report = bench.figures.check
+        report = bench.analysis.check
         if report is not None:
             over = report.max_spread_deg > report.spread_limit_deg * (1.0 + 1e-6)
             line.glyph.line_color = dots.glyph.fill_color = colors["bad" if over else "accent"]
@@ -100,7 +100,7 @@ def spread(lens: Workbench | Lens) -> ThemedChart:
         paint()
 
     pane = ThemedChart(plot, dress)
-    follow_result(bench, pane, lambda: bench.figures.check, draw)
+    follow_result(bench, pane, lambda: bench.analysis.check, draw)
     return pane
 
 
@@ -120,8 +120,8 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
 
     def result() -> CheckReport | None:
         """Return the check of the lens; None if there are no spots in this plane."""
-        found = bench.figures.layout
-        return bench.figures.check if found is not None and plane < len(found.spots) else None
+        found = bench.analysis.layout
+        return bench.analysis.check if found is not None and plane < len(found.spots) else None
 
     def dress(_: dict[str, str], name: Theme) -> None:
         nonlocal theme
@@ -131,15 +131,15 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
             draw(report)
 
     def draw(report: CheckReport) -> None:
-        assert bench.figures.layout is not None
-        points = bench.figures.layout.spots[plane]
+        assert bench.analysis.layout is not None
+        points = bench.analysis.layout.spots[plane]
         xy = np.concatenate(points)
         spots.data = {
             "x": xy[:, 0],
             "y": xy[:, 1],
             "color": np.repeat(FIELDS[theme], [len(p) for p in points]).tolist(),
         }
-        half_x, half_y = (0.5 * side for side in bench.figures.lens.sensor.size_mm)
+        half_x, half_y = (0.5 * side for side in bench.analysis.lens.sensor.size_mm)
         sensor.data = {
             "x": [half_x * s for s in (-1, 1, 1, -1, -1)],
             "y": [half_y * s for s in (-1, -1, 1, 1, -1)],

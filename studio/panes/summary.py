@@ -1,4 +1,4 @@
-"""Panes of figures: constraints, violations, other figures, and the lens as built."""
+"""Panes of results: constraints, violations, other properties, and the lens as built."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
     pane = message_pane()
 
     def update() -> None:
-        report = bench.figures.check
-        refused = "".join(f'<p class="miss">{text(one)}</p>' for one in bench.figures.refused)
+        report = bench.analysis.check
+        refused = "".join(f'<p class="miss">{text(one)}</p>' for one in bench.analysis.refused)
         if report is None:
             pane.object = f'<div class="text-block">{refused}</div>'
             return
@@ -32,10 +32,10 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
             if report.feasible
             else f'<p class="verdict bad">{len(report.violations)} not met</p>'
         )
-        state = "settled" if bench.figures.settled and bench.figures.lens is bench.lens else "moving"
+        state = "settled" if bench.analysis.settled and bench.analysis.lens is bench.lens else "moving"
         pane.object = (
             f'<div class="text-block" data-state="{state}">{verdict}{rows}'
-            f'{misses}{refused}<table class="facts">{_facts(report, bench.figures.lens)}</table></div>'
+            f'{misses}{refused}<table class="facts">{_facts(report, bench.analysis.lens)}</table></div>'
         )
 
     follow(bench, pane, update)
@@ -56,7 +56,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
     pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
 
     def update() -> None:
-        found, why = bench.figures.built, bench.refused.get("grade", "")
+        found, why = bench.analysis.built, bench.refused.get("grade", "")
         if why or found is None:
             shown.object = f'<div class="text-block"><p class="miss">{text(why)}</p></div>'
             return

@@ -11,13 +11,13 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.bench import Workbench
-from studio.model.pupils import PatchPicture, PupilFigures
+from studio.model.pupils import PatchPicture, PupilAnalysis
 from studio.panes.common import bench_of, follow_result, message_pane
 from studio.panes.themes import FIELDS, WAVES, Theme, ThemedChart, between, chart, framed
 
 
 def wavefront(lens: Workbench | Lens, field: int = 0) -> pn.Column:
-    """Return a pane with the path difference over the pupil at one of three fields, and its figures."""
+    """Return a pane with the path difference over the pupil at one of three fields, and its quality."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench = bench_of(lens)
@@ -35,12 +35,12 @@ def wavefront(lens: Workbench | Lens, field: int = 0) -> pn.Column:
     words = message_pane()
     pane = pn.Column(ThemedChart(plot, dress), words, sizing_mode="stretch_width", margin=0)
 
-    def result() -> PupilFigures | None:
-        return bench.figures.pupils[field] if field < len(bench.figures.pupils) else None
+    def result() -> PupilAnalysis | None:
+        return bench.analysis.pupils[field] if field < len(bench.analysis.pupils) else None
 
     shown: Array | None = None
 
-    def draw(found: PupilFigures) -> None:
+    def draw(found: PupilAnalysis) -> None:
         nonlocal shown
         if shown is not None and np.array_equal(shown, found.waves, equal_nan=True):
             return
@@ -79,14 +79,14 @@ def contrast(lens: Workbench | Lens) -> ThemedChart:
         for line, dot, color in zip(lines, dots, FIELDS[theme], strict=True):
             line.glyph.line_color = dot.glyph.fill_color = color
 
-    def draw(pupils: Sequence[PupilFigures]) -> None:
+    def draw(pupils: Sequence[PupilAnalysis]) -> None:
         for source, found in zip(sources, pupils, strict=False):
             source.data = {"x": list(found.widths_um), "y": list(found.contrast)}
         widths = pupils[0].widths_um
         plot.x_range.update(start=0.9 * widths[0], end=1.03 * widths[-1])
 
     pane = ThemedChart(plot, dress)
-    follow_result(bench, pane, lambda: bench.figures.pupils or None, draw)
+    follow_result(bench, pane, lambda: bench.analysis.pupils or None, draw)
     return pane
 
 
@@ -126,5 +126,5 @@ def patch(lens: Workbench | Lens) -> pn.Column:
             source.data = {"image": [values.astype(np.float32)]}
         mapper.update(low=0.0, high=float(np.quantile(found.nominal, 0.995)))
 
-    follow_result(bench, pane, lambda: bench.figures.patch, draw)
+    follow_result(bench, pane, lambda: bench.analysis.patch, draw)
     return pane

@@ -31,7 +31,7 @@ from lensdesign.common.input_files import (
     files_from,
 )
 from lensdesign.common.text import safe_cell, visible
-from lensdesign.files import read_figure_grid
+from lensdesign.files import read_surface_figure_grid
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError
@@ -57,7 +57,7 @@ READERS: dict[str, tuple[Callable[[Path], object], float]] = {
     "lens.zmx": (read_zmx, LENS_FILE_BYTES),
     "lens.seq": (read_seq, LENS_FILE_BYTES),
     "glass.agf": (read_agf, CATALOG_BYTES),
-    "figure.csv": (read_figure_grid, TABLE_BYTES),
+    "figure.csv": (read_surface_figure_grid, TABLE_BYTES),
     "calibration.json": (lambda path: read_calibration(path, LENS), TABLE_BYTES),
     "mesh.stl": (read_mesh, MESH_BYTES),
     "mesh.ply": (read_mesh, MESH_BYTES),

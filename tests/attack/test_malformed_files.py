@@ -18,7 +18,7 @@ from lensdesign import Lens, Pose, load_design
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import Supplement
-from lensdesign.files.figures import read_figure_grid
+from lensdesign.files.surface_figures import read_surface_figure_grid
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.catalogues.agf import read_agf
 from lensdesign.manufacture.mesh.mesh import write_mesh
@@ -140,7 +140,7 @@ def test_measured_figures(tmp_path: Path) -> None:
     found = outcomes(
         path,
         spoilt([seed], 200, 6, b"um", b"waves_633nm"),
-        read_figure_grid,
+        read_surface_figure_grid,
         lambda r: r[0].ndim == 2 and r[1] > 0,
     )
     assert 10 < sum(found) < 190

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from places import DESIGNS
 
-import lensdesign.errors
 from lensdesign import InputError
 from lensdesign.cli.commands import main as lensdesign_main
 from lensdesign.common.atomic_files import UNFINISHED, atomic_path, new_mark
@@ -133,7 +132,7 @@ def test_a_disk_that_becomes_read_only_keeps_its_own_message(
     ) as temporary:  # fmt: skip
         temporary.write_text("half")
         monkeypatch.setattr(Path, "unlink", read_only)
-        monkeypatch.setattr(lensdesign.errors.os, "replace", read_only)
+        monkeypatch.setattr(os, "replace", read_only)
         read_only()
     assert (tmp_path / "out.txt").read_text() == "before"
 

@@ -68,10 +68,10 @@ def _refract_at(
 ) -> None:
     rotation, vertex = system.rotation[0, i], system.vertex[0, i]
     shape = system.shapes[i].trial(0)
-    figure = system.figure(i)
+    sag_error = system.sag_error(i)
     alive = status == Status.OK
     local, ray = (position - vertex) @ rotation, direction @ rotation
-    distance, hit, converged = intersect(local, ray, shape, figure)
+    distance, hit, converged = intersect(local, ray, shape, sag_error)
     _fail(status, failed, alive & ~hit, Status.MISSED, i)
     _fail(status, failed, alive & hit & ~converged, Status.NOT_CONVERGED, i)
     reached = alive & hit & converged
@@ -83,7 +83,7 @@ def _refract_at(
     _fail(status, failed, reached & ~inside, Status.CLIPPED, i)
     reached &= inside
 
-    _, by_x, by_y = sag_and_slopes(shape, point[:, 0], point[:, 1], figure)
+    _, by_x, by_y = sag_and_slopes(shape, point[:, 0], point[:, 1], sag_error)
     upward = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
     normal = upward / np.sqrt(np.sum(upward * upward, axis=-1, keepdims=True))
     ratio = system.index[0, i] / system.index[0, i + 1]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
+from lensdesign.lens.surface_figure import SurfaceFigure
 from tolerancing.perturbations.elements import element_deltas, runout_tilt
 from tolerancing.perturbations.environment import heat_deltas, heat_shifts_mm
 from tolerancing.perturbations.parameters import (
@@ -120,7 +120,7 @@ class PerturbationBatch:
             elif name in SURFACE_DELTAS or name in SHAPE_PARAMETERS:
                 add(surface, name, value)
             elif name in IRREGULARITIES:
-                self._add_figure(deltas.setdefault(surface, {}), lens, surface, column)
+                self._add_surface_figure(deltas.setdefault(surface, {}), lens, surface, column)
             elif name in RUNOUTS:
                 add(surface, *runout_tilt(lens, surface, name, value))
             else:  # abbe_percent
@@ -207,13 +207,13 @@ class PerturbationBatch:
         chosen = [k for k, p in enumerate(self.parameters) if p.target == target and p.parameter == name]
         return np.ascontiguousarray(self.values[:, chosen].sum(axis=1))
 
-    def _add_figure(self, own: dict[str, Any], lens: Lens, surface: int, column: int) -> None:
-        from tolerancing.perturbations.irregularity import random_figures
+    def _add_surface_figure(self, own: dict[str, Any], lens: Lens, surface: int, column: int) -> None:
+        from tolerancing.perturbations.irregularity import random_surface_figures
 
         semi_diameter = lens.surfaces[surface].semi_diameter_mm
         assert semi_diameter is not None  # guaranteed by PerturbedParameter.check
         quantity = self.parameters[column].parameter.split("_")[1]
-        figure = random_figures(self.shapes[column], self.values[:, column], quantity, semi_diameter)
+        figure = random_surface_figures(self.shapes[column], self.values[:, column], quantity, semi_diameter)
         if "figure" in own:
             coefficients = own["figure"].coefficients + figure.coefficients
             figure = type(figure)(figure.semi_diameter_mm, figure.spacing_mm, coefficients)

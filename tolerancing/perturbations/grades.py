@@ -15,8 +15,8 @@ import tomli_w
 from lensdesign.analysis.space_bandwidth import match
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.manufacture.drawing.tolerances import GENERAL, MERCURY_LINE_UM
 from lensdesign.raytrace.paths import FIELD_FRACTIONS
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lensdesign.analysis.form_error import TEST_WAVELENGTH_UM
 from lensdesign.common.arrays import Array
-from lensdesign.lens.figure import SurfaceFigure, figure_from_zernike
+from lensdesign.lens.surface_figure import SurfaceFigure, surface_figure_from_zernike
 from lensdesign.lens.zernikes import zernike, zernike_orders
 from lensdesign.raytrace.bundles import pupil_rings
 
@@ -33,7 +33,9 @@ def peak_to_valley(shapes: Array) -> Array:
     return np.array([np.ptp(shape @ _sampled()) for shape in shapes])
 
 
-def random_figures(shapes: Array, waves: Array, quantity: str, semi_diameter_mm: float) -> SurfaceFigure:
+def random_surface_figures(
+    shapes: Array, waves: Array, quantity: str, semi_diameter_mm: float
+) -> SurfaceFigure:
     """Return surface figures of the requested sizes.
 
     Parameters
@@ -66,5 +68,7 @@ def _sampled() -> Array:
 def _unit_splines(semi_diameter_mm: float) -> tuple[Array, float]:
     """Return spline coefficients (mm) of each polynomial at 1 um, and the spacing of their grid in mm."""
     ones = np.eye(len(INDICES))
-    figure = figure_from_zernike({index: ones[k] for k, index in enumerate(INDICES)}, semi_diameter_mm)
+    figure = surface_figure_from_zernike(
+        {index: ones[k] for k, index in enumerate(INDICES)}, semi_diameter_mm
+    )
     return figure.coefficients, figure.spacing_mm

@@ -37,9 +37,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_elements, mechanical_semi_diameter_mm
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.manufacture.drawing.tolerances import GENERAL, DrawingTolerances, general_tolerances
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.bounded import Uniform

@@ -24,7 +24,7 @@ from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import trace_compiled
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.motions import pair_weights, second_by_pairs
-from tolerancing.prediction.paths import Figures, Paths
+from tolerancing.prediction.paths import Paths, SagErrors
 from tolerancing.prediction.system import Changes, changes_of
 
 RINGS, ARMS = 6, 14
@@ -162,32 +162,32 @@ def differentials(
 def _field(
     paths: Paths, changes: Changes, stop: PupilSamples, waves_per_mm: float, weights: csr_array | None
 ) -> FieldDifferentials:
-    figures = figures_on(paths, changes)
-    first = waves_per_mm * first_by(paths, changes, figures)
+    sag_errors = sag_errors_on(paths, changes)
+    first = waves_per_mm * first_by(paths, changes, sag_errors)
     if weights is None:
         second = np.zeros((len(first), 0))
     else:
-        second = second_by_pairs(paths, weights, figures)
+        second = second_by_pairs(paths, weights, sag_errors)
         second *= waves_per_mm
     cosines = paths.cosines
     return FieldDifferentials(weights_over_stop(cosines, stop), basis_of(cosines), first, second)
 
 
-def first_by(paths: Paths, changes: Changes, figures: Sequence[Figures]) -> Array:
+def first_by(paths: Paths, changes: Changes, sag_errors: Sequence[SagErrors]) -> Array:
     """Return the first derivatives of paths in mm by changes, shape (n, d)."""
     found = paths.by_numbers @ changes.first
-    for figure in figures:
-        found[:, figure.columns] += paths.by_figure(figure.surface, figure.sag)
+    for one in sag_errors:
+        found[:, one.columns] += paths.by_sag_error(one.surface, one.sag)
     return np.asarray(found)
 
 
-def figures_on(paths: Paths, changes: Changes) -> list[Figures]:
+def sag_errors_on(paths: Paths, changes: Changes) -> list[SagErrors]:
     """Return the sag errors of irregularities at the rays."""
     found = []
     for surface, columns, figure in changes.figures:
         x, y = paths.heights_mm[:, surface, 0], paths.heights_mm[:, surface, 1]
         sag, across, down = (part.T for part in figure.sag_and_slopes(x, y))
-        found.append(Figures(surface, columns, sag, across, down))
+        found.append(SagErrors(surface, columns, sag, across, down))
     return found
 
 

@@ -1,8 +1,9 @@
 """Elementary motions that make up the changes of a lens, and second derivatives of paths by them.
 
-A change rotates and shifts the object, surfaces and sensor, and alters terms of shapes, indices, figures and
-the wavelength. It is a sparse combination of these motions, of which there are few. Dense second derivatives
-of paths are computed by the motions only; the chain rule converts them to derivatives by the changes.
+A change rotates and shifts the object, surfaces and sensor, and alters terms of shapes, indices, sag errors
+and the wavelength. It is a sparse combination of these motions, of which there are few. Dense second
+derivatives of paths are computed by the motions only; the chain rule converts them to derivatives by the
+changes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from scipy import sparse
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape
-from tolerancing.prediction.paths import POSE, Figures, Paths
+from tolerancing.prediction.paths import POSE, Paths, SagErrors
 from tolerancing.prediction.system import Changes
 
 
@@ -31,12 +32,12 @@ class Motions:
     ----------
     paths : Paths
         Nominal paths of the rays.
-    figures : sequence of Figures
+    sag_errors : sequence of SagErrors
         Sag errors that changes cause.
     """
 
     paths: Paths
-    figures: Sequence[Figures] = ()
+    sag_errors: Sequence[SagErrors] = ()
 
     @cached_property
     def _first_term(self) -> int:
@@ -54,7 +55,7 @@ class Motions:
     @cached_property
     def count(self) -> int:
         """Number of motions."""
-        return self._indices.stop + 1 + sum(figure.sag.shape[1] for figure in self.figures)
+        return self._indices.stop + 1 + sum(one.sag.shape[1] for one in self.sag_errors)
 
     @cached_property
     def _sags(self) -> list[tuple[int, slice, Array]]:
@@ -65,7 +66,7 @@ class Motions:
             terms = [np.stack(paths.by_term(k, t), axis=1) for t in shape.TERMS[: layout.terms[k]]]
             found.append((k, self._position(layout.of_shape(k)), np.stack(terms, axis=2)))
         place = self._indices.stop + 1
-        for figure in self.figures:
+        for figure in self.sag_errors:
             parts = np.stack([figure.sag, figure.slope_x, figure.slope_y], axis=1)
             found.append((figure.surface, slice(place, place + parts.shape[2]), parts))
             place += parts.shape[2]
@@ -165,7 +166,7 @@ def pair_weights(changes: Changes) -> sparse.csr_array:
     return sparse.hstack([products, changes.second], format="csr")
 
 
-def second_by_pairs(paths: Paths, weights: sparse.csr_array, figures: Sequence[Figures] = ()) -> Array:
+def second_by_pairs(paths: Paths, weights: sparse.csr_array, sag_errors: Sequence[SagErrors] = ()) -> Array:
     """Return second derivatives of paths in mm by d changes for fixed object and sensor points.
 
     Parameters
@@ -174,14 +175,14 @@ def second_by_pairs(paths: Paths, weights: sparse.csr_array, figures: Sequence[F
         Nominal paths.
     weights
         Result of :func:`pair_weights` for the changes.
-    figures
+    sag_errors
         Sag errors that the changes cause.
 
     Returns
     -------
     ndarray, shape (n, d (d + 1) / 2)
     """
-    by_motions = Motions(paths, figures).second
+    by_motions = Motions(paths, sag_errors).second
     own = np.concatenate([by_motions.reshape(len(by_motions), -1), paths.by_numbers], axis=1)
     return np.asarray((weights @ own.T).T)
 

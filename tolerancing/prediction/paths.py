@@ -183,8 +183,8 @@ class Paths:
         found[:, layout.waves] = self.path_mm
         return found
 
-    def by_figure(self, surface: int, sag: Array) -> Array:
-        """Return the derivative of the path by a figure with this sag error at the rays, shape (n, ...)."""
+    def by_sag_error(self, surface: int, sag: Array) -> Array:
+        """Return the derivative of the path by a sag error at the rays, shape (n, ...)."""
         gradient = self.gradient[:, surface + 1, 2]
         return np.asarray(gradient.reshape(-1, *(1,) * (sag.ndim - 1)) * sag)
 
@@ -241,7 +241,7 @@ class Paths:
 
 
 @dataclass(frozen=True, eq=False)
-class Figures:
+class SagErrors:
     """Sag errors of one surface that some of the changes cause.
 
     Attributes

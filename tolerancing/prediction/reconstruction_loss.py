@@ -25,7 +25,7 @@ from tolerancing.merits.reconstruction_loss import AZIMUTHS_DEG, ReconstructionL
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.compensation import bounded_least_squares
-from tolerancing.prediction.derivatives import figures_on, first_by
+from tolerancing.prediction.derivatives import first_by, sag_errors_on
 from tolerancing.prediction.paths import Paths
 from tolerancing.prediction.system import Changes, changes_of, columns_of
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
@@ -303,7 +303,7 @@ class _Nodes:
         depth = 11
         sensor = changes.layout.pose(changes.layout.surfaces + 1).start + depth
         for number, paths in enumerate(self.planes):
-            path = first_by(paths, changes, figures_on(paths, changes))
+            path = first_by(paths, changes, sag_errors_on(paths, changes))
             # Additional planes have the mean motion of the planes of the design.
             if number < len(changed.farther):
                 path = path + np.outer(paths.by_numbers[:, sensor], changed.farther[number])

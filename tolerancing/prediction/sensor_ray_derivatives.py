@@ -19,7 +19,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.bundles import PupilSamples
 from tolerancing.merits.sensor_rays import Arrival
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.prediction.derivatives import figures_on, nominal_paths
+from tolerancing.prediction.derivatives import nominal_paths, sag_errors_on
 from tolerancing.prediction.motions import Motions, motions_of
 from tolerancing.prediction.system import Changes, changes_of
 
@@ -105,7 +105,7 @@ def arrival_differentials(
     changes = changes_of(lens, parameters, sizes, pivot_z_mm, wavelength, False)
     first_plane_mm = lens.sensor.plane_distances_mm[0]
     paths = nominal_paths(lens, fields_mm, stop, wavelength, first_plane_mm, whole=False)
-    motions = Motions(paths, figures_on(paths, changes))
+    motions = Motions(paths, sag_errors_on(paths, changes))
     position, direction = arrivals_by(motions, lens.stop_index)
     moved = motions_of(changes)
     return ArrivalDifferentials(

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lensdesign.common.arrays import Array
-from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import rotation_matrix
+from lensdesign.lens.surface_figure import SurfaceFigure
 from lensdesign.raytrace.compiled import compile_system
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.perturbations.irregularity import INDICES, peak_to_valley, random_figures
+from tolerancing.perturbations.irregularity import INDICES, peak_to_valley, random_surface_figures
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.paths import Layout
 
@@ -121,7 +121,7 @@ def changes_of(
     shape = (place * (place + 1) // 2, len(slopes))
     second_all = sparse.csr_array((bends[at, number], (pairs, number)), shape=shape)
     figures = tuple(
-        (surface, columns[k], _unit_figures(lens, surface))
+        (surface, columns[k], _unit_surface_figures(lens, surface))
         for k, p in enumerate(parameters)
         if p.is_irregularity and (surface := p.surface) is not None
     )
@@ -133,12 +133,12 @@ def pair_places(count: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray
     return i * (2 * count - i - 1) // 2 + j
 
 
-def _unit_figures(lens: Lens, surface: int) -> SurfaceFigure:
+def _unit_surface_figures(lens: Lens, surface: int) -> SurfaceFigure:
     """Return figures of one wave root mean square of each polynomial."""
     semi_diameter = lens.surfaces[surface].semi_diameter_mm
     assert semi_diameter is not None  # checked with the study
     ones = np.ones(len(INDICES))
-    return random_figures(np.eye(len(INDICES)), ones, "rms", semi_diameter)
+    return random_surface_figures(np.eye(len(INDICES)), ones, "rms", semi_diameter)
 
 
 class _Numbers:

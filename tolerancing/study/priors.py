@@ -78,7 +78,7 @@ def _deviations(perturbation: Perturbation, lens: Lens) -> dict[str, float]:
     if perturbation.surface is not None:
         head = f"surface_{perturbation.surface + 1}_"
         if perturbation.is_irregularity:
-            terms = _figure_terms(perturbation.parameter)
+            terms = _surface_figure_terms(perturbation.parameter)
             return {f"{head}figure_{j}_um": size * term for j, term in terms.items()}
         if RADII.get(parameter) == "radius_mm":
             change = radius_delta_mm(lens, perturbation.surface, parameter, np.array(size))
@@ -95,7 +95,7 @@ def _deviations(perturbation: Perturbation, lens: Lens) -> dict[str, float]:
     return {}
 
 
-def _figure_terms(parameter: str) -> dict[int, float]:
+def _surface_figure_terms(parameter: str) -> dict[int, float]:
     """Return the root mean square in um of each Zernike term for an irregularity of one wave."""
     generator = np.random.default_rng(0)
     shapes = np.stack([draw_shape(generator) for _ in range(400)])

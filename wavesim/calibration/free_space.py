@@ -220,8 +220,8 @@ class FreeSpaceField:
         propagated = self.stack.propagate(self.samples, self.distance_scale * distance_mm, shift_mm)
         return np.asarray(self.stack.unit * np.abs(self.stack.on_pixels(propagated)), np.float32)
 
-    def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
         return {
             "distance_scale": self.distance_scale,
             "drift": list(self.drift),

@@ -13,9 +13,9 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from wavesim.calibration.mounting_parameters import (
     DECENTERS,
     PLANE_DISTANCE,
@@ -366,7 +366,7 @@ def _with_lens(unknowns: Unknowns, state: SystemState) -> SystemState:
         perturbation: dict[str, Any] = dict(changes)
         if terms:
             assert surface.semi_diameter_mm is not None
-            perturbation["figure"] = figure_from_zernike(terms, surface.semi_diameter_mm)
+            perturbation["figure"] = surface_figure_from_zernike(terms, surface.semi_diameter_mm)
         if perturbation:
             deltas[n] = replace(deltas.get(n, SurfacePerturbation()), **perturbation)
     return replace(state, surface_perturbations=deltas)

@@ -90,7 +90,7 @@ def pupil(
         "plane_distance_mm": plane_distance_mm,
         "samples": samples,
         "refocused": refocus,
-    } | _figures(registered, widths)
+    } | _pupil_metrics(registered, widths)
     if output is not None:
         save(pupil_figure(registered.pupil, widths, _title(summary, "µm")), output, dpi=110)
         summary["picture"] = str(output)
@@ -100,7 +100,7 @@ def pupil(
         _print_tables(summary)
 
 
-def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
+def _pupil_metrics(registered: Any, widths_um: list[float]) -> dict[str, Any]:
     """Return all measures of one registered pupil for JSON."""
     import numpy as np
 

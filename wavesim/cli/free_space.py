@@ -50,7 +50,7 @@ def in_free_space(
     summary = {
         "frames": [str(path) for path in frames],
         "calibrated": free.calibrate,
-        **found.figures(),
+        **found.as_dict(),
         "predicted_mm": list(free.predict_mm or ()),
         "warnings": messages,
         "versions": versions(),

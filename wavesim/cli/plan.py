@@ -73,12 +73,12 @@ def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:
             for name, strength in found.strengths.items()
         ],
         "assumptions": list(found.assumptions),
-        "plans": [_figures(plan) | {"recommended": plan is found.recommended} for plan in found.plans],
+        "plans": [_plan_values(plan) | {"recommended": plan is found.recommended} for plan in found.plans],
         "warnings": messages,
     }
 
 
-def _figures(plan: Plan) -> dict[str, Any]:
+def _plan_values(plan: Plan) -> dict[str, Any]:
     return {
         "planes_mm": list(plan.planes_mm),
         "exposures": list(plan.exposures),

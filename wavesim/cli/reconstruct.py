@@ -132,7 +132,7 @@ def reconstruct(
             )
         if stop_doubt:
             found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
-        summary = {"design": lens.title or design.stem} | found.figures()
+        summary = {"design": lens.title or design.stem} | found.as_dict()
         summary["field_stop_from"] = stop_from or summary["field_stop_from"]
     summary |= {
         "warnings": _messages(caught),
@@ -329,13 +329,13 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     print()
     print_table((), ("plane (mm)", "residual", "noise alone", "correlation of amplitudes"), rows)
     print()
-    for line in _figures(summary):
+    for line in _summary_lines(summary):
         print(line)
     print(f"wrote {len(summary['files'])} files to {output}")
     print(f"verdict: {summary['verdict']['words']}")
 
 
-def _figures(summary: dict[str, Any]) -> list[str]:
+def _summary_lines(summary: dict[str, Any]) -> list[str]:
     from wavesim.targets.patch import stop_words
 
     words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])

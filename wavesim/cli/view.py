@@ -61,8 +61,8 @@ def view(
     if output is None:
         check_output_file(path)
     layers = _layers(result, truth, region, pixel_pitch_um)
-    title, figures = _title_and_facts(result)
-    made = write_zoom_page(layers, path, title, figures)
+    title, facts = _title_and_facts(result)
+    made = write_zoom_page(layers, path, title, facts)
     if as_json:
         print_json({"file": str(path)} | made.as_dict())
     else:

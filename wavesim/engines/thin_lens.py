@@ -23,7 +23,7 @@ from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.analysis.paraxial import cardinal_points
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError, validate_positive
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.raytrace.bundles import launch_compiled, pupil_fan
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import trace_compiled
@@ -221,10 +221,10 @@ class ThinLens(Engine):
         description = (
             f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
         )
-        found = [ErrorTerm(description, error), *self._figures()]
+        found = [ErrorTerm(description, error), *self._surface_figure_terms()]
         return tuple(sorted(found, key=lambda term: -term.relative_error))
 
-    def _figures(self) -> list[ErrorTerm]:
+    def _surface_figure_terms(self) -> list[ErrorTerm]:
         """Return an error term for the figure of each surface, as the phase that it adds along the axis."""
         scene, found = self.scene, []
         for i, figures in enumerate(scene.system.figures):

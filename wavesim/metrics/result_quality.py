@@ -66,7 +66,7 @@ def truth_metrics(
 
     displacement = displacement_samples(found.values, true.values, inside)
     other = passed(true.values)
-    figures: dict[str, float | None] = dict.fromkeys(
+    metrics: dict[str, float | None] = dict.fromkeys(
         ("object_correlation", "psnr_db", "ssim", "displacement_x_um", "displacement_y_um")
     )
     registered = None
@@ -79,22 +79,22 @@ def truth_metrics(
         del there, both
     one = passed(found.values)
     correlation = object_correlation(one, other, passed(np.float32(1.0)), inside)
-    figures["object_correlation"] = correlation
+    metrics["object_correlation"] = correlation
     if displacement is not None:
         for axis, samples in zip("xy", displacement, strict=True):
-            figures[f"displacement_{axis}_um"] = 1e3 * found.grid.pitch_mm * samples
+            metrics[f"displacement_{axis}_um"] = 1e3 * found.grid.pitch_mm * samples
         registered = correlation if registered is None else registered
-    figures["correlation_registered"] = registered
+    metrics["correlation_registered"] = registered
     energy = _product(one.values, one.values, inside).real
     factor = _product(one.values, other.values, inside) / energy if energy > 0.0 else 0.0
     pair = _moduli(one.values, abs(factor)), _moduli(other.values)
     del one, other
     brightest = float(pair[1].max(where=inside, initial=0.0))
-    figures |= {
+    metrics |= {
         "psnr_db": psnr_db(*pair, full_scale=brightest, support=inside),
         "ssim": ssim(*pair, full_scale=brightest, support=inside),
     }
-    return {name: None if value is None else finite_or_none(value) for name, value in figures.items()}
+    return {name: None if value is None else finite_or_none(value) for name, value in metrics.items()}
 
 
 def _displaced_back(

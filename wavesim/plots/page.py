@@ -67,7 +67,7 @@ def write_zoom_page(
     layers: Sequence[PictureLayer],
     path: str | os.PathLike[str],
     title: str = "",
-    figures: Sequence[tuple[str, str]] = (),
+    facts: Sequence[tuple[str, str]] = (),
     most_bytes: int = 100_000_000,
 ) -> ZoomSummary:
     """Write a self-contained HTML page that shows pictures and zooms into them.
@@ -81,7 +81,7 @@ def write_zoom_page(
         File to write, with the suffix .html.
     title
         Title of the page.
-    figures
+    facts
         Names and values of a table beside the pictures.
     most_bytes
         Largest total size of the tiles. If they need more, the page omits the finest levels of all layers.
@@ -113,7 +113,7 @@ def write_zoom_page(
     tiles = _tiles(layers, most_bytes)
     texts: list[str] = []
     descriptions = [_layer(layer, number, tiles, texts) for number, layer in enumerate(layers)]
-    head, tail = _page(title or "Field", figures, descriptions).split(MARK)
+    head, tail = _page(title or "Field", facts, descriptions).split(MARK)
     with atomic_path(path) as temporary:
         with temporary.open("w", encoding="utf-8", newline="\n") as file:
             file.write(head)
@@ -230,10 +230,10 @@ def _bytes_per_sample(layer: PictureLayer, number: int, tiles: Tiles) -> float:
     return max(len(_png(_quantised(middle, layer))) / middle.size, coarser)
 
 
-def _page(title: str, figures: Sequence[tuple[str, str]], layers: Sequence[Any]) -> str:
+def _page(title: str, facts: Sequence[tuple[str, str]], layers: Sequence[Any]) -> str:
     return page_template("wavesim.plots", "zoom.html.j2").render(
         title=title,
-        figures=figures,
+        facts=facts,
         planes=[
             (plane, [(i, layer) for i, layer in enumerate(layers) if layer["plane"] == plane])
             for plane in dict.fromkeys(layer["plane"] for layer in layers)

@@ -287,7 +287,7 @@ def more_accurate_case(case: ReconstructionProblem, progress: Progress) -> Recon
     return case._replace(engine=engine, predicted_error=predicted)
 
 
-def engine_figures(case: ReconstructionProblem) -> dict[str, Any]:
+def engine_summary(case: ReconstructionProblem) -> dict[str, Any]:
     """Return name and predicted error of the problem's engine, ready for JSON."""
     return {"name": case.engine.name, "predicted_error": finite_or_none(case.predicted_error)}
 
@@ -295,9 +295,9 @@ def engine_figures(case: ReconstructionProblem) -> dict[str, Any]:
 def engine_replaced(first_engine: dict[str, Any], case: ReconstructionProblem) -> dict[str, Any]:
     """Return the report on an engine that the problem's more accurate one has replaced.
 
-    `first_engine` is the result of :func:`engine_figures` for the first engine.
+    `first_engine` is the result of :func:`engine_summary` for the first engine.
     """
-    last_engine = engine_figures(case)
+    last_engine = engine_summary(case)
     words = (
         "the engine was replaced, because the misfit was as small as its own error: predicted error "
         f"{first_engine['predicted_error']:.2g} ({first_engine['name']}) before, "

@@ -110,8 +110,8 @@ class FoundObject:
     memory: Memory
     predicted_error: float
 
-    def figures(self) -> dict[str, Any]:
-        """Return all figures of quality as plain values for JSON: planes, focus, true object and charts."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return the quality of the result for JSON: planes, focus, true object and charts."""
         settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
         return {
             "method": settings.method,
@@ -140,10 +140,10 @@ class FoundObject:
             "region_mm": None if settings.region_mm is None else _region(self.transmission.grid),
             "refocus_um": None if self.focus is None else 1e3 * self.focus.distance_mm,
             "truth": self.truth,
-            "usaf": self._chart_figures(),
+            "usaf": self._chart_metrics(),
         }
 
-    def _chart_figures(self) -> dict[str, Any]:
+    def _chart_metrics(self) -> dict[str, Any]:
         """Return contrast and finest resolved element of each chart."""
         if not self.charts or self.settings.usaf is None:
             return {}
@@ -154,7 +154,7 @@ class FoundObject:
             for chart in self.charts
         )
         others_by_point = zip(self.settings.chart_at_mm, others, strict=True)
-        return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in others_by_point]}
+        return middle | {"beside": [{"at_mm": list(point)} | metrics for point, metrics in others_by_point]}
 
     def __repr__(self) -> str:
         return f"FoundObject({', '.join(f'{name} {value}' for name, value in self._rows())})"

@@ -25,8 +25,8 @@ from wavesim.reconstruction.assessment import (
     MethodResult,
     agreement_of_starts,
     engine_errors,
-    engine_figures,
     engine_replaced,
+    engine_summary,
     excess_of,
     is_engine_limited,
     judge_result,
@@ -196,7 +196,7 @@ class ProgressReporter:
     def __init__(self, progress: Progress | None, settings: ReconstructionSettings, engine: Engine) -> None:
         self._progress = progress or (lambda what, done, count: None)
         self._method, self._most = settings.method, settings.most_iterations
-        self._figure = "CC" if settings.method == "paper" else "misfit"
+        self._quantity = "CC" if settings.method == "paper" else "misfit"
         self.iterations = 0
         self._report(f"{self._method}: engine {engine.name}", 0, self._most)
 
@@ -204,14 +204,14 @@ class ProgressReporter:
         self._message, self._done, self._count = message, done, count
         self._progress(message, done, count)
 
-    def iteration(self, index: int, figure: float) -> None:
+    def iteration(self, index: int, value: float) -> None:
         """Report an iteration and its misfit or correlation."""
         self.iterations = index + 1
-        self._report(f"{self._method}: {self._figure} {figure:.5f}", self.iterations, self._most)
+        self._report(f"{self._method}: {self._quantity} {value:.5f}", self.iterations, self._most)
 
-    def coarse_iteration(self, index: int, figure: float) -> None:
+    def coarse_iteration(self, index: int, value: float) -> None:
         """Report an iteration on half of the samples."""
-        self._report(f"{self._method}, half of the samples: {self._figure} {figure:.5f}", 0, self._most)
+        self._report(f"{self._method}, half of the samples: {self._quantity} {value:.5f}", 0, self._most)
 
     def step(self, what: str) -> None:
         """Report a step that is not an iteration."""
@@ -396,7 +396,7 @@ def _find_object(
                     case.modes,
                 )
                 break
-        replaced = engine_replaced(replaced.get("before") or engine_figures(case), accurate)
+        replaced = engine_replaced(replaced.get("before") or engine_summary(case), accurate)
         reporter.step(replaced["words"])
         case, first, checkpoint = accurate, found.transmission, None
     of_method: dict[str, Any] = {

@@ -436,10 +436,10 @@ def patch_of_frames(
     planes = tuple(plane[0].settings.plane_distance_mm for plane in by_plane)
     sensor = lens.sensor.replaced(pixels=(columns, rows))
     check_footprint(lens, patch, sensor, planes, pose)
-    figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
-    validate_distinct_frames(by_plane, diverse=figure >= LEAST_DIVERSITY)
+    diversity = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    validate_distinct_frames(by_plane, diverse=diversity >= LEAST_DIVERSITY)
     return FramePatch(
-        tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure
+        tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, diversity
     )
 
 

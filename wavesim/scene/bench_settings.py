@@ -13,10 +13,10 @@ from pydantic import Field, field_validator
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
 from lensdesign.lens.shapes.registry import parameters
+from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from wavesim.scene.light_errors import LightErrors, Orders
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState
@@ -217,7 +217,7 @@ def _perturbation(
         raise InputError(
             f"perturb: surface {index}: a figure needs semi_diameter_mm, which the design does not state"
         )
-    return replace(made, figure=figure_from_zernike(zernike, semi_diameter_mm))
+    return replace(made, figure=surface_figure_from_zernike(zernike, semi_diameter_mm))
 
 
 def _number(text: str) -> float:

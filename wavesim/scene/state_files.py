@@ -21,9 +21,9 @@ from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.input_files import read_json
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.surface_figure import SurfaceFigure
 from wavesim.scene.light_errors import LightErrors, Orders
 from wavesim.scene.source import Source
 from wavesim.scene.system_state import SystemState

@@ -12,7 +12,7 @@ from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import code_of
 
 Array = NDArray[Any]
-Figure = Callable[[Array, Array], tuple[Array, Array, Array]]
+SagError = Callable[[Array, Array], tuple[Array, Array, Array]]
 """Function of (x, y) in mm that returns the sag error in mm and its slopes along x and y."""
 
 RIM_TOLERANCE = 1e-9
@@ -27,24 +27,26 @@ longer and never settle, although its point lies on the surface.
 """
 
 
-def sag_and_slopes(shape: Shape, x: Array, y: Array, figure: Figure | None) -> tuple[Array, Array, Array]:
-    """Return the sag at (x, y) in mm and its slopes along x and y, including the figure."""
+def sag_and_slopes(
+    shape: Shape, x: Array, y: Array, sag_error: SagError | None
+) -> tuple[Array, Array, Array]:
+    """Return the sag at (x, y) in mm and its slopes along x and y, including the sag error."""
     nominal = shape.sag_and_slopes(x, y)
-    if figure is None:
+    if sag_error is None:
         return nominal
-    z, dx, dy = (a + b for a, b in zip(nominal, figure(x, y), strict=True))
+    z, dx, dy = (a + b for a, b in zip(nominal, sag_error(x, y), strict=True))
     return z, dx, dy
 
 
 def intersect(
-    position: Array, direction: Array, shape: Shape, figure: Figure | None = None
+    position: Array, direction: Array, shape: Shape, sag_error: SagError | None = None
 ) -> tuple[Array, Array, Array]:
     """Return the distance along each ray to the surface, in the surface's own frame (vertex at the origin).
 
-    The root for a conic is C / (B + sqrt(B^2 - A C)). It stays exact as the curvature goes to zero, and it
-    is the intersection at which a ray crosses from the front to the back. Where B is negative (a ray that
-    starts beyond the centre of curvature), the same root is (B - sqrt(B^2 - A C)) / A without cancellation.
-    For other shapes, or with a figure, Newton's method continues from this point. A ray that could only
+    The root for a conic is C / (B + sqrt(B^2 - A C)). It stays exact as the curvature goes to zero, and it is
+    the intersection at which a ray crosses from the front to the back. Where B is negative (a ray that starts
+    beyond the centre of curvature), the same root is (B - sqrt(B^2 - A C)) / A without cancellation. For
+    other shapes, or with a surface figure, Newton's method continues from this point. A ray that could only
     cross from the back to the front misses.
 
     Parameters
@@ -54,7 +56,7 @@ def intersect(
         derivatives).
     shape
         Shape of the surface.
-    figure
+    sag_error
         Sag error that is added to the shape (default: none).
 
     Returns
@@ -80,18 +82,18 @@ def intersect(
     hit &= denominator != 0.0
     distance = np.where(stable, c, b - root) / np.where(hit, denominator, 1.0)
     hit &= np.real(1.0 - (1.0 + conic) * curvature * (z + distance * dz)) > 0.0
-    if code_of(shape) == 0 and figure is None:
+    if code_of(shape) == 0 and sag_error is None:
         return distance, hit, np.ones_like(hit)
-    return _newton(position, direction, distance, hit, shape, figure)
+    return _newton(position, direction, distance, hit, shape, sag_error)
 
 
 def _newton(
-    position: Array, direction: Array, distance: Array, hit: Array, shape: Shape, figure: Figure | None
+    position: Array, direction: Array, distance: Array, hit: Array, shape: Shape, sag_error: SagError | None
 ) -> tuple[Array, Array, Array]:
     converged = np.zeros_like(hit)
     for _ in range(NEWTON_STEPS):
         x, y, z = np.moveaxis(position + distance[..., None] * direction, -1, 0)
-        height, by_x, by_y = sag_and_slopes(shape, x, y, figure)
+        height, by_x, by_y = sag_and_slopes(shape, x, y, sag_error)
         residual = z - height
         slope = direction[..., 2] - (by_x * direction[..., 0] + by_y * direction[..., 1])
         hit = hit & np.isfinite(np.real(residual)) & (np.abs(slope) > 1e-12)

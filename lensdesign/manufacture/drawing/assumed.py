@@ -19,9 +19,9 @@ from pydantic import ConfigDict, Field, ValidationError
 from lensdesign.common.frozen_model import Finite, FrozenModel, Positive
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import mechanical_semi_diameter_mm
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.manufacture.drawing.tolerances import GENERAL_MARK, DrawingTolerances, SurfaceTolerances
 
 Values = dict[str, float]

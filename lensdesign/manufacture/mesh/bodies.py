@@ -103,7 +103,7 @@ class HeightSurface:
             (start - vertex) @ rotation,
             direction,
             self.system.shapes[self.index].trial(0),
-            self.system.figure(self.index),
+            self.system.sag_error(self.index),
         )
         z = np.where(hit & converged, vertex[2] + distance, np.nan)
         return np.asarray(z.reshape(x.shape))

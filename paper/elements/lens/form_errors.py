@@ -9,8 +9,8 @@ import numpy as np
 from lensdesign import Lens, SurfacePerturbation, load_design
 from lensdesign.analysis import form_errors
 from lensdesign.analysis.form_error import fitted, terms
-from lensdesign.files.figures import surface_figure
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
+from lensdesign.files.surface_figures import surface_figure
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from paper.element import DESIGNS, PAPER_DESIGN, Element, Made, Number, Work
 from paper.style import panel, styled_figure
 

@@ -101,7 +101,7 @@ def _files(folder: Path, lens: Lens, exposures: int) -> list[Path]:
 
 def _numbers(said: str, found: FoundObject) -> list[Number]:
     """Of one set of frames."""
-    chart_figures, paper = found.figures(), usaf_line_width_um(9, 2)
+    chart_figures, paper = found.as_dict(), usaf_line_width_um(9, 2)
     finest = chart_figures["usaf"]["smallest_resolved"]
     there = finest is not None and finest["line_width_um"] <= paper * (1.0 + 1e-9)
     reached = "nor is any other" if finest is None else f"down to {finest['group']}-{finest['element']}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from lensdesign import Lens, load_design, scaled
 from lensdesign.analysis import check_design
-from lensdesign.lens.figure_source import FigureSource
+from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 from lensdesign.lens.zernikes import zernike_orders
 from paper.element import DESIGNS, PAPER_DESIGN, Budget, Element, Made, Number, Work
 from paper.shots import BRACKET, ENGINE_ERROR, SEED, Shot, shot
@@ -160,7 +160,7 @@ def _coded(lens: Lens) -> Lens:
     amounts = np.random.default_rng(SEED).standard_normal(len(indices))
     amounts *= CODE_UM / np.linalg.norm(amounts)
     *front, back = lens.surfaces
-    code = FigureSource(
+    code = SurfaceFigureSource(
         zernike_um=tuple(zip(indices, amounts.tolist(), strict=True)), semi_diameter_mm=back.semi_diameter_mm
     )
     return lens.model_copy(update={"surfaces": (*front, back.model_copy(update={"figure": code}))})

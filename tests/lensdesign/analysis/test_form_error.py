@@ -17,10 +17,10 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.form_error import Removed, form_errors, pv_rms_waves
 from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import figure_from_grid, figure_from_zernike
+from lensdesign.lens.surface_figure import surface_figure_from_grid, surface_figure_from_zernike
 from lensdesign.manufacture.mesh.mesh import write_mesh
-from lensdesign.plots.figures import figure_map
 from lensdesign.plots.plots import draw_all
+from lensdesign.plots.surface_figures import surface_figure_map
 
 WAVE_UM = 0.6328
 SEMI_MM = 8.26
@@ -45,7 +45,7 @@ def measured(lens: Lens) -> Lens:
 
 @pytest.mark.parametrize("index", PV)
 def test_pv_and_rms_of_one_polynomial(index: int) -> None:
-    figure = figure_from_zernike({index: 0.1 * WAVE_UM}, SEMI_MM)
+    figure = surface_figure_from_zernike({index: 0.1 * WAVE_UM}, SEMI_MM)
     pv, rms = pv_rms_waves(figure, SEMI_MM)
     assert pv == pytest.approx(0.1 * PV[index], rel=2e-3)
     assert rms == pytest.approx(0.1, rel=1e-6)
@@ -54,7 +54,7 @@ def test_pv_and_rms_of_one_polynomial(index: int) -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rms_is_the_root_of_the_sum_of_squares(seed: int) -> None:
     values = np.random.default_rng(seed).normal(0.0, 0.1, 15)
-    figure = figure_from_zernike(dict(enumerate(WAVE_UM * values)), SEMI_MM)
+    figure = surface_figure_from_zernike(dict(enumerate(WAVE_UM * values)), SEMI_MM)
     removed: dict[Removed, list[int]] = {"piston": [0], "tilt": [0, 1, 2], "power": [0, 1, 2, 4]}
     for name, indices in removed.items():
         right = np.sqrt(np.sum(np.delete(values, indices) ** 2))
@@ -64,7 +64,7 @@ def test_rms_is_the_root_of_the_sum_of_squares(seed: int) -> None:
 def test_only_the_clear_aperture_counts() -> None:
     at = np.linspace(-10.0, 10.0, 201)
     bump = 1e-3 * WAVE_UM * np.exp(-(((at - 9.5) / 0.3) ** 2 + (at[:, None] / 0.3) ** 2))
-    figure = figure_from_grid(bump, 0.1, 10.0)
+    figure = surface_figure_from_grid(bump, 0.1, 10.0)
     assert pv_rms_waves(figure, 8.0)[0] < 1e-6
     assert pv_rms_waves(figure, 10.0)[0] == pytest.approx(1.0, abs=0.02)
 
@@ -102,7 +102,7 @@ def test_a_mesh_says_that_it_leaves_figures_out(paper_lens: Lens, tmp_path: Path
 
 
 def test_a_map_shows_the_error_without_tilt(paper_lens: Lens) -> None:
-    picture = figure_map(measured(paper_lens), 1)
+    picture = surface_figure_map(measured(paper_lens), 1)
     axes, bar = picture.axes
     assert axes.get_title() == r"Surface 2: PV 0.560 $\lambda$, RMS 0.125 $\lambda$"
     assert "632.8 nm" in bar.get_ylabel()
@@ -122,7 +122,7 @@ def test_a_map_is_drawn_of_every_measured_surface(
 ) -> None:
     lens = measured(paper_lens).with_surface(0, figure=None)
     for name in ("layout_figure", "spot_figure", "incidence_figure", "spread_figure"):
-        monkeypatch.setattr(f"lensdesign.plots.plots.{name}", lambda lens: figure_map(lens, 1))
+        monkeypatch.setattr(f"lensdesign.plots.plots.{name}", lambda lens: surface_figure_map(lens, 1))
     monkeypatch.setattr("lensdesign.plots.plots.render_lens", lambda lens, path: None)
     names = [path.name for path in draw_all(lens, tmp_path)]
     charts = ["layout.png", "spots.png", "incidence.png", "spread.png"]
@@ -132,4 +132,4 @@ def test_a_map_is_drawn_of_every_measured_surface(
 
 def test_no_map_of_a_surface_without_a_figure(paper_lens: Lens) -> None:
     with pytest.raises(InputError, match=r"surface 1.*figure"):
-        figure_map(paper_lens, 0)
+        surface_figure_map(paper_lens, 0)

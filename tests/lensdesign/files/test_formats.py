@@ -13,8 +13,8 @@ from random_lenses import lenses, poses
 from lensdesign import InputError, Lens, MaterialError, Pose, files
 from lensdesign.files.draft import Supplement
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file, write_lens_file
-from lensdesign.lens.figure_source import FigureSource
 from lensdesign.lens.shapes.even_asphere import without_zeros
+from lensdesign.lens.surface_figure_source import SurfaceFigureSource
 
 POSE = Pose(0.1, -0.2, 0.0, 1.5, -0.7, 4.4)
 
@@ -76,7 +76,7 @@ def test_without_our_remarks_glasses_and_pose_are_the_same(path: Path, paper_len
 
 
 def test_what_no_file_of_the_format_can_hold_is_not_written(path: Path, paper_lens: Lens) -> None:
-    figure = FigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
+    figure = SurfaceFigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
     with pytest.raises(InputError, match=rf"surface 1.*\{path.suffix}.*figure"):
         write_lens_file(paper_lens.with_surface(0, figure=figure), path)
     with pytest.raises(InputError, match="pose"):

@@ -29,8 +29,8 @@ def exported(path: Path, design: Path, measured: bool = False):
 def test_meshes_hold_their_outline(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"lens{suffix}"
     made, _ = exported(path, GOLDEN / "designer_b" / "thin.toml")
-    assert made.figures["ground_diameters_mm"] == [7.3]
-    assert made.outline == tuple(made.figures["outline"])
+    assert made.values["ground_diameters_mm"] == [7.3]
+    assert made.outline == tuple(made.values["outline"])
     if suffix == ".3mf":
         import zipfile
 
@@ -51,7 +51,7 @@ def test_step_files_hold_their_outline(tmp_path: Path) -> None:
     made, _ = exported(tmp_path / "lens.step", GOLDEN / "designer_b" / "thin.toml")
     head = (tmp_path / "lens.step").read_bytes()[:800].replace(b"\n", b"")
     assert STATEMENT in head
-    assert made.figures["ground_diameters_mm"] == [7.3]
+    assert made.values["ground_diameters_mm"] == [7.3]
 
 
 def test_measured_bodies_end_at_their_clear_apertures_and_say_so(tmp_path: Path) -> None:

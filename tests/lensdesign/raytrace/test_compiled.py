@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign import Lens, Pose, Surface, SurfacePerturbation
 from lensdesign.errors import InputError
-from lensdesign.lens import figure_from_zernike
+from lensdesign.lens import surface_figure_from_zernike
 from lensdesign.raytrace.compiled import compile_system
 
 
@@ -120,7 +120,7 @@ def test_the_kernel_gets_only_what_the_surfaces_need(paper_lens: Lens) -> None:
     codes, _, _, figures = compile_system(paper_lens, 0.532).for_kernel
     assert codes is None
     assert figures is None
-    figure = figure_from_zernike({5: 1.0}, 30.0)
+    figure = surface_figure_from_zernike({5: 1.0}, 30.0)
     changed = {1: SurfacePerturbation(figure=figure)}
     codes, _, _, figures = compile_system(paper_lens, 0.532, surface_perturbations=changed).for_kernel
     assert codes is not None

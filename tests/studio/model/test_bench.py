@@ -36,8 +36,8 @@ def wait(until: Callable[[], bool], seconds: float = 120.0) -> None:
 
 def test_figures_follow_and_settle_to_those_of_the_check(bench: Workbench) -> None:
     assert bench.edit(RADIUS, "number", "-12.2")
-    wait(lambda: bench.figures.settled and bench.figures.lens == bench.lens)
-    assert bench.figures.check == check_design(bench.lens)
+    wait(lambda: bench.analysis.settled and bench.analysis.lens == bench.lens)
+    assert bench.analysis.check == check_design(bench.lens)
 
 
 def test_a_bad_value_is_refused_and_the_last_good_lens_stays(bench: Workbench) -> None:
@@ -53,8 +53,8 @@ def test_the_newest_state_wins(bench: Workbench) -> None:
     for k in range(200):
         bench.edit(RADIUS, "number", str(-12.0 - 0.001 * k), "drag")
     made: list[float] = []
-    bench.listen(lambda: made.append(bench.figures.lens.surfaces[1].radius_mm or 0.0))
-    wait(lambda: bench.figures.lens == bench.lens and bench.figures.settled)
+    bench.listen(lambda: made.append(bench.analysis.lens.surfaces[1].radius_mm or 0.0))
+    wait(lambda: bench.analysis.lens == bench.lens and bench.analysis.settled)
     assert len(set(made)) < 20
     assert made[-1] == pytest.approx(-12.199)
     bench.undo()
@@ -90,5 +90,5 @@ def test_who_stopped_listening_is_not_told(bench: Workbench) -> None:
 def test_what_if_is_of_the_lens(bench: Workbench) -> None:
     bench.set_what_if(WhatIf({"lens.tilt_x_deg": 0.1, "element 2.tilt_x_deg": 0.1}))
     assert set(bench.what_if.of(bench.lens).values) == {"lens.tilt_x_deg"}
-    wait(lambda: bool(bench.figures.pupils))
+    wait(lambda: bool(bench.analysis.pupils))
     assert threading.active_count() < 20

@@ -12,7 +12,7 @@ from lensdesign.raytrace.bundles import pupil_rings
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths
 from tolerancing.prediction.motions import Motions, motions_of, pair_weights, second_by_pairs
-from tolerancing.prediction.paths import Figures
+from tolerancing.prediction.paths import SagErrors
 from tolerancing.prediction.system import Changes, changes_of
 
 ASKED = [
@@ -46,12 +46,12 @@ def test_a_figure_acts_as_the_term_whose_sag_it_has(lens: Lens, changes: Changes
     paths = nominal_paths(lens, [(0.3, 1.0)], pupil_rings(2, 5), 0.532, 3.0)
     term = ASKED.index(("surface 2", "conic"))
     predicted = second_by_pairs(paths, pair_weights(changes))
-    unit = Figures(1, slice(term, term + 1), *(part[:, None] for part in paths.by_term(1, "conic")))
+    unit = SagErrors(1, slice(term, term + 1), *(part[:, None] for part in paths.by_term(1, "conic")))
     first = changes.first.copy()
     first[:, term] = 0.0
     # Only its place among the changes counts here: sags are given at the rays.
-    by_figure = replace(changes, first=first, figures=((1, unit.columns, None),))  # type: ignore[arg-type]
-    found = second_by_pairs(paths, pair_weights(by_figure), [unit])
+    by_sag_error = replace(changes, first=first, figures=((1, unit.columns, None),))  # type: ignore[arg-type]
+    found = second_by_pairs(paths, pair_weights(by_sag_error), [unit])
     i, j = np.triu_indices(changes.count)
     others = (i != term) | (j != term)
     np.testing.assert_allclose(found[:, others], predicted[:, others], atol=1e-9)

@@ -9,8 +9,8 @@ import pytest
 
 from lensdesign import Lens, load_design, scaled
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface_figure import SurfaceFigure
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import ALIASES, ENGINES, engine_class, settings_of
 from wavesim.fields.field import Field, Grid

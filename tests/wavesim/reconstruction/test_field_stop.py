@@ -65,7 +65,7 @@ def test_a_stop_that_the_patch_does_not_hold_is_refused() -> None:
 def test_a_stated_stop_beside_the_axis_is_reconstructed() -> None:
     found = found_with(field_stop_mm=STOP_MM, field_stop_at_mm=AT_MM)
     assert found.truth["object_correlation"] > 0.98
-    figures = found.figures()
+    figures = found.as_dict()
     assert figures["field_stop_mm"] == STOP_MM
     assert figures["field_stop_at_mm"] == list(AT_MM)
     assert figures["field_stop_from"] == "stated"
@@ -77,7 +77,7 @@ def test_the_stop_is_found_from_the_frames() -> None:
     assert found.truth["object_correlation"] > 0.98
     assert found.patch.field_stop_mm == pytest.approx(STOP_MM, abs=2 * SAMPLE_MM)
     assert math.dist(found.patch.field_stop_at_mm, AT_MM) < 2 * SAMPLE_MM
-    assert found.figures()["field_stop_from"] == "frames"
+    assert found.as_dict()["field_stop_from"] == "frames"
 
 
 @pytest.mark.usefixtures("quick_verdicts")

@@ -34,7 +34,7 @@ def test_a_chart_beside_its_place_is_resolved_as_well(samples) -> None:
     found = reconstruct_frames(
         LENS, taken.frames, patch_mm=0.07, kind="amplitude", truth=chart(elements), usaf="bright"
     )
-    figures = found.figures()
+    figures = found.as_dict()
     chart_figures = figures["usaf"]
     assert chart_figures["smallest_resolved"]["line_width_um"] == pytest.approx(0.87, abs=0.01)
     assert chart_figures["limited_by"] == ["sampling"]

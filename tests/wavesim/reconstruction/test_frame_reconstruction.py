@@ -36,7 +36,7 @@ def test_frames_are_reconstructed_as_they_come(imaged: Imaged) -> None:
     correlation = found.truth["object_correlation"]
     assert correlation is not None
     assert correlation > 0.85
-    assert found.figures()["iterations"] == len(found.curve) == 8
+    assert found.as_dict()["iterations"] == len(found.curve) == 8
     assert calls[0] == ("object: engine eikonal", 0, 8)
     assert "comparison with the true object" in [what for what, *_ in calls]
     assert "method object, engine eikonal" in repr(found)

@@ -11,8 +11,8 @@ import pytest
 from places import GOLDEN
 
 from lensdesign import Lens, load_design, scaled
-from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from wavesim import read_frames
 from wavesim.fields.field import Field
 from wavesim.fields.files import read_field
@@ -43,7 +43,7 @@ def stated(lens: Lens) -> SystemState:
     assert front.radius_mm is not None
     assert back.radius_mm is not None
     assert back.semi_diameter_mm is not None
-    figure = figure_from_zernike({int(j): 0.633 * w for j, w in waves.items()}, back.semi_diameter_mm)
+    figure = surface_figure_from_zernike({int(j): 0.633 * w for j, w in waves.items()}, back.semi_diameter_mm)
     surfaces = {
         0: SurfacePerturbation(
             index=errors["index"],

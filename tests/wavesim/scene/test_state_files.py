@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from lensdesign import load_design
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from wavesim import read_state, write_state
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.source import Source
@@ -63,7 +63,7 @@ def test_a_state_is_read_as_it_was_written(state: SystemState) -> None:
 
 
 def test_a_figure_is_read_as_it_was_written(tmp_path: Path) -> None:
-    figure = figure_from_zernike({5: 0.03, 8: -0.02}, 5.0)
+    figure = surface_figure_from_zernike({5: 0.03, 8: -0.02}, 5.0)
     state = SystemState(surface_perturbations={1: SurfacePerturbation(conic=0.1, figure=figure)})
     read = read_state(write_state(state, tmp_path / "state.json"), LENS).surface_perturbations[1]
     assert read.conic == 0.1

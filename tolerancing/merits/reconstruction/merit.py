@@ -209,10 +209,10 @@ class Reconstruction(Merit):
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         results = [self._results(context, batch, point[1]) for point in self.points]
-        scores = np.array([[self._figure(one) for one in of_point] for of_point in results])
+        scores = np.array([[self._score_of(one) for one in of_point] for of_point in results])
         return np.asarray(scores.min(axis=0) if self.at_least is not None else scores.max(axis=0))
 
-    def _figure(self, result: LineScores) -> float:
+    def _score_of(self, result: LineScores) -> float:
         if self.figure == "contrast":
             return result.contrasts[self.line_widths_um.index(self.evaluated_width_um)]
         return result.correlation if self.figure == "correlation" else 1.0 - result.correlation

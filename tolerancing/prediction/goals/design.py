@@ -21,8 +21,8 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.raytrace.gradients import GradientTrace, Variable
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.prediction.derivatives import figures_on
-from tolerancing.prediction.paths import Figures, Paths
+from tolerancing.prediction.derivatives import sag_errors_on
+from tolerancing.prediction.paths import Paths, SagErrors
 from tolerancing.prediction.system import Changes, changes_of
 from tolerancing.prediction.wavefront_prediction import drawn_amounts
 from tolerancing.study.study import Study
@@ -119,17 +119,20 @@ class DesignPoint:
         first = self.changes.first + 1j * STEP * (high.first - low.first) / width
         return replace(self.changes, first=first), self._multiplier(factor)
 
-    def figures(self, paths: Paths) -> list[Figures]:
+    def sag_errors(self, paths: Paths) -> list[SagErrors]:
         """Return the sag errors of irregularities at rays."""
-        return figures_on(paths, self.changes)
+        return sag_errors_on(paths, self.changes)
 
-    def moved_figures(self, paths: Paths, nominal_paths: Paths, variable: int) -> list[Figures]:
+    def moved_sag_errors(self, paths: Paths, nominal_paths: Paths, variable: int) -> list[SagErrors]:
         """Return the sag errors after a complex step of a variable, for moved rays and nominal rays."""
         high, low, width, _ = self._moved(variable)
         step = 1j * STEP / width
         found = []
         for own, upper, lower in zip(
-            self.figures(paths), figures_on(nominal_paths, high), figures_on(nominal_paths, low), strict=True
+            self.sag_errors(paths),
+            sag_errors_on(nominal_paths, high),
+            sag_errors_on(nominal_paths, low),
+            strict=True,
         ):
             found.append(
                 replace(

@@ -19,7 +19,7 @@ from tolerancing.prediction.derivatives import (
     weights_over_stop,
 )
 from tolerancing.prediction.goals.design import STEP, DesignPoint, TracedRays
-from tolerancing.prediction.paths import Figures, Paths
+from tolerancing.prediction.paths import Paths, SagErrors
 from tolerancing.prediction.system import Changes
 
 
@@ -51,9 +51,9 @@ def wavefront_forms(design: DesignPoint, points_mm: Sequence[tuple[float, float]
     if not np.all(traced.ok):
         raise DesignError("rays from the object points do not all pass the lens")
 
-    def forms(paths: Paths, changes: Changes, figures: list[Figures], multiplier: Array) -> Array:
+    def forms(paths: Paths, changes: Changes, sag_errors: list[SagErrors], multiplier: Array) -> Array:
         waves = 1e3 / design.wavelength_um
-        slopes = waves * first_by(paths, changes, figures) * multiplier
+        slopes = waves * first_by(paths, changes, sag_errors) * multiplier
         cosines, n, found = paths.cosines, len(stop.points), []
         for k in range(len(points_mm)):
             part = slice(k * n, (k + 1) * n)
@@ -67,11 +67,11 @@ def wavefront_forms(design: DesignPoint, points_mm: Sequence[tuple[float, float]
         return np.stack(found)
 
     values = forms(
-        traced.nominal_paths, design.changes, design.figures(traced.nominal_paths), design.multiplier
+        traced.nominal_paths, design.changes, design.sag_errors(traced.nominal_paths), design.multiplier
     )
     by = np.empty((len(design.variables), *values.shape))
     for v in range(len(design.variables)):
         paths, (changes, multiplier) = traced.moved(v), design.moved_changes(v)
-        figures = design.moved_figures(paths, traced.nominal_paths, v)
-        by[v] = forms(paths, changes, figures, multiplier).imag / STEP
+        sag_errors = design.moved_sag_errors(paths, traced.nominal_paths, v)
+        by[v] = forms(paths, changes, sag_errors, multiplier).imag / STEP
     return values, by

@@ -79,7 +79,7 @@ class FollowedRays:
     def responses(self) -> Array:
         """Derivatives of positions and direction cosines by the changes, shape (n, 2, 2, d)."""
         design, paths = self.design, self.traced.nominal_paths
-        motions = Motions(paths, design.figures(paths))
+        motions = Motions(paths, design.sag_errors(paths))
         found = np.stack(arrivals_by(motions, design.lens.stop_index), axis=1)
         return self._perturbed(found @ motions_of(design.changes) * design.multiplier)
 
@@ -87,7 +87,7 @@ class FollowedRays:
         """Return the derivatives of the responses by a variable, of the same shape."""
         design, paths = self.design, self.traced.moved(variable)
         changes, multiplier = design.moved_changes(variable)
-        motions = Motions(paths, design.moved_figures(paths, self.traced.nominal_paths, variable))
+        motions = Motions(paths, design.moved_sag_errors(paths, self.traced.nominal_paths, variable))
         found = np.stack(arrivals_by(motions, design.lens.stop_index), axis=1)
         return self._perturbed((found @ motions_of(changes) * multiplier).imag / STEP)
 

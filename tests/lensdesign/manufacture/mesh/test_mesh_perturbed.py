@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from small_lenses import lens_of
 
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import figure_from_grid, figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.surface_figure import surface_figure_from_grid, surface_figure_from_zernike
 from lensdesign.manufacture.mesh.mesh import LensMesh, lens_mesh, write_mesh
 
 EDGE_MM = 5.0
@@ -97,7 +97,7 @@ def test_facets_are_where_the_stated_chord_error_says(
         decenter_y_mm=decenter[1],
         tilt_x_deg=tilt[0],
         tilt_y_deg=tilt[1],
-        figure=figure_from_zernike({12: spherical_um}, 5.5),
+        figure=surface_figure_from_zernike({12: spherical_um}, 5.5),
     )
     result = lens_mesh(lens, chord_error_um, surface_perturbations={i: change})
     assert_closed(result.mesh)
@@ -152,7 +152,7 @@ def test_a_tilted_plane_keeps_the_volume_of_a_plate() -> None:
 
 def test_zernike_figures_against_closed_forms() -> None:
     def volume(index: int) -> float:
-        figure = figure_from_zernike({index: 2.0}, EDGE_MM)
+        figure = surface_figure_from_zernike({index: 2.0}, EDGE_MM)
         change = {0: SurfacePerturbation(figure=figure)}
         return lens_mesh(plate(), 1.0, surface_perturbations=change).exact_volume_mm3
 
@@ -173,7 +173,7 @@ def test_pose_moves_the_whole() -> None:
 def test_measured_figures(tmp_path: Any) -> None:
     figure = {"zernike_um": {"7": 1.5}, "semi_diameter_mm": 5.0}
     lens = singlet(figure=figure)
-    change = {0: SurfacePerturbation(figure=figure_from_zernike({7: 1.5}, 5.0))}
+    change = {0: SurfacePerturbation(figure=surface_figure_from_zernike({7: 1.5}, 5.0))}
     notes: list[str] = []
     measured = write_mesh(lens, tmp_path / "lens.ply", 1.0, warn=notes.append, measured=True)
     assert not notes
@@ -188,7 +188,7 @@ def test_measured_figures(tmp_path: Any) -> None:
 
 def test_figure_finer_than_the_facets_is_seen() -> None:
     rng = np.random.default_rng(0)
-    figure = figure_from_grid(2e-4 * rng.normal(size=(121, 121)), 0.1, 5.5)
+    figure = surface_figure_from_grid(2e-4 * rng.normal(size=(121, 121)), 0.1, 5.5)
     result = lens_mesh(plate(), 0.3, surface_perturbations={0: SurfacePerturbation(figure=figure)})
     points = optical_points(result, back=False, count=20_000)
     found = np.max(np.abs(points[:, 2] - figure.sag(points[:, 0], points[:, 1])))
@@ -198,7 +198,7 @@ def test_figure_finer_than_the_facets_is_seen() -> None:
 
 def test_figure_that_needs_too_many_triangles_is_named() -> None:
     rng = np.random.default_rng(0)
-    figure = figure_from_grid(1e-2 * rng.normal(size=(401, 401)), 0.03, 5.5)
+    figure = surface_figure_from_grid(1e-2 * rng.normal(size=(401, 401)), 0.03, 5.5)
     with pytest.raises(InputError, match=r"surface 2 .*triangles.* 0\.03") as error:
         lens_mesh(plate(), 1e-3, surface_perturbations={1: SurfacePerturbation(figure=figure)})
     needed = re.search(r"need ([0-9.e+]+) triangles", str(error.value))
@@ -245,7 +245,7 @@ def test_a_tilted_surface_with_a_flat_ring_closes() -> None:
 
 def test_figure_on_a_surface_with_a_flat_annulus() -> None:
     lens = singlet(radius_mm=4.5, semi_diameter_mm=4.0, thickness_mm=6.0)
-    figure = figure_from_zernike({5: 1.0}, 4.0)
+    figure = surface_figure_from_zernike({5: 1.0}, 4.0)
     result = lens_mesh(lens, 1.0, surface_perturbations={0: SurfacePerturbation(figure=figure)})
     assert_closed(result.mesh)
     assert result.chord_error_um <= 1.0

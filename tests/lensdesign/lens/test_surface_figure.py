@@ -17,7 +17,7 @@ from scipy.interpolate import make_interp_spline
 from lensdesign import Lens, ObjectSpace, Sensor, Surface, SurfacePerturbation, trace
 from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import InputError
-from lensdesign.lens import SurfaceFigure, figure_from_grid, figure_from_zernike
+from lensdesign.lens import SurfaceFigure, surface_figure_from_grid, surface_figure_from_zernike
 from lensdesign.lens.zernikes import HIGHEST_INDEX, zernike
 from lensdesign.raytrace.bundles import launch
 from lensdesign.raytrace.compiled import compile_system
@@ -39,7 +39,7 @@ def disc(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 def on_grid(sag: Any, nodes: int = 81, half_mm: float = 1.2 * SEMI_MM) -> SurfaceFigure:
     """Figure of a function of x and y."""
     at = np.linspace(-half_mm, half_mm, nodes)
-    return figure_from_grid(sag(at, at[:, None]), at[1] - at[0], SEMI_MM)
+    return surface_figure_from_grid(sag(at, at[:, None]), at[1] - at[0], SEMI_MM)
 
 
 # The spline.
@@ -48,7 +48,7 @@ def on_grid(sag: Any, nodes: int = 81, half_mm: float = 1.2 * SEMI_MM) -> Surfac
 @pytest.mark.parametrize("index", [0, 1, 2, 4, 7, 12, 20, 24, 27, 40, 44, 60, 84, HIGHEST_INDEX])
 def test_spline_of_a_zernike_polynomial_is_within_a_millionth(index: int) -> None:
     rho, theta = disc(index, 5000)
-    figure = figure_from_zernike({index: 1.0}, SEMI_MM)
+    figure = surface_figure_from_zernike({index: 1.0}, SEMI_MM)
     found = figure.sag(SEMI_MM * rho * np.cos(theta), SEMI_MM * rho * np.sin(theta))
     assert np.max(np.abs(1e3 * found - zernike(index, rho, theta))) < 1e-6
 
@@ -58,7 +58,7 @@ def test_figure_is_linear_in_its_coefficients(seed: int) -> None:
     rng = np.random.default_rng(seed)
     given_um = dict(zip(rng.choice(30, 4, replace=False).tolist(), rng.normal(size=4).tolist(), strict=True))
     rho, theta = disc(seed, 200)
-    figure = figure_from_zernike(given_um, SEMI_MM)
+    figure = surface_figure_from_zernike(given_um, SEMI_MM)
     found = figure.sag(SEMI_MM * rho * np.cos(theta), SEMI_MM * rho * np.sin(theta))
     right = sum(1e-3 * value * zernike(index, rho, theta) for index, value in given_um.items())
     assert found == pytest.approx(right, abs=5e-9)
@@ -68,7 +68,7 @@ def test_figure_is_linear_in_its_coefficients(seed: int) -> None:
 def test_spline_through_a_grid_is_scipys(seed: int, rows: int, columns: int) -> None:
     rng = np.random.default_rng(seed)
     values, spacing = rng.normal(size=(rows, columns)), rng.uniform(0.1, 2.0)
-    figure = figure_from_grid(values, spacing, 0.5 * spacing * (min(rows, columns) - 1))
+    figure = surface_figure_from_grid(values, spacing, 0.5 * spacing * (min(rows, columns) - 1))
     y, x = (spacing * (np.arange(n) - 0.5 * (n - 1)) for n in (rows, columns))
     assert figure.sag(x, y[:, None]) == pytest.approx(values, abs=1e-12)
     fine_y, fine_x = np.linspace(y[0], y[-1], 37), np.linspace(x[0], x[-1], 31)
@@ -79,7 +79,7 @@ def test_spline_through_a_grid_is_scipys(seed: int, rows: int, columns: int) -> 
 @given(seed=SEEDS)
 def test_slopes_are_derivatives_of_the_sag(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    figure = figure_from_grid(rng.normal(size=(11, 9)), 0.5, 1.5)
+    figure = surface_figure_from_grid(rng.normal(size=(11, 9)), 0.5, 1.5)
     x, y = rng.uniform(-1.99, 1.99, 300), rng.uniform(-2.49, 2.49, 300)
     sag, by_x, by_y = figure.sag_and_slopes(x, y)
     assert np.array_equal(sag, figure.sag(x, y))
@@ -98,11 +98,13 @@ def test_sag_goes_on_beyond_the_grid_as_at_its_edge() -> None:
 
 def test_figures_of_many_trials() -> None:
     coefficients = {4: np.array([0.1, 0.2, -0.3]), 7: np.array([0.0, 1.0, 2.0]), 2: 0.5}
-    many = figure_from_zernike(coefficients, SEMI_MM)
+    many = surface_figure_from_zernike(coefficients, SEMI_MM)
     assert many.trials == 3
     x, y = np.array([1.0, -2.0]), np.array([0.5, 3.0])
     for i in range(3):
-        one = figure_from_zernike({j: np.broadcast_to(c, 3)[i] for j, c in coefficients.items()}, SEMI_MM)
+        one = surface_figure_from_zernike(
+            {j: np.broadcast_to(c, 3)[i] for j, c in coefficients.items()}, SEMI_MM
+        )
         assert many.sag(x, y)[i] == pytest.approx(one.sag(x, y), abs=1e-16)
         assert many.trial(i).sag(x, y) == pytest.approx(one.sag(x, y), abs=1e-16)
 
@@ -114,7 +116,10 @@ def test_holes_outside_the_disc_take_the_nearest_value() -> None:
     at = np.linspace(-6.0, 6.0, 61)
     values = 1e-3 * np.exp(-0.05 * (at**2 + at[:, None] ** 2))
     holed = np.where(np.hypot(at, at[:, None]) <= 5.0, values, np.nan)
-    figure, whole = figure_from_grid(holed, 0.2, SEMI_MM), figure_from_grid(values, 0.2, SEMI_MM)
+    figure, whole = (
+        surface_figure_from_grid(holed, 0.2, SEMI_MM),
+        surface_figure_from_grid(values, 0.2, SEMI_MM),
+    )
     rho, theta = disc(1, 500)
     x, y = SEMI_MM * rho * np.cos(theta), SEMI_MM * rho * np.sin(theta)
     assert figure.sag(x, y) == pytest.approx(whole.sag(x, y), abs=5e-8)
@@ -127,7 +132,7 @@ def test_holes_inside_the_disc_are_counted() -> None:
     values[20, 18:21] = np.nan
     values[0, 0] = np.nan
     with pytest.raises(InputError, match=r"figure: 3 of \d+ points.*4 mm"):
-        figure_from_grid(values, 0.25, SEMI_MM)
+        surface_figure_from_grid(values, 0.25, SEMI_MM)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +147,7 @@ def test_holes_inside_the_disc_are_counted() -> None:
 )
 def test_what_is_no_grid_is_refused(values: Any, spacing: float, semi: float, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        figure_from_grid(values, spacing, semi)
+        surface_figure_from_grid(values, spacing, semi)
 
 
 @pytest.mark.parametrize(
@@ -156,7 +161,7 @@ def test_what_is_no_grid_is_refused(values: Any, spacing: float, semi: float, me
 )
 def test_what_are_no_coefficients_is_refused(coefficients: Any, semi: float, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        figure_from_zernike(coefficients, semi)
+        surface_figure_from_zernike(coefficients, semi)
 
 
 # Rays.
@@ -214,7 +219,7 @@ def test_zernike_spherical_aberration_is_an_asphere() -> None:
     scale = 1e-3 * um * math.sqrt(5.0)
     curvature = 1.0 / 40.0 - 2.0 * 6.0 * scale / SEMI_MM**2
     other = singlet(radius_mm=1.0 / curvature, conic=-1.0, asphere=(6.0 * scale / SEMI_MM**4,))
-    figure = figure_from_zernike({12: um}, SEMI_MM)
+    figure = surface_figure_from_zernike({12: um}, SEMI_MM)
     assert same_rays(lens, figure, other, SurfacePerturbation(despace_mm=scale)) < 2e-7
     assert same_rays(lens, figure, lens, SurfacePerturbation()) > 1e-3
 
@@ -240,7 +245,7 @@ def test_kernel_equals_numpy(data: st.DataObject, trials: int | None, seed: int,
     rng = np.random.default_rng(seed)
     changes = {
         i: SurfacePerturbation(
-            figure=figure_from_zernike(
+            figure=surface_figure_from_zernike(
                 {j: rng.normal(0.0, 0.3, trials if i % 2 else None) for j in rng.choice(15, 3)},
                 surface.semi_diameter_mm or 3.0,
             )
@@ -273,7 +278,7 @@ def test_kernel_equals_numpy(data: st.DataObject, trials: int | None, seed: int,
 
 def test_threads_give_each_trial_its_own_figure() -> None:
     lens = singlet(radius_mm=40.0)
-    figures = figure_from_zernike({5: np.linspace(-1.0, 1.0, 7)}, SEMI_MM)
+    figures = surface_figure_from_zernike({5: np.linspace(-1.0, 1.0, 7)}, SEMI_MM)
     origins, directions = launch(lens, [(0.0, 0.0)], [(0.3, 0.1), (-0.2, 0.9)], 0.532)
     change = {0: SurfacePerturbation(figure=figures)}
     one, three = (
@@ -288,7 +293,7 @@ def test_threads_give_each_trial_its_own_figure() -> None:
 
 def test_rays_go_through_their_points_of_a_figured_stop() -> None:
     lens = singlet(radius_mm=40.0, conic=0.5)
-    figure = figure_from_zernike({9: 3.0, 4: -2.0}, SEMI_MM)
+    figure = surface_figure_from_zernike({9: 3.0, 4: -2.0}, SEMI_MM)
     change = {0: SurfacePerturbation(figure=figure)}
     pupil = np.array([(0.3, 0.1), (-0.2, 0.9), (0.0, 0.0), (0.0, 1.0)])
     origins, directions = launch(lens, [(0.0, 0.5)], pupil, 0.532, surface_perturbations=change)
@@ -303,22 +308,26 @@ def test_measured_and_added_figures_add() -> None:
     measured = {"semi_diameter_mm": 5.0, "zernike_um": {5: 0.4}}
     lens = singlet(radius_mm=40.0, figure=measured)
     system = compile_system(
-        lens, 0.532, surface_perturbations={0: SurfacePerturbation(figure=figure_from_zernike({8: 0.3}, 6.0))}
+        lens,
+        0.532,
+        surface_perturbations={0: SurfacePerturbation(figure=surface_figure_from_zernike({8: 0.3}, 6.0))},
     )
     x, y = np.array([1.0, 2.0]), np.array([-3.0, 0.5])
-    right = figure_from_zernike({5: 0.4}, 5.0).sag(x, y) + figure_from_zernike({8: 0.3}, 6.0).sag(x, y)
+    right = surface_figure_from_zernike({5: 0.4}, 5.0).sag(x, y) + surface_figure_from_zernike(
+        {8: 0.3}, 6.0
+    ).sag(x, y)
     assert system.sag(0, x, y) - lens.surfaces[0].sag_mm(np.hypot(x, y)) == pytest.approx(right, abs=1e-14)
     assert np.array_equal(system.sag_and_slopes(0, x, y)[0], system.sag(0, x, y))
 
 
 def test_a_figure_of_lesser_size_than_the_surface_is_refused() -> None:
-    change = {0: SurfacePerturbation(figure=figure_from_zernike({5: 0.1}, 3.0))}
+    change = {0: SurfacePerturbation(figure=surface_figure_from_zernike({5: 0.1}, 3.0))}
     with pytest.raises(InputError, match=r"surface 1: .*figure.* 3 mm"):
         compile_system(singlet(radius_mm=40.0), 0.532, surface_perturbations=change)
 
 
 def test_as_many_figures_as_trials() -> None:
-    figure = figure_from_zernike({5: np.zeros(3)}, SEMI_MM)
+    figure = surface_figure_from_zernike({5: np.zeros(3)}, SEMI_MM)
     with pytest.raises(InputError, match="one length"):
         SurfacePerturbation(figure=figure, conic=np.zeros(2))
 
@@ -326,9 +335,9 @@ def test_as_many_figures_as_trials() -> None:
 def test_fields_of_every_azimuth_count_where_a_figure_breaks_symmetry() -> None:
     """Astigmatism along x makes the spread largest for fields along x, far from where it is sought else."""
     lens = singlet(radius_mm=40.0)
-    change = {0: SurfacePerturbation(figure=figure_from_zernike({5: -20.0}, SEMI_MM))}
+    change = {0: SurfacePerturbation(figure=surface_figure_from_zernike({5: -20.0}, SEMI_MM))}
     found = largest_spread(lens, field_heights_mm=[1.0], surface_perturbations=change)
-    turned = {0: SurfacePerturbation(figure=figure_from_zernike({5: 20.0}, SEMI_MM))}
+    turned = {0: SurfacePerturbation(figure=surface_figure_from_zernike({5: 20.0}, SEMI_MM))}
     other = largest_spread(lens, field_heights_mm=[1.0], surface_perturbations=turned)
     assert found.spread_deg == pytest.approx(other.spread_deg, abs=1e-5)
     assert abs(abs(found.field_mm[0]) - abs(other.field_mm[0])) == pytest.approx(1.0, abs=1e-2)

@@ -15,7 +15,7 @@ TEST_WAVELENGTH_UM = 0.6328
 """Wavelength of the helium-neon laser of surface tests, the unit of "waves at 633 nm"."""
 
 
-class FigureSource(FrozenModel):
+class SurfaceFigureSource(FrozenModel):
     """The source of a surface's measured figure (sag error, positive along +z).
 
     Exactly one of `file`, `zernike_um` and `zernike_waves_633nm` is given.
@@ -23,7 +23,7 @@ class FigureSource(FrozenModel):
     Attributes
     ----------
     file
-        Path of a grid file; see :mod:`lensdesign.files.figures`.
+        Path of a grid file; see :mod:`lensdesign.files.surface_figures`.
     zernike_um, zernike_waves_633nm
         Coefficients of Zernike polynomials by OSA/ANSI index, given as a mapping and kept as pairs. Each
         coefficient is the root mean square sag error of its polynomial, in um or in waves of 632.8 nm; see
@@ -33,8 +33,8 @@ class FigureSource(FrozenModel):
 
     Examples
     --------
-    >>> from lensdesign import FigureSource
-    >>> source = FigureSource(zernike_um={4: 0.1, 12: -0.02}, semi_diameter_mm=5.0)
+    >>> from lensdesign import SurfaceFigureSource
+    >>> source = SurfaceFigureSource(zernike_um={4: 0.1, 12: -0.02}, semi_diameter_mm=5.0)
     >>> source.coefficients_um
     {4: 0.1, 12: -0.02}
     """
@@ -73,7 +73,7 @@ class FigureSource(FrozenModel):
         return {str(index): number for index, number in value}
 
     @model_validator(mode="after")
-    def _one_source(self) -> FigureSource:
+    def _one_source(self) -> SurfaceFigureSource:
         sources = ("file", "zernike_um", "zernike_waves_633nm")
         given = [name for name in sources if getattr(self, name)]
         if len(given) != 1:

@@ -1,4 +1,4 @@
-"""All figures of a lens in three stages: rays, pupils, patch."""
+"""Analysis of a lens in three stages: rays, pupils, patch."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.report import CheckReport
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
-from studio.model.built import AsBuiltFigures, ManufacturingQuality, built
+from studio.model.built import AsBuiltPrediction, ManufacturingQuality, built
 from studio.model.picture import Layout, heights_of, layout_of
 from studio.model.pupils import (
     COARSE,
     COARSE_PATCH,
     SAMPLES,
     PatchPicture,
-    PupilFigures,
+    PupilAnalysis,
+    analyse_pupils,
     patch_picture,
-    pupil_figures,
 )
 from studio.model.whatif import WhatIf
 from wavesim.runtime.threads import one_blas_thread
@@ -29,19 +29,19 @@ Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
-class Figures:
-    """Figures of one lens.
+class LensAnalysis:
+    """Results of the analysis of one lens.
 
     Attributes
     ----------
     lens
         The lens.
     settled
-        Whether they have the accuracy of the commands; while a value changes, figures are coarser.
+        Whether results have the accuracy of the commands; while a value changes, they are coarser.
     layout, check, pupils, built, patch
-        Figures; None (or empty) if they are not available.
+        Results of the stages; None (or empty) if they are not available.
     refused
-        Reasons why figures are not available, one sentence each.
+        Reasons why results are not available, one sentence each.
     seconds
         Computing time of each stage in s.
     """
@@ -50,16 +50,16 @@ class Figures:
     settled: bool = False
     layout: Layout | None = None
     check: CheckReport | None = None
-    pupils: tuple[PupilFigures, ...] = ()
-    built: AsBuiltFigures | None = None
+    pupils: tuple[PupilAnalysis, ...] = ()
+    built: AsBuiltPrediction | None = None
     patch: PatchPicture | None = None
     refused: tuple[str, ...] = ()
     seconds: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class FigureRequest:
-    """Inputs of the figures.
+class AnalysisRequest:
+    """Inputs of an analysis.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class FigureRequest:
     patch_fraction: float
 
 
-def rays_of(request: FigureRequest, *, settled: bool) -> Figures:
+def rays_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     """Compute layout and check."""
     started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
     layout = _tried(lambda: layout_of(lens), refused)
     check = _tried(lambda: check_design(lens, refined=settled), refused)
-    return Figures(
+    return LensAnalysis(
         lens,
         settled,
         layout=layout,
@@ -95,16 +95,16 @@ def rays_of(request: FigureRequest, *, settled: bool) -> Figures:
     )
 
 
-def waves_of(request: FigureRequest, *, settled: bool) -> Figures:
+def waves_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     """Compute pupils at three object points, and the prediction as built."""
     started, lens, quality = time.perf_counter(), request.lens, request.quality
     refused: list[str] = []
     samples = SAMPLES if settled else COARSE
     with one_blas_thread():
         what_if, heights = request.what_if.of(lens), heights_of(lens)
-        pupils = _tried(lambda: pupil_figures(lens, what_if, heights, samples), refused)
+        pupils = _tried(lambda: analyse_pupils(lens, what_if, heights, samples), refused)
         as_built = None if quality is None else _tried(lambda: built(lens, quality, settled=settled), refused)
-    return Figures(
+    return LensAnalysis(
         lens,
         settled,
         pupils=pupils or (),
@@ -114,22 +114,22 @@ def waves_of(request: FigureRequest, *, settled: bool) -> Figures:
     )
 
 
-def patch_of(request: FigureRequest, *, settled: bool) -> Figures:
+def patch_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     """Compute the patch."""
     started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
     height, samples = request.patch_fraction * lens.half_field_mm, None if settled else COARSE_PATCH
     with one_blas_thread():
         patch = _tried(lambda: patch_picture(lens, request.what_if.of(lens), height, samples), refused)
-    return Figures(
+    return LensAnalysis(
         lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - started,)
     )
 
 
-def _tried(figure: Callable[[], Found], refused: list[str]) -> Found | None:
-    """Return a figure; if it fails, return None and add the reason to `refused`."""
+def _tried(compute: Callable[[], Found], refused: list[str]) -> Found | None:
+    """Return a result; if it fails, return None and add the reason to `refused`."""
     try:
-        return figure()
+        return compute()
     except TransferLensError as error:
         refused.append(str(error))
         return None

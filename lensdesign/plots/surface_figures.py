@@ -8,16 +8,16 @@ import numpy as np
 
 from lensdesign.analysis.form_error import fitted, pv_rms_waves, terms
 from lensdesign.errors import InputError
-from lensdesign.files.figures import surface_figure
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
+from lensdesign.files.surface_figures import surface_figure
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM
 from lensdesign.plots.charts import label_axes, title_figure, white_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def figure_map(lens: Lens, surface: int) -> Figure:
+def surface_figure_map(lens: Lens, surface: int) -> Figure:
     """Plot the sag-error map of a measured surface without piston and tilt, with PV and RMS (Fig. 2g).
 
     Parameters

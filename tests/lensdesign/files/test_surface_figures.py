@@ -16,8 +16,12 @@ from places import ROOT
 
 from lensdesign import DesignError, InputError, Lens, load_design, save_design, scaled
 from lensdesign.common.input_files import files_from
-from lensdesign.files.figures import read_figure_grid, surface_figure, write_figure_grid
-from lensdesign.lens.figure import figure_from_zernike
+from lensdesign.files.surface_figures import (
+    read_surface_figure_grid,
+    surface_figure,
+    write_surface_figure_grid,
+)
+from lensdesign.lens.surface_figure import surface_figure_from_zernike
 from lensdesign.optimization.specification.specification import load_specification
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.gradients import gradient_trace
@@ -67,7 +71,7 @@ def grid_file(folder: Path, name: str = "front.csv") -> Path:
     """A grid file of a tilted, bent map."""
     at = np.linspace(-5.0, 5.0, 51)
     path = folder / name
-    write_figure_grid(1e-4 * (at[:, None] + at**2), 0.2, path)
+    write_surface_figure_grid(1e-4 * (at[:, None] + at**2), 0.2, path)
     return path
 
 
@@ -81,8 +85,8 @@ def test_a_written_grid_reads_back(tmp_path_factory: pytest.TempPathFactory, see
     values[rng.random(values.shape) < 0.2] = np.nan
     spacing = float(rng.uniform(0.01, 1.0))
     path = tmp_path_factory.getbasetemp() / "map.csv"
-    write_figure_grid(values, spacing, path)
-    read, read_spacing = read_figure_grid(path)
+    write_surface_figure_grid(values, spacing, path)
+    read, read_spacing = read_surface_figure_grid(path)
     assert read_spacing == spacing
     np.testing.assert_allclose(read, values, rtol=1e-15)
 
@@ -100,7 +104,7 @@ def test_rows_rise_along_y_and_values_along_x(tmp_path: Path) -> None:
 def test_units_comments_and_points_not_measured(tmp_path: Path, unit: str, value_mm: float) -> None:
     path = tmp_path / "map.csv"
     path.write_text(f"\ufeff# of the first sample\n# unit = {unit}\n#spacing_mm=0.5\n2, ,nan\n\n0.5e0,1,-2\n")
-    values, spacing = read_figure_grid(path)
+    values, spacing = read_surface_figure_grid(path)
     assert spacing == 0.5
     np.testing.assert_allclose(
         values, value_mm * np.array([[1.0, np.nan, np.nan], [0.25, 0.5, -1.0]]), rtol=1e-14
@@ -130,13 +134,13 @@ def test_faults_of_a_grid_file_are_named(tmp_path: Path, text: str, message: str
     path = tmp_path / "map.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=message) as caught:
-        read_figure_grid(path)
+        read_surface_figure_grid(path)
     assert str(path) in str(caught.value)
 
 
 def test_what_is_no_grid_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"shape \(3,\)"):
-        write_figure_grid(np.zeros(3), 1.0, tmp_path / "map.csv")
+        write_surface_figure_grid(np.zeros(3), 1.0, tmp_path / "map.csv")
     assert not list(tmp_path.iterdir())
 
 
@@ -162,13 +166,13 @@ def test_coefficients_in_waves_are_those_of_the_helium_neon_laser(tmp_path: Path
     table = "zernike_waves_633nm = { 7 = 0.5 }\nsemi_diameter_mm = 4.5"
     figure = surface_figure(load_design(design(tmp_path, table)).surfaces[0])
     assert figure is not None
-    assert figure.sag(1.0, 2.0) == pytest.approx(figure_from_zernike({7: 0.3164}, 4.5).sag(1.0, 2.0))
+    assert figure.sag(1.0, 2.0) == pytest.approx(surface_figure_from_zernike({7: 0.3164}, 4.5).sag(1.0, 2.0))
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
     before = compile_system(lens, 0.532).sag(0, np.zeros(1), np.ones(1))
-    write_figure_grid(np.full((60, 60), 0.1), 0.2, tmp_path / "front.csv")
+    write_surface_figure_grid(np.full((60, 60), 0.1), 0.2, tmp_path / "front.csv")
     after = compile_system(lens, 0.532).sag(0, np.zeros(1), np.ones(1))
     assert after - before == pytest.approx(0.1 - 1e-4)
 
@@ -194,10 +198,10 @@ def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
 )
 def test_faults_of_a_figure_table_are_named(tmp_path: Path, figure: str, message: str) -> None:
     grid_file(tmp_path)
-    write_figure_grid(np.zeros((31, 31)), 0.2, tmp_path / "small.csv")
+    write_surface_figure_grid(np.zeros((31, 31)), 0.2, tmp_path / "small.csv")
     holes = np.zeros((51, 51))
     holes[25, 25:27] = holes[0] = np.nan
-    write_figure_grid(holes, 0.2, tmp_path / "holes.csv")
+    write_surface_figure_grid(holes, 0.2, tmp_path / "holes.csv")
     path = design(tmp_path, figure)
     with pytest.raises(InputError, match=message) as caught:
         load_design(path)
@@ -255,4 +259,4 @@ def test_zernike_figures_need_no_file(tmp_path: Path) -> None:
     os.remove(tmp_path / "lens.toml")
     x = np.array([2.0])
     added = compile_system(lens, 0.532).sag(0, x, x) - lens.surfaces[0].sag_mm(math.sqrt(8.0))
-    assert added == pytest.approx(figure_from_zernike({4: 0.05, 7: -0.02}, 4.5).sag(x, x), rel=1e-9)
+    assert added == pytest.approx(surface_figure_from_zernike({4: 0.05, 7: -0.02}, 4.5).sag(x, x), rel=1e-9)

@@ -120,7 +120,7 @@ class SurfaceFigure:
 
 
 @dataclass(frozen=True, eq=False)
-class PackedFigures:
+class PackedSurfaceFigures:
     """Figures of all surfaces as flat arrays, the form that compiled ray tracing reads.
 
     Attributes
@@ -141,7 +141,7 @@ class PackedFigures:
     coefficients: NDArray[np.float64]
 
 
-def packed_figures(figures: Sequence[Sequence[SurfaceFigure]]) -> PackedFigures:
+def packed_surface_figures(figures: Sequence[Sequence[SurfaceFigure]]) -> PackedSurfaceFigures:
     """Return the figures of all surfaces, one sequence per surface, as flat arrays."""
     every = [figure for own in figures for figure in own]
     sizes = [figure.coefficients.size for figure in every]
@@ -149,7 +149,7 @@ def packed_figures(figures: Sequence[Sequence[SurfaceFigure]]) -> PackedFigures:
         [start, 0 if f.trials is None else size // f.trials, *f.coefficients.shape[-2:]]
         for f, start, size in zip(every, np.cumsum(sizes) - sizes, sizes, strict=True)
     ]
-    return PackedFigures(
+    return PackedSurfaceFigures(
         first=np.cumsum([0, *(len(own) for own in figures)]),
         layout=np.array(layout, np.int64).reshape(-1, 4),
         per_mm=np.array([1.0 / figure.spacing_mm for figure in every]),
@@ -157,7 +157,9 @@ def packed_figures(figures: Sequence[Sequence[SurfaceFigure]]) -> PackedFigures:
     )
 
 
-def figure_from_grid(sag_error_mm: ArrayLike, spacing_mm: float, semi_diameter_mm: float) -> SurfaceFigure:
+def surface_figure_from_grid(
+    sag_error_mm: ArrayLike, spacing_mm: float, semi_diameter_mm: float
+) -> SurfaceFigure:
     """Return a figure that interpolates the points of a uniform grid.
 
     Points that were not measured (NaN) may lie outside the disc only. They take the nearest measured value.
@@ -185,7 +187,7 @@ def figure_from_grid(sag_error_mm: ArrayLike, spacing_mm: float, semi_diameter_m
     Examples
     --------
     >>> import numpy as np
-    >>> figure = figure_from_grid(np.full((9, 9), 1e-4), spacing_mm=1.0, semi_diameter_mm=4.0)
+    >>> figure = surface_figure_from_grid(np.full((9, 9), 1e-4), spacing_mm=1.0, semi_diameter_mm=4.0)
     >>> round(float(figure.sag(0.5, -1.2)), 9)
     0.0001
     """
@@ -215,7 +217,9 @@ def figure_from_grid(sag_error_mm: ArrayLike, spacing_mm: float, semi_diameter_m
     return SurfaceFigure(float(semi_diameter_mm), float(spacing_mm), _spline(_filled(values)))
 
 
-def figure_from_zernike(coefficients_um: Mapping[int, ArrayLike], semi_diameter_mm: float) -> SurfaceFigure:
+def surface_figure_from_zernike(
+    coefficients_um: Mapping[int, ArrayLike], semi_diameter_mm: float
+) -> SurfaceFigure:
     """Return a figure from Zernike coefficients; the spline reproduces the polynomials to 1e-6.
 
     Parameters
@@ -239,7 +243,7 @@ def figure_from_zernike(coefficients_um: Mapping[int, ArrayLike], semi_diameter_
     --------
     Defocus of 0.1 um root mean square has a sag error of sqrt(3) times as much at the rim:
 
-    >>> figure = figure_from_zernike({4: 0.1}, semi_diameter_mm=5.0)
+    >>> figure = surface_figure_from_zernike({4: 0.1}, semi_diameter_mm=5.0)
     >>> round(1e3 * float(figure.sag(5.0, 0.0)), 4)
     0.1732
     """

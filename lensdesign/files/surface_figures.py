@@ -20,10 +20,14 @@ from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.tables import read_grid_row, read_number, validate_no_comma_pairs
 from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError
-from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
-from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM, FigureSource
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
+from lensdesign.lens.surface_figure import (
+    SurfaceFigure,
+    surface_figure_from_grid,
+    surface_figure_from_zernike,
+)
+from lensdesign.lens.surface_figure_source import TEST_WAVELENGTH_UM, SurfaceFigureSource
 
 UNITS_MM = {"mm": 1.0, "um": 1e-3, "nm": 1e-6, "waves_633nm": 1e-3 * TEST_WAVELENGTH_UM}
 """Length in mm of each unit that a grid file may use."""
@@ -62,7 +66,7 @@ def surface_figure(surface: Surface) -> SurfaceFigure | None:
     return _grid_figure(source.file, surface.semi_diameter_mm, status.st_mtime_ns, status.st_size)
 
 
-def check_figures(lens: Lens) -> None:
+def check_surface_figures(lens: Lens) -> None:
     """Check that every figure of a lens can be read.
 
     Raises
@@ -79,27 +83,27 @@ def check_figures(lens: Lens) -> None:
 
 
 @lru_cache(maxsize=32)
-def _zernike_figure(source: FigureSource) -> SurfaceFigure:
+def _zernike_figure(source: SurfaceFigureSource) -> SurfaceFigure:
     assert source.semi_diameter_mm is not None  # ensured by the validator
-    return figure_from_zernike(source.coefficients_um, source.semi_diameter_mm)
+    return surface_figure_from_zernike(source.coefficients_um, source.semi_diameter_mm)
 
 
 @lru_cache(maxsize=32)
 def _grid_figure(path: Path, semi_diameter_mm: float, _mtime_ns: int, _size: int) -> SurfaceFigure:
-    values, spacing_mm = read_figure_grid(path)
+    values, spacing_mm = read_surface_figure_grid(path)
     try:
-        return figure_from_grid(values, spacing_mm, semi_diameter_mm)
+        return surface_figure_from_grid(values, spacing_mm, semi_diameter_mm)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
+def read_surface_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
     """Read a measured sag-error map from a grid file.
 
     Parameters
     ----------
     path
-        A grid file in the format that :mod:`lensdesign.files.figures` describes.
+        A grid file in the format that :mod:`lensdesign.files.surface_figures` describes.
 
     Returns
     -------
@@ -139,8 +143,10 @@ def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
     return np.array(rows) * UNITS_MM[header["unit"]], float(header["spacing_mm"])
 
 
-def write_figure_grid(sag_error_mm: ArrayLike, spacing_mm: float, path: str | os.PathLike[str]) -> None:
-    """Write a sag-error map to a grid file; :func:`read_figure_grid` reads it back within rounding errors.
+def write_surface_figure_grid(
+    sag_error_mm: ArrayLike, spacing_mm: float, path: str | os.PathLike[str]
+) -> None:
+    """Write a sag-error map to a grid file for :func:`read_surface_figure_grid`.
 
     Parameters
     ----------
@@ -160,10 +166,10 @@ def write_figure_grid(sag_error_mm: ArrayLike, spacing_mm: float, path: str | os
     --------
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from lensdesign.files import read_figure_grid, write_figure_grid
+    >>> from lensdesign.files import read_surface_figure_grid, write_surface_figure_grid
     >>> path = Path(tempfile.mkdtemp()) / "figure.csv"
-    >>> write_figure_grid([[0.0, 1e-4], [2e-4, 3e-4]], 0.5, path)
-    >>> read_figure_grid(path)[1]
+    >>> write_surface_figure_grid([[0.0, 1e-4], [2e-4, 3e-4]], 0.5, path)
+    >>> read_surface_figure_grid(path)[1]
     0.5
     """
     values = np.asarray(sag_error_mm, float)

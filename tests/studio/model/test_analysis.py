@@ -1,4 +1,4 @@
-"""Figures of the workbench are those that the commands print."""
+"""The analysis of the workbench agrees with what the commands print."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import Lens, Pose, check_design, load_design
+from studio.model.analysis import AnalysisRequest, patch_of, rays_of, waves_of
 from studio.model.built import manufacturing_quality
-from studio.model.figures import FigureRequest, patch_of, rays_of, waves_of
 from studio.model.whatif import WhatIf
 from tolerancing import load_study
 from tolerancing.prediction import predict_study
@@ -19,8 +19,8 @@ OFF = WhatIf({"lens.decenter_y_mm": 0.01, "lens.tilt_x_deg": 0.05})
 STUDY = str(DESIGNS / "as_built_tolerances.toml")
 
 
-def asked(lens: Lens, what_if: WhatIf = OFF, grade: str = STUDY) -> FigureRequest:
-    return FigureRequest(lens, what_if, manufacturing_quality(grade, lens), 0.0)
+def asked(lens: Lens, what_if: WhatIf = OFF, grade: str = STUDY) -> AnalysisRequest:
+    return AnalysisRequest(lens, what_if, manufacturing_quality(grade, lens), 0.0)
 
 
 def test_settled_rays_are_those_of_the_check(paper_lens: Lens) -> None:
@@ -89,6 +89,6 @@ def test_other_lenses_have_figures(name: str) -> None:
 
 def test_what_cannot_be_had_is_said(paper_lens: Lens) -> None:
     dark = paper_lens.with_surface(1, semi_diameter_mm=0.01)
-    found = rays_of(FigureRequest(dark, WhatIf(), None, 0.0), settled=False)
+    found = rays_of(AnalysisRequest(dark, WhatIf(), None, 0.0), settled=False)
     assert found.check is None
     assert "no ray" in found.refused[0]
