@@ -31,8 +31,8 @@ Variant = tuple[str, str, dict[str, Any]]
 """Family, engine and settings."""
 
 REFERENCE_ZONES = 80.0
-"""Width of the reference solution's margin for light that the rim diffracts. On a twin of one quarter it
-omits 0.23 % of a point's light.
+"""Width of the reference solution's margin for light that the rim diffracts, in Fresnel zones. Its relative
+L2 error of a point's field is 0.23 % on a one-quarter twin of the paper's lens.
 """
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
-from wavesim.cli.reconstruct import _figures
+from wavesim.cli.reconstruct import _summary_lines
 from wavesim.fields.field import Field
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.imaging import image
@@ -44,7 +44,7 @@ def test_a_chart_beside_its_place_is_resolved_as_well(samples) -> None:
     truth = figures["truth"]
     assert truth["displacement_x_um"] / pitch_um == pytest.approx(samples[0], abs=0.06)
     assert truth["correlation_registered"] > 0.97
-    lines = _figures(figures)
+    lines = _summary_lines(figures)
     assert "resolved down to group 9, element 2: lines of 0.87 um" in lines
     assert any("limit: samples of 0.426 um" in line for line in lines)
     said = [line for line in lines if "displaced by" in line]

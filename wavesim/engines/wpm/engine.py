@@ -90,7 +90,7 @@ class WavePropagation(Engine):
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         """Yield a small margin for diffraction, then larger ones."""
         # Fresnel zones that the choice of an engine tries. For a point that fills the stop of a one-quarter
-        # twin of the paper's lens, 4 zones omit 1.7 % of the field, 80 omit 0.23 %.
+        # twin of the paper's lens, the relative L2 error of the field is 1.7 % with 4 zones, 0.23 % with 80.
         candidate_zones = (FRESNEL_ZONES, 20.0, 80.0)
         for zones in candidate_zones:
             yield {"zones": zones}
