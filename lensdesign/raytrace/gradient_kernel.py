@@ -113,11 +113,11 @@ def _hit(p, d, codes, s, start, terms):
 def _derivatives(codes, s, terms, x, y):
     """Return the slopes of surface s along x and y, and its second derivatives xx, xy and yy."""
     if codes is None:
-        _, by_x, by_y = shapes.conic_height(terms, x, y)
-        xx, xy, yy = shapes.conic_bend(terms, x, y)
+        _, by_x, by_y = shapes.conic_sag_and_gradient(terms, x, y)
+        xx, xy, yy = shapes.conic_sag_hessian(terms, x, y)
     else:
-        _, by_x, by_y = shapes.height(codes[s], terms, x, y)
-        xx, xy, yy = shapes.bend(codes[s], terms, x, y)
+        _, by_x, by_y = shapes.sag_and_gradient(codes[s], terms, x, y)
+        xx, xy, yy = shapes.sag_hessian(codes[s], terms, x, y)
     return by_x, by_y, xx, xy, yy
 
 
@@ -125,8 +125,8 @@ def _derivatives(codes, s, terms, x, y):
 def _by_term(codes, s, terms, j, x, y):
     """Return the derivatives of sag and slopes of surface s with respect to term j."""
     if codes is None:
-        return shapes.conic_by_term(terms, j, x, y)
-    return shapes.by_term(codes[s], terms, j, x, y)
+        return shapes.conic_term_derivatives(terms, j, x, y)
+    return shapes.term_derivatives(codes[s], terms, j, x, y)
 
 
 @_jit

@@ -261,7 +261,7 @@ def _sag_error(x, y, surface, figures, trial):
 @_inline
 def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
     """Return the sag of a surface and its slopes along x and y, with its figure unless `figures` is None."""
-    sag, by_x, by_y = shapes.height(code, terms, x, y)
+    sag, by_x, by_y = shapes.sag_and_gradient(code, terms, x, y)
     if figures is not None:
         error, error_x, error_y = _sag_error(x, y, surface, figures, trial)
         sag, by_x, by_y = sag + error, by_x + error_x, by_y + error_y

@@ -63,7 +63,7 @@ class Motions:
         paths, layout = self.paths, self.paths.layout
         found = []
         for k, shape in enumerate(paths.shapes):
-            terms = [np.stack(paths.by_term(k, t), axis=1) for t in shape.TERMS[: layout.terms[k]]]
+            terms = [np.stack(paths.term_derivatives(k, t), axis=1) for t in shape.TERMS[: layout.terms[k]]]
             found.append((k, self._position(layout.of_shape(k)), np.stack(terms, axis=2)))
         place = self._indices.stop + 1
         for figure in self.sag_errors:

@@ -177,7 +177,7 @@ class Paths:
                 [rotation.reshape(len(gradient), 9), gradient[:, k]], axis=1
             )
         for k, shape in enumerate(self.shapes):
-            sags = [self.by_term(k, term)[0] for term in shape.TERMS[: layout.terms[k]]]
+            sags = [self.term_derivatives(k, term)[0] for term in shape.TERMS[: layout.terms[k]]]
             found[:, layout.of_shape(k)] = np.stack(sags, axis=1) * gradient[:, k + 1, 2:]
         found[:, layout.indices] = self.lengths
         found[:, layout.waves] = self.path_mm
@@ -188,7 +188,7 @@ class Paths:
         gradient = self.gradient[:, surface + 1, 2]
         return np.asarray(gradient.reshape(-1, *(1,) * (sag.ndim - 1)) * sag)
 
-    def by_term(self, surface: int, term: str) -> tuple[Array, Array, Array]:
+    def term_derivatives(self, surface: int, term: str) -> tuple[Array, Array, Array]:
         """Return derivatives of a surface's sag and of its slopes along x and y by a term of its shape."""
         x, y = self.heights_mm[:, surface, 0], self.heights_mm[:, surface, 1]
         return self.shapes[surface].derivatives_by(term, x, y)

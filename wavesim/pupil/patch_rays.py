@@ -94,27 +94,27 @@ class NominalRays:
         return np.asarray(np.sqrt(ratio / np.abs(self.spread)))
 
     @cached_property
-    def bend_per_mm(self) -> Array:
+    def path_hessian_per_mm(self) -> Array:
         """Second derivatives of V with respect to the object point, in 1/mm; shape (n, d, d)."""
         base, columns = self.base, []
-        bend_step_mm = 1e-3
+        step_mm = 1e-3
         for axis in self.axes:
-            step = bend_step_mm * np.eye(3)[axis]
+            step = step_mm * np.eye(3)[axis]
             low, high = (
                 shoot(
                     self.system, base.object_point_mm + move, base.grid.cosines.T, base.plane_z_mm, clip=False
                 )[0].position
                 for move in (-step, step)
             )
-            columns.append((high - low)[:, self.axes] / (2.0 * bend_step_mm))
+            columns.append((high - low)[:, self.axes] / (2.0 * step_mm))
         # dp/dc at a fixed s is -(dp/ds)(ds/dc), and dV/dc is -p.
         inverse = self.base.inverse_jacobian[:, self.axes][:, :, self.axes]
         return np.asarray(inverse @ np.stack(columns, axis=-1))
 
     @cached_property
-    def bend_deviation_per_mm(self) -> Array:
-        """Deviation of `bend_per_mm` from its mean over the stop, shape (n, d, d)."""
-        return np.asarray(self.bend_per_mm - self.bend_per_mm.mean(axis=0))
+    def path_hessian_deviation_per_mm(self) -> Array:
+        """Deviation of `path_hessian_per_mm` from its mean over the stop, shape (n, d, d)."""
+        return np.asarray(self.path_hessian_per_mm - self.path_hessian_per_mm.mean(axis=0))
 
     def aimed(self, system: CompiledSystem, state: SystemState) -> AimedRays:
         """Aim perturbed rays at the sensor points, by a quasi-Newton iteration with the nominal Jacobian.

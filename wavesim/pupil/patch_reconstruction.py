@@ -121,7 +121,7 @@ class PerturbedPatch:
                 f"object_values have shape {values.shape}: must be finite numbers of the patch's shape "
                 f"{patch.shape}"
             )
-        values = values * mean_bend(self.rays, patch.coordinates_um, patch.coordinates_um)
+        values = values * second_order_phasor(self.rays, patch.coordinates_um, patch.coordinates_um)
         cosines = np.where(self.aimed.valid, self.aimed.cosines, 0.0)
         x, y = 2.0 * np.pi * patch.pitch_um / patch.wavelength_um * cosines
         transform_error = 1e-6
@@ -184,8 +184,8 @@ class PerturbedPatch:
             raise InputError(f"registration = {registration!r}: allowed: none, shift, focus")
         # From the displaced object the nominal lens differs slightly from that at the centre.
         moved_mm = 1e-3 * self._fitted(self.pupil, registration)[1][self.rays.axes]
-        mean_bend_mm = 0.5 * (self.rays.bend_deviation_per_mm @ moved_mm) @ moved_mm
-        return self._fitted(replace(self.pupil, opd_mm=self.pupil.opd_mm - mean_bend_mm), registration)
+        second_order_mm = 0.5 * (self.rays.path_hessian_deviation_per_mm @ moved_mm) @ moved_mm
+        return self._fitted(replace(self.pupil, opd_mm=self.pupil.opd_mm - second_order_mm), registration)
 
     def _fitted(
         self, pupil: ReconstructionPupil, registration: Registration
@@ -255,8 +255,8 @@ class ReconstructedPatch:
         else:
             across = plane_waves(grid.axes[0], x_um, grid.wavelength_um)
             field = down @ (self.spectrum @ across.T)
-        bend = mean_bend(self.rays, x_um + self.shift_um[0], y_um + self.shift_um[1])
-        return np.asarray(field * bend.conj())
+        second_order = second_order_phasor(self.rays, x_um + self.shift_um[0], y_um + self.shift_um[1])
+        return np.asarray(field * second_order.conj())
 
     def refocused_by(self, distance_um: float) -> ReconstructedPatch:
         """Return the field in a plane farther along the axis, at the same lateral position."""
@@ -308,9 +308,9 @@ class ReconstructedPatch:
         return float(-grid.wavelength_um * slope)
 
 
-def mean_bend(rays: NominalRays, x_um: Array, y_um: Array) -> ComplexArray:
+def second_order_phasor(rays: NominalRays, x_um: Array, y_um: Array) -> ComplexArray:
     """Return exp(i k d.H.d / 2) on the grid of two axes, or along y; H is the mean second derivative of V."""
-    mean = rays.bend_per_mm.mean(axis=0)
+    mean = rays.path_hessian_per_mm.mean(axis=0)
     scale = 1e-3 * np.pi / rays.base.grid.wavelength_um
     if rays.line:
         return np.asarray(np.exp(1j * scale * mean[0, 0] * y_um**2))

@@ -225,12 +225,12 @@ class PatchReconstructor:
             Displacement of the reconstructed object in um.
         """
         axes = len(self.rays.axes)
-        bend = self.rays.bend_deviation_per_mm.reshape(-1, axes * axes)
+        hessian = self.rays.path_hessian_deviation_per_mm.reshape(-1, axes * axes)
         edge_mm = np.linspace(-0.5e-3, 0.5e-3, 9) * self.patch_um
         offsets = np.stack(np.meshgrid(*[edge_mm] * axes), axis=-1).reshape(-1, axes)
         offsets[:, -1] += 1e-3 * displacement_um
         products = (offsets[:, :, None] * offsets[:, None, :]).reshape(len(offsets), -1)
-        waves = 0.5e3 / self.patch.wavelength_um * products @ bend.T
+        waves = 0.5e3 / self.patch.wavelength_um * products @ hessian.T
         rms, largest = float(np.sqrt(np.mean(waves**2))), float(np.max(np.abs(waves)))
         path = (
             f"path of second order over the patch, beyond its mean over the stop: {rms:.2g} waves rms, "

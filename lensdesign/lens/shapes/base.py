@@ -60,18 +60,18 @@ class Shape(ABC):
 
     @staticmethod
     @abstractmethod
-    def height(terms: Any, x: Any, y: Any) -> Point:
+    def sag_and_gradient(terms: Any, x: Any, y: Any) -> Point:
         """Return the sag in mm at (x, y) in mm and its slopes along x and y; NaN beyond the edge."""
 
     @staticmethod
     @abstractmethod
-    def bend(terms: Any, x: Any, y: Any) -> Point:
+    def sag_hessian(terms: Any, x: Any, y: Any) -> Point:
         """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
 
     @staticmethod
     @abstractmethod
-    def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
-        """Return the derivatives of the three values of `height` with respect to term j."""
+    def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
+        """Return the derivatives of the three values of `sag_and_gradient` with respect to term j."""
 
     @staticmethod
     def start(terms: Any) -> tuple[Any, Any]:
@@ -129,16 +129,16 @@ class Shape(ABC):
 
     def sag_and_slopes(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the sag in mm and its slopes along x and y."""
-        return self._evaluated(self.height, x, y)
+        return self._evaluated(self.sag_and_gradient, x, y)
 
     def second_derivatives(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the second derivatives of the sag in 1/mm: xx, xy and yy."""
-        return self._evaluated(self.bend, x, y)
+        return self._evaluated(self.sag_hessian, x, y)
 
     def derivatives_by(self, term: str, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the derivatives of the sag and of its slopes with respect to a term."""
         j = self.term_index(term)
-        return self._evaluated(lambda terms, x, y: self.by_term(terms, j, x, y), x, y)
+        return self._evaluated(lambda terms, x, y: self.term_derivatives(terms, j, x, y), x, y)
 
     def _evaluated(self, function: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
         terms = self.terms.T

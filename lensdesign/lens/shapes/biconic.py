@@ -33,7 +33,7 @@ class Biconic(Shape):
         return cls(np.array([y, values["conic"], x, values["conic_x"]]))
 
     @staticmethod
-    def height(terms: Any, x: Any, y: Any) -> Point:
+    def sag_and_gradient(terms: Any, x: Any, y: Any) -> Point:
         cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
         top = cx * x * x + cy * y * y
         root = np.sqrt(1.0 - (1.0 + kx) * cx * cx * x * x - (1.0 + ky) * cy * cy * y * y)
@@ -46,7 +46,7 @@ class Biconic(Shape):
         )
 
     @staticmethod
-    def bend(terms: Any, x: Any, y: Any) -> Point:
+    def sag_hessian(terms: Any, x: Any, y: Any) -> Point:
         cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
         qx, qy = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
         top = cx * x * x + cy * y * y
@@ -67,7 +67,7 @@ class Biconic(Shape):
         )
 
     @staticmethod
-    def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
+    def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
         cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
         qx, qy = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
         top = cx * x * x + cy * y * y

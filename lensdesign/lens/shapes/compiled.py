@@ -30,12 +30,12 @@ def _at_point(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
     return chosen
 
 
-def _by_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
+def _for_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
     """Return one function like :func:`_at_point`, with the index of a term after the terms."""
     own = _inline(functions[0])
     if len(functions) == 1:
         return _inline(lambda shape, terms, j, x, y: own(terms, j, x, y))
-    other = _by_term(functions[1:], code + 1)
+    other = _for_term(functions[1:], code + 1)
 
     @_inline
     def chosen(shape: int, terms: Any, j: int, x: float, y: float) -> Any:
@@ -46,11 +46,13 @@ def _by_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
     return chosen
 
 
-height = _at_point([shape.height for shape in shape_classes()])
-bend = _at_point([shape.bend for shape in shape_classes()])
-by_term = _by_term([shape.by_term for shape in shape_classes()])
+sag_and_gradient = _at_point([shape.sag_and_gradient for shape in shape_classes()])
+sag_hessian = _at_point([shape.sag_hessian for shape in shape_classes()])
+term_derivatives = _for_term([shape.term_derivatives for shape in shape_classes()])
 
-conic_height, conic_bend, conic_by_term = (_inline(f) for f in (Conic.height, Conic.bend, Conic.by_term))
+conic_sag_and_gradient = _inline(Conic.sag_and_gradient)
+conic_sag_hessian = _inline(Conic.sag_hessian)
+conic_term_derivatives = _inline(Conic.term_derivatives)
 
 SOURCES = {__name__} | {base.__module__ for shape in shape_classes() for base in shape.__mro__[:-2]}
 """Modules that contain the formulas."""

@@ -29,7 +29,7 @@ class Conic(Shape):
         return cls(np.array([curvature_of(values["radius_mm"]), values["conic"]]))
 
     @staticmethod
-    def height(terms: Any, x: Any, y: Any) -> Point:
+    def sag_and_gradient(terms: Any, x: Any, y: Any) -> Point:
         c, k = terms[0], terms[1]
         r2 = x * x + y * y
         root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
@@ -37,7 +37,7 @@ class Conic(Shape):
         return c * r2 / (1.0 + root), slope * x, slope * y
 
     @staticmethod
-    def bend(terms: Any, x: Any, y: Any) -> Point:
+    def sag_hessian(terms: Any, x: Any, y: Any) -> Point:
         c, k = terms[0], terms[1]
         root = np.sqrt(1.0 - (1.0 + k) * c * c * (x * x + y * y))
         slope = c / root
@@ -45,7 +45,7 @@ class Conic(Shape):
         return slope + more * x * x, more * x * y, slope + more * y * y
 
     @staticmethod
-    def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
+    def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
         c, k = terms[0], terms[1]
         r2 = x * x + y * y
         root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)

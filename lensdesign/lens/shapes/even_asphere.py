@@ -40,7 +40,7 @@ class EvenAsphere(Conic):
         return cls(np.array([curvature_of(values["radius_mm"]), values["conic"], *values["asphere"]]))
 
     @staticmethod
-    def height(terms: Any, x: Any, y: Any) -> Point:
+    def sag_and_gradient(terms: Any, x: Any, y: Any) -> Point:
         c, k = terms[0], terms[1]
         r2 = x * x + y * y
         root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
@@ -54,7 +54,7 @@ class EvenAsphere(Conic):
         return sag, 2.0 * gradient * x, 2.0 * gradient * y
 
     @staticmethod
-    def bend(terms: Any, x: Any, y: Any) -> Point:
+    def sag_hessian(terms: Any, x: Any, y: Any) -> Point:
         c, k = terms[0], terms[1]
         r2 = x * x + y * y
         root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
@@ -68,7 +68,7 @@ class EvenAsphere(Conic):
         return slope + more * x * x, more * x * y, slope + more * y * y
 
     @staticmethod
-    def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
+    def term_derivatives(terms: Any, j: int, x: Any, y: Any) -> Point:
         c, k = terms[0], terms[1]
         r2 = x * x + y * y
         if j >= 2:

@@ -46,7 +46,9 @@ def test_a_figure_acts_as_the_term_whose_sag_it_has(lens: Lens, changes: Changes
     paths = nominal_paths(lens, [(0.3, 1.0)], pupil_rings(2, 5), 0.532, 3.0)
     term = ASKED.index(("surface 2", "conic"))
     predicted = second_by_pairs(paths, pair_weights(changes))
-    unit = SagErrors(1, slice(term, term + 1), *(part[:, None] for part in paths.by_term(1, "conic")))
+    unit = SagErrors(
+        1, slice(term, term + 1), *(part[:, None] for part in paths.term_derivatives(1, "conic"))
+    )
     first = changes.first.copy()
     first[:, term] = 0.0
     # Only its place among the changes counts here: sags are given at the rays.

@@ -74,7 +74,7 @@ def _path(paths: Paths, numbers: np.ndarray, ray: int, w: np.ndarray) -> Any:
     points = [paths.objects_mm[ray] + numbers[layout.pose(0)][9:]]
     for k, shape in enumerate(paths.shapes):
         x, y = w[2 * k], w[2 * k + 1]
-        sag = type(shape).height(numbers[layout.of_shape(k)], x, y)[0]
+        sag = type(shape).sag_and_gradient(numbers[layout.of_shape(k)], x, y)[0]
         points.append(_placed(numbers[layout.pose(k + 1)], np.array([x, y, sag])))
     flat = np.array([*paths.sensors_mm[ray, :2], 0.0])
     sensor = _placed(numbers[layout.pose(layout.surfaces + 1)], flat)
