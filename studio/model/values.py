@@ -20,7 +20,7 @@ PLANE = "plane"
 
 @dataclass(frozen=True)
 class Value:
-    """A value.
+    """An editable value of a design, as its row shows it.
 
     Attributes
     ----------

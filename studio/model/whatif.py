@@ -32,7 +32,7 @@ class DeviationRange:
         Target and parameter of a perturbation, as in a tolerance study.
     label, unit
         Name and unit.
-    most, step
+    largest, step
         Largest amount (±) and step of the slider.
     """
 
@@ -40,7 +40,7 @@ class DeviationRange:
     parameter: str
     label: str
     unit: str
-    most: float
+    largest: float
     step: float
 
     @property
@@ -91,7 +91,7 @@ def _has(lens: Lens, target: str) -> bool:
     return not number or int(number) <= len(lens.glass_fronts if kind == "element" else lens.surfaces)
 
 
-def amounts_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[DeviationRange, ...]:
+def deviations_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[DeviationRange, ...]:
     """Return the possible deviations: of the lens, its elements (if several), radii, and temperature.
 
     Other deviations of `what_if`, such as those of a study's trial, are appended.
@@ -107,7 +107,7 @@ def amounts_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[DeviationRange, 
         if surface.radius_mm is not None
     ]
     found.append(DeviationRange("environment", "temperature_c", "temperature", "K", 40.0, 0.2))
-    known = {amount.key for amount in found}
+    known = {one.key for one in found}
     for key, value in what_if.of(lens).values.items():
         if key not in known:
             target, _, parameter = key.rpartition(".")

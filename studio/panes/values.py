@@ -11,14 +11,14 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
 from studio.model.values import Value, glasses_like, parsed, values_of
-from studio.model.whatif import DeviationRange, WhatIf, amounts_of
+from studio.model.whatif import DeviationRange, WhatIf, deviations_of
 from studio.panes.common import HERE, ScriptPart, bench_of, follow
 
 
-class Values(ScriptPart):
+class ValueTable(ScriptPart):
     """Rows of values with sliders."""
 
-    rows = param.List(default=[], doc="One mapping a row.")
+    rows = param.List(default=[], doc="One mapping for each row.")
     refused = param.Dict(default={}, doc="Reason for the rejection of a value, by its key.")
     glasses = param.List(default=[], doc="Suggested names of glasses.")
 
@@ -26,19 +26,19 @@ class Values(ScriptPart):
     _stylesheets = [HERE / "values.css"]  # noqa: RUF012 - as Panel has it
 
 
-def surfaces(lens: Workbench | Lens) -> Values:
+def surfaces(lens: Workbench | Lens) -> ValueTable:
     """Return the editable table of surfaces, object, sensor and wavelengths."""
     bench = bench_of(lens)
 
-    def received(message: dict[str, Any]) -> None:
+    def on_message(message: dict[str, Any]) -> None:
         if "search" in message:
             pane.glasses = glasses_like(str(message["search"]), bench.lens)
         elif "action" in message:
-            _act(bench, str(message["action"]), str(message["group"]))
+            _change_surfaces(bench, str(message["action"]), str(message["group"]))
         else:
             bench.edit(*(str(message[k]) for k in ("key", "kind", "text", "gesture")))
 
-    pane = Values(received, sizing_mode="stretch_width", margin=0)
+    pane = ValueTable(on_message, sizing_mode="stretch_width", margin=0)
 
     def update() -> None:
         found = values_of(bench.editing.now.tables, bench.opened, bench.lens)
@@ -55,11 +55,11 @@ def surfaces(lens: Workbench | Lens) -> Values:
     return pane
 
 
-def what_if(lens: Workbench | Lens) -> Values:
+def what_if(lens: Workbench | Lens) -> ValueTable:
     """Return sliders for deviations: decenter and tilt of the lens or an element, temperature, radii."""
     bench = bench_of(lens)
 
-    def received(message: dict[str, Any]) -> None:
+    def on_message(message: dict[str, Any]) -> None:
         if message.get("action") == "reset":
             bench.set_what_if(WhatIf())
         elif "key" in message:
@@ -74,28 +74,28 @@ def what_if(lens: Workbench | Lens) -> Values:
             pane.refused = {}
             bench.set_what_if(changed)
 
-    pane = Values(received, sizing_mode="stretch_width", margin=0)
+    pane = ValueTable(on_message, sizing_mode="stretch_width", margin=0)
 
     def update() -> None:
         rows: list[dict[str, Any]] = []
-        for amount in amounts_of(bench.lens, bench.what_if):
-            value = bench.what_if.values.get(amount.key, 0.0)
-            most = max(amount.most, abs(value))
+        for deviation in deviations_of(bench.lens, bench.what_if):
+            value = bench.what_if.values.get(deviation.key, 0.0)
+            largest = max(deviation.largest, abs(value))
             rows.append(
                 {
-                    "key": amount.key,
-                    "group": _group_of(amount),
-                    "label": amount.label,
-                    "unit": amount.unit,
+                    "key": deviation.key,
+                    "group": _group_of(deviation),
+                    "label": deviation.label,
+                    "unit": deviation.unit,
                     "text": f"{value:.6g}",
                     "number": value,
-                    "low": -most,
-                    "high": most,
-                    "step": amount.step,
+                    "low": -largest,
+                    "high": largest,
+                    "step": deviation.step,
                     "kind": "number",
                     "note": "",
                     "actions": [["reset", "reset", "Set all deviations to 0"]]
-                    if amount.target == "lens"
+                    if deviation.target == "lens"
                     else [],
                 }
             )
@@ -108,27 +108,27 @@ def what_if(lens: Workbench | Lens) -> Values:
     return pane
 
 
-def _group_of(amount: DeviationRange) -> str:
-    if amount.parameter in ("radius_percent", "temperature_c"):
+def _group_of(deviation: DeviationRange) -> str:
+    if deviation.parameter in ("radius_percent", "temperature_c"):
         return "radii and heat"
-    return amount.target
+    return deviation.target
 
 
-def _act(bench: Workbench, action: str, group: str) -> None:
-    number = int(group.rpartition(" ")[2]) - 1
+def _change_surfaces(bench: Workbench, action: str, group: str) -> None:
+    index = int(group.rpartition(" ")[2]) - 1
     change = {"add": with_surface_after, "remove": without_surface, "stop": with_stop}[action]
-    first = f"surface.{number}.radius_mm"
-    bench.change(f"{action} {group}", lambda tables: change(tables, number), first)
+    first = f"surface.{index}.radius_mm"
+    bench.change(f"{action} {group}", lambda tables: change(tables, index), first)
 
 
 def _row(lens: Lens, value: Value) -> dict[str, Any]:
     note, actions = "", []
     if value.group.startswith("surface "):
-        number = int(value.group.split()[1]) - 1
-        shape = lens.surfaces[number].shape_class.NAME
-        note = "stop" if number == lens.stop_index else ""
+        index = int(value.group.split()[1]) - 1
+        shape = lens.surfaces[index].shape_class.NAME
+        note = "stop" if index == lens.stop_index else ""
         note = " · ".join(part for part in (note, "" if shape == "conic" else shape) if part)
-        if number != lens.stop_index:
+        if index != lens.stop_index:
             actions.append(["stop", "stop", f"Make {value.group} the stop"])
         actions.append(["add", "+", f"Add a surface behind {value.group}"])
         if len(lens.surfaces) > 1:

@@ -79,13 +79,13 @@ def compare(
             bar.update(task, completed=done, total=total, description=what[:72])
 
         rows = measure(cases, variants, show, most_seconds)
-        write_csv([vars(row) for row in rows], output / "comparison.csv")
+        write_csv([row.as_dict() for row in rows], output / "comparison.csv")
         save(comparison_figure(rows, "Error against cost"), output / "comparison.png", PICTURE_DPI)
         written = [output / "comparison.png", output / "comparison.csv"]
         if maps:
             written += _maps(lens, output, bar, task)
     if as_json:
-        measured = [{name: finite_or_none(v) for name, v in vars(row).items()} for row in rows]
+        measured = [{name: finite_or_none(v) for name, v in row.as_dict().items()} for row in rows]
         print_json({"measured": measured, "written": [str(path) for path in written]})
         return
     _print_front(rows)

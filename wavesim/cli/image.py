@@ -221,7 +221,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
     across, down = sensor["pixels"]
     error = engine["predicted_error"]
-    said = "unknown" if error is None else f"{error:.2g} for the light of this object"
+    predicted = "unknown" if error is None else f"{error:.2g} for the light of this object"
     print(visible(str(summary["design"])))
     print(
         f"object {thing['name']}, {stop_words(thing['field_stop_mm'], thing['field_stop_at_mm'])}, "
@@ -236,7 +236,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
             f"finest lines {thing['finest_line_um']:.3g} um: {ends}; "
             f"the aperture passes {thing['aperture_passes_um']:.3g} um (wavelength / 2 NA)"
         )
-    print(f"engine {engine['name']}, predicted relative error {said}")
+    print(f"engine {engine['name']}, predicted relative error {predicted}")
     print(f"  {settings_text(engine['settings'])}")
     print(
         f"sensor: central {across} x {down} pixels of {sensor['pixel_pitch_um']:g} um; "

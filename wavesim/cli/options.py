@@ -161,13 +161,13 @@ def _fault(model: type[FrozenModel], texts: dict[str, Any], fault: Any) -> str:
         return refused.naming(_option)
     name = str(fault["loc"][0])
     field = model.model_fields[name]
-    said = fault["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    reason = fault["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     if fault["type"] == "literal_error":
         words = (word for kind in _kinds(field.annotation) for word in get_args(kind))
-        said = f"allowed: {', '.join(words)}"
+        reason = f"allowed: {', '.join(words)}"
     value = texts[name]
     shown = f"{value:g}" if isinstance(value, int | float) else repr(value)
-    return f"{_option(field.alias or name)} = {shown}: {said}"
+    return f"{_option(field.alias or name)} = {shown}: {reason}"
 
 
 def _option(name: str) -> str:

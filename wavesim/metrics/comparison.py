@@ -56,7 +56,7 @@ class Measured:
         Relative error of the reference solution.
     fastest, smallest : bool
         Whether no other point has a smaller error and less time, or less memory.
-    said : str
+    message : str
         Warnings, or the reason for the refusal.
     """
 
@@ -73,7 +73,11 @@ class Measured:
     uncertainty: float
     fastest: bool = False
     smallest: bool = False
-    said: str = ""
+    message: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for CSV and JSON; `said` is the key of the message in files."""
+        return {"said" if name == "message" else name: value for name, value in vars(self).items()}
 
 
 def variants(scene: Scene) -> tuple[Variant, ...]:
@@ -183,10 +187,12 @@ def _measure(name: str, case: AnalyticCase, variant: Variant, most_seconds: floa
         cost = engine_for(case.scene, engine, **settings).cost()
         seconds = cost.setup_seconds + cost.seconds
         if seconds > most_seconds:
-            return Measured(name, family, label, *nothing, said=f"skipped: predicted to take {seconds:.3g} s")
+            return Measured(
+                name, family, label, *nothing, message=f"skipped: predicted to take {seconds:.3g} s"
+            )
         found = compare_with_exact(case, engine, settings)
     except (InputError, SamplingError) as problem:
-        return Measured(name, family, label, *nothing, said=str(problem))
+        return Measured(name, family, label, *nothing, message=str(problem))
     return Measured(
         name,
         family,
@@ -199,7 +205,7 @@ def _measure(name: str, case: AnalyticCase, variant: Variant, most_seconds: floa
         found.predicted.seconds,
         1e-6 * found.predicted.peak_bytes,
         found.uncertainty,
-        said="; ".join(found.warnings),
+        message="; ".join(found.warnings),
     )
 
 

@@ -114,20 +114,20 @@ def _ratio(error: np.ndarray, sigma: np.ndarray, chosen: np.ndarray) -> tuple[fl
 
 def _explanation(ratio: float, dark: float | None, bright: float | None) -> str:
     """Return the noise parameter whose error would explain residuals that are too small."""
-    said = f"residuals on held-out pixels are {ratio:.2g} times the stated noise, and cannot be below 1"
+    finding = f"residuals on held-out pixels are {ratio:.2g} times the stated noise, and cannot be below 1"
     smoothed = "pictures that were smoothed, averaged or compressed"
     if bright is None:
         factor = (ratio if dark is None else dark) ** 2
         return (
-            f"{said}. A read noise {factor:.2g} times as large as stated would explain it, as would "
+            f"{finding}. A read noise {factor:.2g} times as large as stated would explain it, as would "
             f"another gain, or {smoothed}"
         )
     if dark is not None and dark < TOO_SMALL < bright:
-        return f"{said}. A read noise {dark**2:.2g} times as large as stated would explain it"
+        return f"{finding}. A read noise {dark**2:.2g} times as large as stated would explain it"
     gain = f"a gain (electrons per count) {bright**-2:.2g} times as large as stated"
     # Ratio of dark pixels over that of bright ones, up to which a gain explains both: it acts on both alike,
     # in amplitudes, while smoothing by a factor f changes dark pixels by its root.
     same_ratio = 1.25
     if dark is None or dark < same_ratio * bright:
-        return f"{said}. {gain.capitalize()} would explain it, or {smoothed}"
-    return f"{said}. {smoothed.capitalize()} would explain it, or {gain}"
+        return f"{finding}. {gain.capitalize()} would explain it, or {smoothed}"
+    return f"{finding}. {smoothed.capitalize()} would explain it, or {gain}"

@@ -88,9 +88,9 @@ def field_layers(
     def layer(
         what: str, unit: str, levels: Sequence[Level], low: float, high: float, beyond: bool, colours: str
     ) -> PictureLayer:
-        said, both = f"{name} {what}".strip(), (beyond and low < 0.0, beyond)
+        label, open_ended = f"{name} {what}".strip(), (beyond and low < 0.0, beyond)
         return PictureLayer(
-            said, unit, "object", pitch_um, centre_um, levels, low, high, both, False, colours
+            label, unit, "object", pitch_um, centre_um, levels, low, high, open_ended, False, colours
         )
 
     above = any(np.abs(row).max() > brightest for row in values)

@@ -9,7 +9,7 @@ from bokeh.document import Document
 
 from lensdesign import Lens
 from studio import Workbench, panes, studio
-from studio.panes.values import Values
+from studio.panes.values import ValueTable
 
 HOSTILE = "<img src=x onerror=alert(1)>"
 
@@ -59,7 +59,7 @@ def test_each_pane_can_be_used_alone(bench: Workbench, name: str) -> None:
 
 def test_a_notebook_has_the_same_panes(paper_lens: Lens) -> None:
     view = studio(paper_lens, "")
-    assert len(view.select(Values)) >= 1
+    assert len(view.select(ValueTable)) >= 1
     end = time.monotonic() + 60
     while not view.select(lambda part: "met" in str(getattr(part, "object", ""))):
         assert time.monotonic() < end

@@ -84,8 +84,8 @@ def test_measured_beside_predicted(tmp_path: Path) -> None:
     assert best.relative_error < 5e-3
     assert best.fastest
     assert all(r.seconds > 0 for r in rows if np.isfinite(r.relative_error))
-    assert all(r.said for r in rows if np.isnan(r.relative_error))
-    write_csv([vars(r) for r in rows], tmp_path / "rows.csv")
+    assert all(r.message for r in rows if np.isnan(r.relative_error))
+    write_csv([r.as_dict() for r in rows], tmp_path / "rows.csv")
     with (tmp_path / "rows.csv").open() as file:
         back = list(csv.DictReader(file))
     assert [float(b["relative_error"]) for b in back] == pytest.approx(
