@@ -87,7 +87,7 @@ MUTATIONS = (
     ),
     Mutation(
         "Eq. 2: the angle to one axis only",
-        "lensdesign/analysis/traced_spread.py",
+        "lensdesign/analysis/exit_beam.py",
         "np.hypot(direction[..., 0], direction[..., 1])",
         "np.abs(direction[..., 1])",
         "tests/lensdesign/analysis/test_traced_spread.py",

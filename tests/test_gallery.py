@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from lensdesign import InputError, Lens, load_design
 from lensdesign.analysis.check import check_design
+from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
 from lensdesign.analysis.report import CheckReport
-from lensdesign.analysis.traced_spread import footprint, largest_spread
 from lensdesign.cli.commands import app
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.solid import closed_elements
@@ -114,7 +114,7 @@ def test_the_biconic_lens_lights_more_of_the_longer_side(lenses: dict[str, Lens]
     last = footprint(lens, 0.532, 22.0)
     assert last.inside
     assert last.radius_mm > last.sensor_half_side_mm + 1.0
-    assert largest_spread(lens, 0.532).spread_deg > 4.6
+    assert largest_spread_angle(lens, 0.532).spread_deg > 4.6
     with pytest.raises(InputError, match=r"drawing.*biconic"):
         lens_drawing(lens)
 

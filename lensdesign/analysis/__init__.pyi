@@ -1,11 +1,11 @@
 from .check import check_design
+from .exit_beam import footprint, largest_spread_angle, observation_distance_mm, rms_spot_diameter
 from .form_error import form_errors, pv_rms_waves
 from .ghosts import GhostReport, ghost_report
 from .paraxial import cardinal_points, first_order
 from .report import CheckReport
 from .sag_tables import SagTable, sag_table, write_sag_table
 from .space_bandwidth import match, spread_limit_sine
-from .traced_spread import footprint, largest_spread, observation_distance_mm, rms_spot_diameter
 
 __all__ = [
     "CheckReport",
@@ -17,7 +17,7 @@ __all__ = [
     "footprint",
     "form_errors",
     "ghost_report",
-    "largest_spread",
+    "largest_spread_angle",
     "match",
     "observation_distance_mm",
     "pv_rms_waves",

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lensdesign.analysis.exit_beam import (
+    Footprint,
+    SpreadAngle,
+    Throughput,
+    observation_distance_mm,
+    rms_spot_diameter,
+    spread_angle_and_footprints,
+)
 from lensdesign.analysis.form_error import form_errors
 from lensdesign.analysis.outline import thinnest_drawn_edge
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
 from lensdesign.analysis.space_bandwidth import Matching, match, smallest_exit_beam_diameter_mm
-from lensdesign.analysis.traced_spread import (
-    Footprint,
-    Spread,
-    Throughput,
-    observation_distance_mm,
-    rms_spot_diameter,
-    spread_and_footprints,
-)
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_element
@@ -35,7 +35,7 @@ class _Traced:
     """Results of one wavelength."""
 
     matching: Matching
-    spread: Spread
+    spread: SpreadAngle
     footprints: tuple[Footprint, ...]
     passes: Throughput
     row: WavelengthCheck
@@ -145,7 +145,9 @@ def edge_thickness_mm(lens: Lens) -> float | None:
 def _trace(lens: Lens, wavelength_um: float, refined: bool) -> _Traced:
     matching = match(lens, wavelength_um)
     planes_mm = (0.0, *lens.sensor.plane_distances_mm)
-    spread, (at_exit, *footprints), passes = spread_and_footprints(lens, wavelength_um, planes_mm, refined)
+    spread, (at_exit, *footprints), passes = spread_angle_and_footprints(
+        lens, wavelength_um, planes_mm, refined
+    )
     plane_mm = observation_distance_mm(lens)
     spots = [rms_spot_diameter(lens, wavelength_um, h, plane_mm) for h in _spot_heights(lens)]
     paraxial = first_order(lens, wavelength_um)

@@ -2,7 +2,7 @@
 
 Rings over the stop underestimate the largest angle by up to a thousandth if the steepest ray passes between
 them. Merits of largest angles and distances therefore also trace the extreme rays of the nominal lens. The
-nominal value then equals that of :func:`lensdesign.analysis.traced_spread.largest_spread`. A perturbation
+nominal value then equals that of :func:`lensdesign.analysis.exit_beam.largest_spread_angle`. A perturbation
 moves an extreme ray over the stop, which changes the extreme to second order only.
 """
 

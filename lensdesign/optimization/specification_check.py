@@ -14,9 +14,9 @@ from functools import partial
 import numpy as np
 
 from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, constraint
+from lensdesign.analysis.exit_beam import largest_spread_angle, spread_angle_and_footprints
 from lensdesign.analysis.outline import drawn_edge_thicknesses_mm
 from lensdesign.analysis.report import CheckReport, Constraint
-from lensdesign.analysis.traced_spread import largest_spread, spread_and_footprints
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
@@ -138,7 +138,7 @@ def _spread(lens: Lens, specification: Specification, report: CheckReport) -> li
             for axis, end, limit in zip("xy", widest, limits.max_spread_xy_deg, strict=True):
                 rows.append(_angle(f"spread along {axis} {at}", math.degrees(end.value), limit))
         for own in limits.field_spread:
-            angle = largest_spread(lens, found.wavelength_um, [own.field_mm]).spread_deg
+            angle = largest_spread_angle(lens, found.wavelength_um, [own.field_mm]).spread_deg
             rows.append(
                 _angle(f"spread angle {at}, field height {own.field_mm:g} mm", angle, own.max_spread_deg)
             )
@@ -156,7 +156,7 @@ def _footprints(lens: Lens, specification: Specification, report: CheckReport) -
     if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
         # The same arguments as in check_design, so that cached results are used.
         planes_mm = (0.0, *lens.sensor.plane_distances_mm)
-        found = [spread_and_footprints(lens, w, planes_mm)[1] for w in lens.wavelengths_um]
+        found = [spread_angle_and_footprints(lens, w, planes_mm)[1] for w in lens.wavelengths_um]
         tightest = [min(same, key=lambda f: f.margin_mm) for same in zip(*found, strict=True)][1:]
         return [
             _at_least(f"margin of the footprint at {distance:g} mm", f.margin_mm, 0.0, "mm")

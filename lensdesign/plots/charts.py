@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.analysis.space_bandwidth import spread_limit_sine
-from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
 
@@ -44,7 +44,7 @@ def spread_figure(lens: Lens) -> Figure:
     largest, beyond = 0.0, []
     markers = "os^Dv"
     for index, (wavelength, color) in enumerate(zip(wavelengths, _colors(len(wavelengths)), strict=True)):
-        spread = largest_spread(lens, wavelength)
+        spread = largest_spread_angle(lens, wavelength)
         sine = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
         axes.plot(
             spread.field_heights_mm,

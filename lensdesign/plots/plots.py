@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.analysis.arrival_angles import ArrivalAngles, arrival_angles
+from lensdesign.analysis.exit_beam import rms_spot_diameter
 from lensdesign.analysis.space_bandwidth import spread_limit_sine
-from lensdesign.analysis.traced_spread import rms_spot_diameter
 from lensdesign.common.arrays import Array
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.errors import InputError

@@ -60,9 +60,9 @@ class RayMerit(Merit):
         wavelength = context.wavelength_um(self.wavelength_um)
 
         def compute() -> Points:
-            from lensdesign.analysis.traced_spread import largest_spread
+            from lensdesign.analysis.exit_beam import largest_spread_angle
 
-            height = float(np.hypot(*largest_spread(lens, wavelength).field_mm))
+            height = float(np.hypot(*largest_spread_angle(lens, wavelength).field_mm))
             difference = min(height, lens.half_field_mm - height)
             # Field heights that differ by less than this fraction of the half field count as equal.
             same_height = 1e-6

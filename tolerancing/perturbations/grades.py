@@ -345,9 +345,9 @@ def _merits(lens: Lens) -> str:
 
 
 def _spread(lens: Lens, limit_deg: float) -> str:
-    from lensdesign.analysis.traced_spread import largest_spread
+    from lensdesign.analysis.exit_beam import largest_spread_angle
 
-    nominal = largest_spread(lens).spread_deg
+    nominal = largest_spread_angle(lens).spread_deg
     if limit_deg >= 90.0:
         return "# No limit to the spread behind the lens: the pixels resolve every angle.\n"
     at_most, comment = 1.02 * limit_deg, f"2 % above the {limit_deg:.4g} deg of Eq. 2"

@@ -16,7 +16,7 @@ MODULES = (
     "tolerancing.study.evaluate",
     "tolerancing.merits.sensor_rays",
     "lensdesign.analysis.extreme_rays",
-    "lensdesign.analysis.traced_spread",
+    "lensdesign.analysis.exit_beam",
     "tolerancing.perturbations.irregularity",
     "wavesim.pupil.characteristic",
     "wavesim.pupil.focus",

@@ -6,7 +6,7 @@ import math
 
 import scipy.fft
 
-from lensdesign.analysis.traced_spread import footprint, largest_spread
+from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
 from lensdesign.errors import InputError, SamplingError, validate_positive
 from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
@@ -129,7 +129,7 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     """
     margin = 1.02
     half = margin * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
-    sine = math.sin(math.radians(largest_spread(lens, wavelength_um).spread_deg))
+    sine = math.sin(math.radians(largest_spread_angle(lens, wavelength_um).spread_deg))
     pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
     if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
         raise SamplingError(

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.fft
 
+from lensdesign.analysis.exit_beam import footprint
 from lensdesign.analysis.paraxial import first_order
-from lensdesign.analysis.traced_spread import footprint
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose

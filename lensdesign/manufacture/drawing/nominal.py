@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.analysis.outline import (
     EdgeMargin,
     chosen_semi_diameter_mm,
@@ -20,7 +21,6 @@ from lensdesign.analysis.outline import (
     with_ground_edge,
 )
 from lensdesign.analysis.space_bandwidth import match
-from lensdesign.analysis.traced_spread import largest_spread
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.lens import Lens
@@ -165,7 +165,10 @@ def _check_edge_thickness(element: Element, stated: DrawingTolerances, chosen: b
 
 def _rounded(lens: Lens, tolerances: ToleranceOf) -> tuple[Lens, list[str]]:
     """Return the lens with the coarsest rounding that the largest spread angle permits, and a note."""
-    limit, before = match(lens, lens.wavelengths_um[0]).spread_limit_deg, largest_spread(lens).spread_deg
+    limit, before = (
+        match(lens, lens.wavelengths_um[0]).spread_limit_deg,
+        largest_spread_angle(lens).spread_deg,
+    )
     for fraction in (0.1, 0.1 * 0.1, 0.1 * 0.01, 0.1 * 1e-3):
         changes = list(_changes(lens, tolerances, fraction))
         if not changes:
@@ -173,7 +176,7 @@ def _rounded(lens: Lens, tolerances: ToleranceOf) -> tuple[Lens, list[str]]:
         rounded = lens
         for surface, key, _, value in changes:
             rounded = rounded.with_surface(surface, **{key: value})
-        after = largest_spread(rounded).spread_deg
+        after = largest_spread_angle(rounded).spread_deg
         # Rounding may enlarge the spread angle by a thousandth of its limit.
         if after <= before + 1e-3 * limit and (after <= limit or before > limit):
             values = ", ".join(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lensdesign.analysis import largest_spread, match
+from lensdesign.analysis import largest_spread_angle, match
 from paper.element import Element, Made, Number, Work
 
 
@@ -42,7 +42,7 @@ def equation_1(work: Work) -> Made:
 def equation_2(work: Work) -> Made:
     """The spread-angle limit, and the largest angle behind the lens."""
     lens = work.lens
-    found, spread = match(lens, lens.wavelengths_um[0]), largest_spread(lens)
+    found, spread = match(lens, lens.wavelengths_um[0]), largest_spread_angle(lens)
     numbers = (
         Number("limit of the angle, asin(λ / (2 Δ))", found.spread_limit_deg, "°", 4.8, 0.05, digits=5),
         Number(

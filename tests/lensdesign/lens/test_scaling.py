@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign import load_design, trace
-from lensdesign.analysis.traced_spread import largest_spread
+from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled, stopped_down
@@ -30,7 +30,7 @@ def test_rays_of_a_twin_are_those_of_the_lens_but_for_size(factor: float) -> Non
 
 
 def test_spread_stays() -> None:
-    angles = [largest_spread(lens, 0.532).spread_deg for lens in (PAPER, scaled(PAPER, 0.125))]
+    angles = [largest_spread_angle(lens, 0.532).spread_deg for lens in (PAPER, scaled(PAPER, 0.125))]
     assert angles[1] == pytest.approx(angles[0], abs=1e-7)
 
 

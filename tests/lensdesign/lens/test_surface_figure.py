@@ -15,7 +15,7 @@ from reference_trace import trace_numpy
 from scipy.interpolate import make_interp_spline
 
 from lensdesign import Lens, ObjectSpace, Sensor, Surface, SurfacePerturbation, trace
-from lensdesign.analysis.traced_spread import largest_spread
+from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.errors import InputError
 from lensdesign.lens import SurfaceFigure, surface_figure_from_grid, surface_figure_from_zernike
 from lensdesign.lens.zernikes import HIGHEST_INDEX, zernike
@@ -336,8 +336,8 @@ def test_fields_of_every_azimuth_count_where_a_figure_breaks_symmetry() -> None:
     """Astigmatism along x makes the spread largest for fields along x, far from where it is sought else."""
     lens = singlet(radius_mm=40.0)
     change = {0: SurfacePerturbation(figure=surface_figure_from_zernike({5: -20.0}, SEMI_MM))}
-    found = largest_spread(lens, field_heights_mm=[1.0], surface_perturbations=change)
+    found = largest_spread_angle(lens, field_heights_mm=[1.0], surface_perturbations=change)
     turned = {0: SurfacePerturbation(figure=surface_figure_from_zernike({5: 20.0}, SEMI_MM))}
-    other = largest_spread(lens, field_heights_mm=[1.0], surface_perturbations=turned)
+    other = largest_spread_angle(lens, field_heights_mm=[1.0], surface_perturbations=turned)
     assert found.spread_deg == pytest.approx(other.spread_deg, abs=1e-5)
     assert abs(abs(found.field_mm[0]) - abs(other.field_mm[0])) == pytest.approx(1.0, abs=1e-2)

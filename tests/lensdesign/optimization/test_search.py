@@ -11,8 +11,8 @@ from places import DESIGNS
 from small_searches import check_gradients, singlet_from_plate
 
 from lensdesign.analysis.check import check_design
+from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
 from lensdesign.analysis.outline import drawn_outline
-from lensdesign.analysis.traced_spread import footprint, largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result, search
 from lensdesign.optimization.limits.feasible_limits import FeasibilityLimit
@@ -106,7 +106,7 @@ def test_a_biconic_is_judged_all_round(biconic: Specification) -> None:
     """What the search holds for the largest spread is what a check finds over all directions."""
     found = optimize(biconic)
     assert found.feasible
-    assert largest_spread(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
+    assert largest_spread_angle(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
     foot = footprint(found.lens, 0.532, 22.0)
     assert foot.inside
     assert foot.margin_mm == pytest.approx(0.0, abs=0.05) or foot.radius_mm < foot.sensor_half_side_mm
@@ -117,7 +117,7 @@ def test_smallest_spread_from_a_plate(smallest_spread):
     found = optimize(smallest_spread)
     assert found.feasible
     assert found.goal_value <= 4.585
-    assert largest_spread(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
+    assert largest_spread_angle(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
     assert repr(found).startswith(
         f"<OptimizationResult smallest spread = {found.goal_value:.6g}, feasible, <Lens"
     )
@@ -174,7 +174,7 @@ def test_two_wavelengths_are_both_kept(thinnest):
     assert found.feasible, found.violations
     for wavelength in (0.532, 0.62):
         limit = math.degrees(math.asin(wavelength / 6.4))
-        assert largest_spread(found.lens, wavelength).spread_deg <= limit
+        assert largest_spread_angle(found.lens, wavelength).spread_deg <= limit
 
 
 def test_glass_is_chosen_from_a_list(thinnest):
@@ -235,7 +235,7 @@ def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
     found = optimize(specification)
     assert found.feasible, found.violations
     assert "spread at field height 0 mm" in found.binding
-    assert largest_spread(found.lens, 0.532, field_heights_mm=[0.0]).spread_deg <= 0.2
+    assert largest_spread_angle(found.lens, 0.532, field_heights_mm=[0.0]).spread_deg <= 0.2
 
 
 @pytest.fixture
@@ -397,7 +397,7 @@ def test_the_spread_of_several_wavelengths_is_a_share_of_each_limit_or_an_angle(
     assert (share.goal_unit, angle.goal_unit) == ("%", "deg")
     for found in (share, angle):
         for s in found.spreads:
-            own = largest_spread(found.lens, s.wavelength_um).spread_deg
+            own = largest_spread_angle(found.lens, s.wavelength_um).spread_deg
             assert s.spread_deg == pytest.approx(own, abs=1e-6)
             sine = s.wavelength_um / (2.0 * both.sensor.pixel_pitch_um)
             assert s.share == pytest.approx(math.sin(math.radians(own)) / sine)

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from random_lenses import lenses
 
 from lensdesign import Lens
-from lensdesign.analysis.traced_spread import largest_spread
+from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.errors import DesignError
 from lensdesign.plots.charts import spread_figure
 
@@ -58,7 +58,7 @@ def test_every_wavelength_has_its_curve_and_its_limit_in_one_colour(paper_lens: 
     curves, limits = curves_and_limits(spread_figure(lens))
     assert [c.get_label().split(" ")[0] for c in curves] == ["0.6328", "0.589", "0.532", "0.45"]
     for wavelength, curve, limit in zip((0.6328, 0.589, 0.532, 0.45), curves, limits, strict=True):
-        assert curve.get_ydata() == pytest.approx(largest_spread(lens, wavelength).per_field_deg)
+        assert curve.get_ydata() == pytest.approx(largest_spread_angle(lens, wavelength).per_field_deg)
         assert math.sin(math.radians(limit.get_ydata()[0])) == pytest.approx(wavelength / 6.4)
         assert curve.get_color() == limit.get_color()
     assert len({str(c.get_color()) for c in curves}) == 4

@@ -22,7 +22,7 @@ from matplotlib.text import Text
 from random_lenses import lenses
 
 from lensdesign import Lens
-from lensdesign.analysis.traced_spread import rms_spot_diameter
+from lensdesign.analysis.exit_beam import rms_spot_diameter
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge, Flange
 from lensdesign.lens.scaling import scaled

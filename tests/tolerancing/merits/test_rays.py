@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design
-from lensdesign.analysis.traced_spread import footprint, largest_spread
+from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
 
@@ -29,7 +29,7 @@ def test_nominal_spread_and_footprint_are_those_of_the_check(design):
     context = Context(lens, Sampling(rings=3, arms=8))
     nominal = context.perturbed((), np.zeros((1, 0)))
     spread = LargestSpread(kind="largest_spread_deg", at_most=90.0).scores(context, nominal)
-    assert spread == pytest.approx(largest_spread(lens).spread_deg, abs=2e-6)
+    assert spread == pytest.approx(largest_spread_angle(lens).spread_deg, abs=2e-6)
     for distance in (*lens.sensor.plane_distances_mm, 4.0):
         merit = FootprintRadius(kind="footprint_radius_mm", at_most=90.0, plane_distance_mm=distance)
         found = footprint(lens, plane_distance_mm=distance).radius_mm

@@ -10,7 +10,7 @@ from places import DESIGNS
 from random_lenses import lenses
 
 from lensdesign import DesignError, InputError, Lens, load_design
-from lensdesign.analysis.traced_spread import largest_spread
+from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.manufacture.drawing.tolerances import GENERAL
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.distributions import DISTRIBUTIONS
@@ -190,7 +190,7 @@ def test_merits_follow_from_the_design():
     wide = lens.replaced(sensor=lens.sensor.replaced(pixel_pitch_um=6.4))
     merits = {m["kind"]: m for m in read(wide, "precision")["merit"]}
     assert merits["largest_spread_deg"]["at_most"] == pytest.approx(
-        1.01 * largest_spread(lens).spread_deg, rel=1e-3
+        1.01 * largest_spread_angle(lens).spread_deg, rel=1e-3
     )
     fine = lens.replaced(sensor=lens.sensor.replaced(pixel_pitch_um=0.2))
     text = starting_study(fine, "a.toml", "precision")

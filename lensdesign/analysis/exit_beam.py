@@ -1,4 +1,4 @@
-"""Spread of rays behind a lens, footprint, spot and throughput.
+"""The beam behind a lens by traced rays: spread angle, footprint, spot and throughput.
 
 Failed rays are excluded from every value, and every result states the throughput on which it is based.
 """
@@ -25,7 +25,7 @@ Perturbations = Mapping[int, SurfacePerturbation] | None
 
 
 @dataclass(frozen=True)
-class Spread:
+class SpreadAngle:
     """Largest angle to the axis behind the lens.
 
     Attributes
@@ -118,13 +118,13 @@ class Throughput:
     per_field: tuple[float, ...]
 
 
-def largest_spread(
+def largest_spread_angle(
     lens: Lens,
     wavelength_um: float | None = None,
     field_heights_mm: Sequence[float] | None = None,
     pose: Pose = Pose(),
     surface_perturbations: Perturbations = None,
-) -> Spread:
+) -> SpreadAngle:
     """Return the largest angle to the axis behind the lens over field and pupil (the left side of Eq. 2).
 
     A dense sampling is refined in field height, azimuth and pupil to a precision of 1e-6 deg.
@@ -143,7 +143,7 @@ def largest_spread(
 
     Returns
     -------
-    Spread
+    SpreadAngle
 
     Raises
     ------
@@ -156,7 +156,7 @@ def largest_spread(
     --------
     >>> from lensdesign import load_design
     >>> lens = load_design("designs/paper_singlet.toml")
-    >>> round(largest_spread(lens).spread_deg, 2)
+    >>> round(largest_spread_angle(lens).spread_deg, 2)
     4.81
     """
     (found,), passes = _largest(lens, [None], wavelength_um, field_heights_mm, pose, surface_perturbations)
@@ -205,9 +205,9 @@ def footprint(
     return _footprint(lens, plane_distance_mm, *found)
 
 
-def spread_and_footprints(
+def spread_angle_and_footprints(
     lens: Lens, wavelength_um: float, plane_distances_mm: Sequence[float], refined: bool = True
-) -> tuple[Spread, tuple[Footprint, ...], Throughput]:
+) -> tuple[SpreadAngle, tuple[Footprint, ...], Throughput]:
     """Return spread, footprint on each plane and throughput together, which is faster than one by one.
 
     Without `refined`, the values are the largest of a dense sampling, which takes a tenth of the time.
@@ -396,8 +396,8 @@ def _search(
     return found, throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations, *points)
 
 
-def _spread(found: Extremes, passes: Throughput) -> Spread:
-    return Spread(
+def _spread(found: Extremes, passes: Throughput) -> SpreadAngle:
+    return SpreadAngle(
         spread_deg=math.degrees(found.value),
         field_mm=found.field_mm,
         pupil=found.pupil,

@@ -15,9 +15,9 @@ from scipy.optimize import minimize
 from lensdesign import DesignError, InputError, Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation
 from lensdesign.analysis.arrival_angles import arrival_angles
 from lensdesign.analysis.check import edge_thickness_mm
-from lensdesign.analysis.traced_spread import (
+from lensdesign.analysis.exit_beam import (
     footprint,
-    largest_spread,
+    largest_spread_angle,
     observation_distance_mm,
     rms_spot_diameter,
     throughput,
@@ -68,7 +68,7 @@ def angles_deg(rays: RayTrace) -> np.ndarray:
 
 
 def test_spread_of_the_paper_lens(paper_lens: Lens) -> None:
-    found = largest_spread(paper_lens, 0.532)
+    found = largest_spread_angle(paper_lens, 0.532)
     assert found.spread_deg == pytest.approx(4.810, abs=1e-3)
     assert found.field_mm == pytest.approx((0.0, 1.5), abs=1e-9)
     assert found.throughput == 1.0
@@ -77,12 +77,12 @@ def test_spread_of_the_paper_lens(paper_lens: Lens) -> None:
 
 @pytest.mark.parametrize(("height", "expected"), [(0.0, 0.498), (0.5, 1.870), (1.0, 3.327), (1.2, 3.903)])
 def test_spread_at_single_heights(paper_lens: Lens, height: float, expected: float) -> None:
-    assert largest_spread(paper_lens, 0.532, [height]).spread_deg == pytest.approx(expected, abs=5e-4)
+    assert largest_spread_angle(paper_lens, 0.532, [height]).spread_deg == pytest.approx(expected, abs=5e-4)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.7, 1.5])
 def test_spread_stands_to_a_millionth_of_a_degree(paper_lens: Lens, height: float) -> None:
-    found = largest_spread(paper_lens, 0.532, [height])
+    found = largest_spread_angle(paper_lens, 0.532, [height])
 
     def less(polar: np.ndarray) -> float:
         point = [[polar[0] * math.sin(polar[1]), polar[0] * math.cos(polar[1])]]
@@ -98,7 +98,7 @@ def test_spread_stands_to_a_millionth_of_a_degree(paper_lens: Lens, height: floa
 
 def test_the_worst_ray_is_a_ray(paper_lens: Lens) -> None:
     pose, changes = Pose(decenter_x_mm=0.1, tilt_x_deg=0.4), {1: SurfacePerturbation(tilt_y_deg=0.2)}
-    found = largest_spread(paper_lens, 0.532, pose=pose, surface_perturbations=changes)
+    found = largest_spread_angle(paper_lens, 0.532, pose=pose, surface_perturbations=changes)
     origins, directions = launch(paper_lens, found.field_mm, found.pupil, 0.532, pose, changes)
     rays = trace(paper_lens, origins, directions, 0.532, pose, surface_perturbations=changes)
     assert angles_deg(rays)[0] == pytest.approx(found.spread_deg, abs=1e-9)
@@ -106,18 +106,18 @@ def test_the_worst_ray_is_a_ray(paper_lens: Lens) -> None:
 
 @pytest.mark.parametrize("pose", [Pose(), Pose(decenter_x_mm=0.2, tilt_y_deg=-0.5)])
 def test_no_ray_of_a_dense_bundle_is_worse(paper_lens: Lens, pose: Pose) -> None:
-    found = largest_spread(paper_lens, 0.532, pose=pose)
+    found = largest_spread_angle(paper_lens, 0.532, pose=pose)
     brute = angles_deg(random_bundle(paper_lens, 200_000, pose)).max()
     assert brute <= found.spread_deg
     assert brute == pytest.approx(found.spread_deg, rel=1e-2)
 
 
 def test_a_perturbed_lens_is_searched_all_around(paper_lens: Lens) -> None:
-    nominal = largest_spread(paper_lens, 0.532).spread_deg
-    nearly = largest_spread(paper_lens, 0.532, pose=Pose(decenter_x_mm=1e-12)).spread_deg
+    nominal = largest_spread_angle(paper_lens, 0.532).spread_deg
+    nearly = largest_spread_angle(paper_lens, 0.532, pose=Pose(decenter_x_mm=1e-12)).spread_deg
     assert nearly == pytest.approx(nominal, abs=1e-6)
     around = [
-        largest_spread(paper_lens, 0.532, pose=pose).spread_deg
+        largest_spread_angle(paper_lens, 0.532, pose=pose).spread_deg
         for pose in (Pose(decenter_x_mm=0.1), Pose(decenter_y_mm=0.1), Pose(decenter_y_mm=-0.1))
     ]
     assert np.ptp(around) < 1e-6
@@ -129,13 +129,13 @@ def test_a_perturbed_lens_is_searched_all_around(paper_lens: Lens) -> None:
 def test_spread_and_footprint_without_glass(field: float, stop: float) -> None:
     lens = window(field, stop)
     slope = (stop + 0.5 * field) / DISTANCE
-    assert largest_spread(lens).spread_deg == pytest.approx(math.degrees(math.atan(slope)), abs=1e-8)
+    assert largest_spread_angle(lens).spread_deg == pytest.approx(math.degrees(math.atan(slope)), abs=1e-8)
     assert footprint(lens, plane_distance_mm=3.0).radius_mm == pytest.approx(stop + slope * 7.0, abs=1e-8)
 
 
 def test_clipped_rays_do_not_count() -> None:
     lens = window(back=3.5)
-    found = largest_spread(lens)
+    found = largest_spread_angle(lens)
     # The steepest ray that passes runs from the field's edge to the back surface's.
     assert found.spread_deg == pytest.approx(math.degrees(math.atan(4.5 / 14.0)), abs=1e-5)
     assert found.throughput < 1.0
@@ -144,20 +144,20 @@ def test_clipped_rays_do_not_count() -> None:
 def test_a_lens_without_light_is_refused(paper_lens: Lens) -> None:
     blocked = paper_lens.with_surface(1, semi_diameter_mm=0.01).with_surface(0, semi_diameter_mm=0.5)
     far = blocked.replaced(object=paper_lens.object.model_copy(update={"field_diameter_mm": 300.0}))
-    assert math.isnan(largest_spread(far, 0.532).per_field_deg[-1])
+    assert math.isnan(largest_spread_angle(far, 0.532).per_field_deg[-1])
     with pytest.raises(DesignError, match=r"no ray.*0\.532 um"):
-        largest_spread(far, 0.532, [150.0])
+        largest_spread_angle(far, 0.532, [150.0])
 
 
 @pytest.mark.parametrize("heights", [[-0.1], [1.6], [], [math.nan]])
 def test_heights_outside_the_field_are_refused(paper_lens: Lens, heights: list[float]) -> None:
     with pytest.raises(InputError, match=r"field_heights_mm = .*0 to 1\.5 mm"):
-        largest_spread(paper_lens, 0.532, heights)
+        largest_spread_angle(paper_lens, 0.532, heights)
 
 
 def test_arrays_of_trials_are_refused(paper_lens: Lens) -> None:
     with pytest.raises(InputError, match="not arrays of trials"):
-        largest_spread(paper_lens, 0.532, pose=Pose(decenter_x_mm=np.zeros(2)))
+        largest_spread_angle(paper_lens, 0.532, pose=Pose(decenter_x_mm=np.zeros(2)))
 
 
 # Footprint, spot, throughput.
@@ -261,7 +261,7 @@ def landed(paper_lens: Lens) -> RayTrace:
 def test_arrival_angles_of_the_paper_lens(paper_lens: Lens, landed: RayTrace, height: float) -> None:
     """Fig. 2d: no more than 4.8 deg at these points; and against rays that happen to land close by."""
     found = arrival_angles(paper_lens, (0.0, height))
-    assert found.largest_deg <= largest_spread(paper_lens, 0.532).spread_deg
+    assert found.largest_deg <= largest_spread_angle(paper_lens, 0.532).spread_deg
     near = np.linalg.norm(landed.position[:, :2] - [0.0, height], axis=1) < 0.05
     cosines = landed.direction[near, :2]
     assert len(cosines) > 20
