@@ -81,7 +81,7 @@ class CheckReport:
     """Result of the check of a lens against its constraints.
 
     Each value is given at the wavelength where it is worst; `wavelengths` holds the values at every
-    wavelength. Eqs. 1 and 2 are those of the paper that :func:`check_design` cites.
+    wavelength. Eqs. 1 and 2 are those of the paper that :func:`lensdesign.analysis.check.check_design` cites.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ Positive = Annotated[
 ]
 """Positive size in any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
 
-Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allow_inf_nan=False)]
+FiniteNumber = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 """Number of either sign in any unit; computations with both ends stay finite."""
 
 

@@ -1,4 +1,4 @@
-"""Pose of a lens or of one of its surfaces: decenter, tilt and despace about a pivot."""
+"""Deviations of a lens and of its surfaces from the design: pose, radius, thickness, index, figure and others."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.formats import LENS_FORMATS, write_lens_file
 from lensdesign.lens.solid import glass_elements
 from lensdesign.manufacture.mesh.writing import MESH_SUFFIXES
-from lensdesign.manufacture.step.occ import STEP_SUFFIXES
+from lensdesign.manufacture.step.step_files import STEP_SUFFIXES
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens

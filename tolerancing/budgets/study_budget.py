@@ -508,7 +508,7 @@ def scaled_study(loaded: LoadedStudy, scales: Array) -> Study:
     Returns
     -------
     Study
-        The scaled study; :func:`save_study` writes it to a file.
+        The scaled study; :func:`tolerancing.study.files.save_study` writes it to a file.
 
     Raises
     ------

@@ -95,7 +95,7 @@ def cost_of(study: Study, lens: Lens, table: CostTable, tolerances: ArrayLike | 
     lens
         The nominal lens.
     table
-        Price table from :func:`load_costs`.
+        Price table from :func:`tolerancing.cost.table.load_costs`.
     tolerances : array_like, shape (perturbations,), optional
         Largest deviations in the units of the columns, above 0; default: the tolerances of the study.
 

@@ -210,7 +210,8 @@ class BarImagingChain:
         refocus_um
             Shift of the reconstructed object plane towards the lens.
         method, iterations
-            Method and largest number of iterations; see :class:`ReconstructedContrast`.
+            Method and largest number of iterations; see
+            :class:`tolerancing.merits.reconstructed_contrast.ReconstructedContrast`.
         """
         from wavesim import reconstruct
         from wavesim.reconstruction.resumable import retrieve_resumably

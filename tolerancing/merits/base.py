@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive
+from lensdesign.common.frozen_model import FiniteNumber, FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -57,8 +57,8 @@ class Merit(FrozenModel):
 
     kind: str
     name: Name = ""
-    at_least: Bounded | None = None
-    at_most: Bounded | None = None
+    at_least: FiniteNumber | None = None
+    at_most: FiniteNumber | None = None
     wavelength_um: Positive | None = None
     level: Level = "auto"
     predicted_by: Name | None = None

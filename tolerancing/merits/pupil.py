@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, Positive
+from lensdesign.common.frozen_model import FiniteNumber, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, orientation_text, points_text, refocus_text
 from tolerancing.merits.context import Context, Points
@@ -37,8 +37,8 @@ class PupilMerit(Merit):
         :data:`wavesim.pupil.focus.FOCUS_RANGE`. The lateral shift is always removed.
     """
 
-    field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
-    field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
+    field_mm: tuple[FiniteNumber, FiniteNumber] = (0.0, 0.0)
+    field_points_mm: tuple[tuple[FiniteNumber, FiniteNumber], ...] = ()
     refocus: bool = True
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, Positive
+from lensdesign.common.frozen_model import FiniteNumber, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
@@ -29,7 +29,7 @@ class RayMerit(Merit):
         the height of the largest ray angle of the nominal lens if that is another height.
     """
 
-    field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
+    field_points_mm: tuple[tuple[FiniteNumber, FiniteNumber], ...] = ()
 
     levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256

@@ -30,7 +30,7 @@ LATERAL = ("decenter_x_mm", "decenter_y_mm")
 
 @dataclass(frozen=True, eq=False)
 class PerturbationBatch:
-    """Sampled deviations of several trials, from :func:`sample_perturbations`.
+    """Sampled deviations of several trials, from :func:`tolerancing.sample_perturbations`.
 
     Attributes
     ----------

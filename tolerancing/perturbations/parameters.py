@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from lensdesign.common.frozen_model import Bounded, FrozenModel
+from lensdesign.common.frozen_model import FiniteNumber, FrozenModel
 from lensdesign.common.toml_files import joined_faults, pick, unknown_key, validate
 from lensdesign.errors import DesignError, MaterialError
 from lensdesign.lens.lens import Lens
@@ -109,7 +109,7 @@ class PerturbedParameter(FrozenModel):
     target: str
     parameter: str
     seat: Literal["front", "back"] | Annotated[float, Field(strict=False, allow_inf_nan=False)] = "front"
-    mount_expansion_per_k: Bounded = ALUMINIUM_PER_K
+    mount_expansion_per_k: FiniteNumber = ALUMINIUM_PER_K
 
     @field_validator("target")
     @classmethod

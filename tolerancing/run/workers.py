@@ -54,7 +54,7 @@ class StudyParcel:
     toolkit_version
         Version of the toolkit that sends it.
     name, files, fingerprint
-        Name, files and fingerprint of the :class:`LoadedStudy`.
+        Name, files and fingerprint of the :class:`tolerancing.study.files.LoadedStudy`.
     levels
         Level of each merit, by the merit's label.
     """

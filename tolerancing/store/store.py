@@ -111,7 +111,7 @@ def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
 class Store:
     """The results of a study in an open SQLite file; use it as a context manager.
 
-    :func:`run_study` creates the file, and :func:`open_store` checks and opens it.
+    :func:`tolerancing.run.run.run_study` creates the file, and :func:`open_store` checks and opens it.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import model_validator
 
-from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive
+from lensdesign.common.frozen_model import FiniteNumber, FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -73,7 +73,7 @@ class LinePairSection(FrozenModel):
     merits: tuple[str, ...] = ()
     line_widths_um: tuple[Positive, ...] = ()
     orientation: Orientation = "worse"
-    field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
+    field_mm: tuple[FiniteNumber, FiniteNumber] = (0.0, 0.0)
 
     @model_validator(mode="after")
     def _check_scores(self) -> Any:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import Bounded, FrozenModel, Positive
+from lensdesign.common.frozen_model import FiniteNumber, FrozenModel, Positive
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -55,7 +55,7 @@ class SliceCounts(FrozenModel, Series):
     slices: Annotated[tuple[Annotated[int, Field(ge=1, le=5000)], ...], Field(min_length=1)]
     compensations: Annotated[tuple[Compensation, ...], Field(min_length=1)] = ("vertical", "oblique")
     line_widths_um: Annotated[tuple[Positive, ...], Field(min_length=1)]
-    field_height_mm: Bounded = 0.0
+    field_height_mm: FiniteNumber = 0.0
     picture_slices: tuple[int, ...] = ()
 
     @model_validator(mode="after")

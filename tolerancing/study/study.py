@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, SerializeAsAny, model_validator
 
-from lensdesign.common.frozen_model import Bounded, FrozenModel
+from lensdesign.common.frozen_model import FiniteNumber, FrozenModel
 from tolerancing.merits.base import Merit
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
@@ -101,7 +101,7 @@ class Study(FrozenModel):
     design: str
     trials: Annotated[int, Field(ge=1, le=MOST_TRIALS)]
     seed: Annotated[int, Field(ge=0)]
-    pivot_z_mm: Bounded = 0.0
+    pivot_z_mm: FiniteNumber = 0.0
     draws: Literal[DRAWS] = "random"  # type: ignore[valid-type]
     sensitivity: bool = True
     sampling: Sampling = Sampling()

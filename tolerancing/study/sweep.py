@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from lensdesign.common.frozen_model import Bounded
+from lensdesign.common.frozen_model import FiniteNumber
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
@@ -36,8 +36,8 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
         Values for which images of the line pairs are saved.
     """
 
-    values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
-    picture_values: tuple[Bounded, ...] = ()
+    values: Annotated[tuple[FiniteNumber, ...], Field(min_length=1)]
+    picture_values: tuple[FiniteNumber, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Sweep:
@@ -75,7 +75,7 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
 class GridAxis(PerturbedParameter):
     """A parameter of a grid, and its values."""
 
-    values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
+    values: Annotated[tuple[FiniteNumber, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check_values(self) -> GridAxis:

@@ -114,7 +114,7 @@ def image_patch(
     sensor
         Sensor window that records.
     windows
-        One window for each plane that covers all of its light (:func:`light_window`).
+        One window for each plane that covers all of its light (:func:`wavesim.sensor.windows.light_window`).
     recording
         Planes, noise and errors.
     make

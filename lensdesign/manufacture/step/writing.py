@@ -19,7 +19,8 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements
 from lensdesign.manufacture.step.freeform import freeform_solid, surface_error_mm
-from lensdesign.manufacture.step.occ import (
+from lensdesign.manufacture.step.solids import EXACT, element_solid, rim_corners
+from lensdesign.manufacture.step.step_files import (
     STEP_SUFFIXES,
     ocp_errors,
     read_solids,
@@ -28,7 +29,6 @@ from lensdesign.manufacture.step.occ import (
     subshapes,
     write_solids,
 )
-from lensdesign.manufacture.step.solids import EXACT, element_solid, rim_corners
 
 POINTS_ALONG, POINTS_AROUND = 513, 16
 """Number of points along the meridian and around the axis at which a surface is measured."""

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, Positive
+from lensdesign.common.frozen_model import FiniteNumber, Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, points_text, refocus_text
@@ -89,8 +89,8 @@ class Reconstruction(Merit):
     line_widths_um: Annotated[tuple[Positive, ...], Field(min_length=1)]
     line_width_um: Positive | None = None
     region_mm: Positive
-    field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
-    field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
+    field_mm: tuple[FiniteNumber, FiniteNumber] = (0.0, 0.0)
+    field_points_mm: tuple[tuple[FiniteNumber, FiniteNumber], ...] = ()
     planes_mm: tuple[Positive, ...] = ()
     electrons: Annotated[float, Field(ge=10.0, le=1e9)] | None = None
     bits: Annotated[int, Field(ge=4, le=16)] = 12

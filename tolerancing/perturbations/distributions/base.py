@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded, FrozenModel
+from lensdesign.common.frozen_model import FiniteNumber, FrozenModel
 from lensdesign.errors import InputError
 
 
@@ -38,7 +38,7 @@ class Distribution(FrozenModel):
     kind: ClassVar[str]
     widths: ClassVar[tuple[str, ...]]
 
-    mean: Bounded = 0.0
+    mean: FiniteNumber = 0.0
 
     @property
     def file_name(self) -> str | None:

@@ -11,7 +11,7 @@ from lensdesign.common.frozen_model import Positive
 from tolerancing.perturbations.distributions.base import Distribution
 
 
-class Bounded(Distribution):
+class BoundedDistribution(Distribution):
     """A symmetric distribution within `half_width` of the mean."""
 
     widths = ("half_width",)
@@ -23,7 +23,7 @@ class Bounded(Distribution):
         return self.half_width
 
 
-class Uniform(Bounded):
+class Uniform(BoundedDistribution):
     """Uniform distribution within `half_width` of the mean."""
 
     kind = "uniform"
@@ -36,7 +36,7 @@ class Uniform(Bounded):
         return self.half_width / math.sqrt(3.0)
 
 
-class Triangular(Bounded):
+class Triangular(BoundedDistribution):
     """Density that falls linearly from the mean to zero at `half_width`."""
 
     kind = "triangular"
@@ -50,7 +50,7 @@ class Triangular(Bounded):
         return self.half_width / math.sqrt(6.0)
 
 
-class Parabolic(Bounded):
+class Parabolic(BoundedDistribution):
     """Density proportional to 1 - (deviation / half_width)^2."""
 
     kind = "parabolic"
@@ -66,7 +66,7 @@ class Parabolic(Bounded):
         return self.half_width / math.sqrt(5.0)
 
 
-class EndPoint(Bounded):
+class EndPoint(BoundedDistribution):
     """Half of the parts at the lower end of the tolerance, half at the upper."""
 
     kind = "end_point"

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.frozen_model import Bounded
+from lensdesign.common.frozen_model import FiniteNumber
 from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
 
@@ -24,7 +24,7 @@ class Discrete(Distribution):
     kind = "discrete"
     widths = ()
 
-    values: Annotated[tuple[Bounded, ...], Field(min_length=2, max_length=1000)]
+    values: Annotated[tuple[FiniteNumber, ...], Field(min_length=2, max_length=1000)]
 
     @model_validator(mode="after")
     def _increasing(self) -> Discrete:

@@ -74,8 +74,8 @@ class ScoreTest:
     chi_square : float
         Significance of the errors: about the number of parameters where the bench is as stated.
     correlation : float
-        Correlation (:func:`wavesim.object_correlation`) of the object found with the one that these errors
-        would give.
+        Correlation (:func:`wavesim.metrics.contrast.object_correlation`) of the object found with the one
+        that these errors would give.
     pixels : int
         Number of pixels of all planes.
     cause : str

@@ -28,7 +28,7 @@ from lensdesign.lens.solid import closed_elements
 from lensdesign.lens.surface import Surface
 from lensdesign.manufacture.step import solids as cad_solids
 from lensdesign.manufacture.step import writing as cad
-from lensdesign.manufacture.step.occ import read_solids, silent_ocp, step_text, subshapes
+from lensdesign.manufacture.step.step_files import read_solids, silent_ocp, step_text, subshapes
 from lensdesign.manufacture.step.writing import StepReport, write_step
 
 Array = NDArray[np.float64]
