@@ -41,7 +41,7 @@ def _rows(folder: Path) -> list[Row]:
     true = _true_object(folder, lit_patch(lens, settings)[0])
     before = reconstruct_frames(lens, frames, settings, truth=true)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = calibrate_frames(lens, frames, kind=kind, patch_mm=about["patch_mm"], judges=False)
+    found = calibrate_frames(lens, frames, kind=kind, patch_mm=about["patch_mm"], assess=False)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     if found.field_stop_from == "frames":
         settings = settings.with_stop(*found.field_stop)

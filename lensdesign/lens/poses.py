@@ -1,4 +1,4 @@
-"""Deviations of a lens and of its surfaces from the design: pose, radius, thickness, index, figure and others."""
+"""Deviations of a lens and of its surfaces from the design: pose, shape, thickness and index."""
 
 from __future__ import annotations
 

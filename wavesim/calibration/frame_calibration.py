@@ -67,7 +67,7 @@ def calibrate_frames(
     priors: Mapping[str, float] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
-    judges: bool = True,
+    assess: bool = True,
     **changes: Any,
 ) -> Calibrated:
     """Calibrate a bench from its frames: light, lens, mounting and camera.
@@ -96,7 +96,7 @@ def calibrate_frames(
         Folder of the checkpoint; the same call continues an interrupted search.
     progress
         Callback `progress(stage, completed, total)`. It counts the benches that were tried.
-    judges
+    assess
         Whether to reconstruct the object on the calibrated bench, by :func:`wavesim.reconstruct_frames` with
         the same settings, and to state the verdict. With a known object the verdict needs no reconstruction.
     **changes
@@ -131,7 +131,7 @@ def calibrate_frames(
     ...     lens, "star", patch_mm=0.03, planes_mm=(0.03,), engine="eikonal", error=0.1, decenter_x_mm=0.005
     ... )
     >>> search = {"parameters": "decenter_x_mm,decenter_y_mm", "kind": "amplitude", "iterations": 3}
-    >>> found = calibrate_frames(lens, taken.frames, patch_mm=0.03, error=0.1, judges=False, **search)
+    >>> found = calibrate_frames(lens, taken.frames, patch_mm=0.03, error=0.1, assess=False, **search)
     >>> dict(zip(found.parameters, (round(value, 3) + 0.0 for value in found.values)))
     {'decenter_x_mm': 0.005, 'decenter_y_mm': 0.0}
     """
@@ -176,7 +176,7 @@ def calibrate_frames(
         )
         again = replace(again, misfit_before=found.misfit_before, trail=found.trail + again.trail)
         found = _with_field_stop(again, problem, stop_from)
-    if not judges:
+    if not assess:
         return found
     if stop_from == "frames":
         settings = settings.with_stop(*found.field_stop)

@@ -195,7 +195,7 @@ def _calibrated(
                 priors=priors,
                 folder=output,
                 progress=on_progress,
-                judges=False,  # the reconstruction that follows is
+                assess=False,  # the reconstruction that follows is
             )
         validate_same_frames(empty, frames)
         start = state or SystemState(settings.pose)

@@ -40,7 +40,7 @@ def ray_changes(
     scene: Scene,
     reference: Scene,
     tile: Tile,
-    carrier: RayMap,
+    ray_map: RayMap,
     grid: Grid,
     sensor_pose: SensorPose = NOMINAL_SENSOR,
     removed: SmoothMap | None = None,
@@ -53,7 +53,7 @@ def ray_changes(
         Scene with the changed lens, or with a displaced object.
     reference
         Scene of the tile.
-    tile, carrier
+    tile, ray_map
         Part of the object, and the original rays of its center.
     grid
         Grid of the plane to which the rays go.
@@ -76,7 +76,7 @@ def ray_changes(
     with one_blas_thread():
         # Order of the polynomials that fit changes of the path, which are smooth.
         order = 10
-        pupil = sample_points(carrier.traced, order)
+        pupil = sample_points(ray_map.traced, order)
         displacement_mm = np.subtract(scene.object_grid.centre_mm, reference.object_grid.centre_mm)
         rays = trace_bundle(scene, tile.centre_mm + displacement_mm, pupil, grid.z_mm)
         if not np.any(rays.ok):
@@ -84,7 +84,7 @@ def ray_changes(
         sensor_points, path_mm = _on_sensor(rays, float(scene.system.index[0, -1]), grid, sensor_pose)
         arriving = sensor_points[rays.ok]
         changes = np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
-        changes -= carrier.maps.at(arriving)[[0, 2, 3]]
+        changes -= ray_map.maps.at(arriving)[[0, 2, 3]]
         if removed is not None:
             changes -= removed.at(arriving)
         return fit_map(arriving, changes, order)
@@ -145,21 +145,21 @@ class PerturbedTiles(Engine):
         if dtype not in self._operators:
             wavenumber = self.scene.wavenumber_per_mm
             self._operators[dtype] = tuple(
-                operator.perturbed(carrier, self.changes(tile, carrier), wavenumber)
-                for tile, carrier, operator in self.reference.tile_operators(dtype)
+                operator.perturbed(ray_map, self.changes(tile, ray_map), wavenumber)
+                for tile, ray_map, operator in self.reference.tile_operators(dtype)
             )
         return self._operators[dtype]
 
-    def changes(self, tile: Tile, carrier: RayMap) -> SmoothMap:
+    def changes(self, tile: Tile, ray_map: RayMap) -> SmoothMap:
         """Return how the rays of a tile differ from those of the reference, see :func:`ray_changes`."""
-        return ray_changes(self.scene, self.reference.scene, tile, carrier, self.plane.grid, self.sensor_pose)
+        return ray_changes(self.scene, self.reference.scene, tile, ray_map, self.plane.grid, self.sensor_pose)
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
         """Yield each tile, its original rays, and its operator for fields of a data type."""
-        for (tile, carrier, _), operator in zip(
+        for (tile, ray_map, _), operator in zip(
             self.reference.tile_operators(dtype), self._perturbed_operators(dtype), strict=True
         ):
-            yield tile, carrier, operator
+            yield tile, ray_map, operator
 
     def _forward(self, values: Any) -> Any:
         scaled = values * values.real.dtype.type(self.scene.object_grid.cell)
@@ -186,7 +186,7 @@ class PerturbedTiles(Engine):
 
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
-PathSlopes = Sequence[Sequence[SmoothMap]]
+PathDerivatives = Sequence[Sequence[SmoothMap]]
 
 
 class PerturbedScene(NamedTuple):
@@ -199,9 +199,9 @@ class PerturbedScene(NamedTuple):
     sensor_pose: SensorPose = NOMINAL_SENSOR
 
 
-def path_slopes(
+def path_derivatives(
     engine: EikonalTiles | PerturbedTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
-) -> PathSlopes:
+) -> PathDerivatives:
     """Return the derivatives of paths and directions of each tile's rays with respect to each parameter.
 
     Parameters
@@ -223,27 +223,27 @@ def path_slopes(
     InputError
         If the rays of a changed lens do not arrive.
     """
-    grid, slopes = engine.plane.grid, []
+    grid, derivatives = engine.plane.grid, []
     reference = engine.reference.scene if isinstance(engine, PerturbedTiles) else engine.scene
-    for tile, carrier, _ in engine.tile_operators(np.dtype(dtype)):
-        existing = engine.changes(tile, carrier) if isinstance(engine, PerturbedTiles) else None
-        ray_maps = [
-            ray_changes(each.scene, reference, tile, carrier, grid, each.sensor_pose, existing)
+    for tile, ray_map, _ in engine.tile_operators(np.dtype(dtype)):
+        existing = engine.changes(tile, ray_map) if isinstance(engine, PerturbedTiles) else None
+        changes = [
+            ray_changes(each.scene, reference, tile, ray_map, grid, each.sensor_pose, existing)
             for each in perturbed
         ]
-        slopes.append(
+        derivatives.append(
             [
                 replace(m, coefficients=m.coefficients / each.step)
-                for m, each in zip(ray_maps, perturbed, strict=True)
+                for m, each in zip(changes, perturbed, strict=True)
             ]
         )
-    return slopes
+    return derivatives
 
 
 def exit_field_changes_by_rays(
-    engine: EikonalTiles | PerturbedTiles, lit: Field, slopes: PathSlopes
+    engine: EikonalTiles | PerturbedTiles, lit: Field, derivatives: PathDerivatives
 ) -> list[ComplexArray]:
-    """Return the change of the field on the exit grid per unit of each parameter, from path slopes.
+    """Return the change of the exit field per unit of each parameter, from path derivatives.
 
     Parameters
     ----------
@@ -251,13 +251,13 @@ def exit_field_changes_by_rays(
         Engine of the unchanged scene.
     lit
         Field behind the object.
-    slopes
-        Path slopes of the tiles' rays, for this scene or a similar one.
+    derivatives
+        Path derivatives of the tiles' rays, for this scene or a similar one.
     """
     grid, wavenumber = engine.plane.grid, engine.scene.wavenumber_per_mm
     axes = grid.y_mm, grid.x_mm
-    results = [np.zeros(grid.shape, lit.values.dtype) for _ in slopes[0]]
-    for (_, _, moments_at_exit), maps in zip(_tile_moments(engine, lit), slopes, strict=True):
+    results = [np.zeros(grid.shape, lit.values.dtype) for _ in derivatives[0]]
+    for (_, _, moments_at_exit), maps in zip(_tile_moments(engine, lit), derivatives, strict=True):
         moments_at_exit *= moments_at_exit.dtype.type(1j * wavenumber)
         for each, result in zip(maps, results, strict=True):
             path, *cosines = each.along(axes).single().each()
@@ -293,7 +293,7 @@ def _tile_moments(
     mm.
     """
     scaled = field.values * field.values.real.dtype.type(engine.scene.object_grid.cell)
-    for tile, carrier, operator in engine.tile_operators(scaled.dtype):
+    for tile, ray_map, operator in engine.tile_operators(scaled.dtype):
         y_mm, x_mm = (offsets.astype(scaled.real.dtype) for offsets in tile.offsets_mm)
         part = scaled[operator.part]
         moments = part, part * y_mm[:, None], part * x_mm
@@ -301,7 +301,7 @@ def _tile_moments(
         carried = at_once([partial(operator.transformed, moment) for moment in moments])
         for each, result in zip(carried, moments_at_exit, strict=True):
             operator.add(each, result)
-        yield tile, carrier, moments_at_exit
+        yield tile, ray_map, moments_at_exit
 
 
 def _on_scene(lit: Field, scene: Scene) -> Field:

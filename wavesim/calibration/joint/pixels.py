@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from lensdesign.analysis.paraxial import first_order
 from wavesim.calibration.joint.perturbed_tiles import (
-    PathSlopes,
+    PathDerivatives,
     PerturbedScene,
     PerturbedTiles,
     exit_field_changes_by_engines,
     exit_field_changes_by_rays,
-    path_slopes,
+    path_derivatives,
 )
 from wavesim.calibration.parameters import (
     SENSOR_TILTS,
@@ -53,27 +53,27 @@ from wavesim.targets.patch import Patch
 
 
 @dataclass(frozen=True, eq=False)
-class RaySlopes:
+class RayDerivatives:
     """Derivatives of the rays of all tiles with respect to parameters.
 
     Attributes
     ----------
     names : tuple of str
         Names of the parameters.
-    planes : sequence of PathSlopes
-        Path slopes of the tiles to the exit grid, or to each plane.
+    planes : sequence of PathDerivatives
+        Path derivatives of the tiles to the exit grid, or to each plane.
     """
 
     names: tuple[str, ...]
-    planes: Sequence[PathSlopes]
+    planes: Sequence[PathDerivatives]
 
     @classmethod
-    def of(cls, parameters: Sequence[Parameter], planes: Sequence[PathSlopes]) -> RaySlopes:
-        """Return the slopes for parameters, in their order."""
+    def of(cls, parameters: Sequence[Parameter], planes: Sequence[PathDerivatives]) -> RayDerivatives:
+        """Return the derivatives for parameters, in their order."""
         return cls(tuple(p.name for p in parameters), planes)
 
-    def plane(self, plane_index: int, parameters: Sequence[Parameter]) -> PathSlopes:
-        """Return the path slopes to a plane for some of the parameters."""
+    def plane(self, plane_index: int, parameters: Sequence[Parameter]) -> PathDerivatives:
+        """Return the path derivatives to a plane for some of the parameters."""
         indices = [self.names.index(p.name) for p in parameters]
         return [[tile[index] for index in indices] for tile in self.planes[plane_index]]
 
@@ -120,7 +120,7 @@ class CalibrationPixels(ABC):
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
-        slopes: RaySlopes | None = None,
+        derivatives: RayDerivatives | None = None,
     ) -> RealArray:
         """Return the change of the modelled amplitudes per unit of each parameter, shape (parameters,
         planes, ny, nx).
@@ -131,12 +131,12 @@ class CalibrationPixels(ABC):
             The bench, and the linear model about it.
         parameters
             Parameters of the columns.
-        slopes
-            Ray slopes of a similar bench, from :meth:`ray_slopes`; default: computed.
+        derivatives
+            Ray derivatives of a similar bench, from :meth:`ray_derivatives`; default: computed.
         """
         carried = [p for p in parameters if self._acts_on_rays(p)]
-        slopes = slopes or self.ray_slopes(unknowns, linear.model.engine, carried)
-        changes = iter(self._exit_field_changes(unknowns, linear, carried, slopes) if carried else ())
+        derivatives = derivatives or self.ray_derivatives(unknowns, linear.model.engine, carried)
+        changes = iter(self._exit_field_changes(unknowns, linear, carried, derivatives) if carried else ())
         mode_fields: dict[Orders, ComplexArray] = {}
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
         for n, parameter in enumerate(parameters):
@@ -161,9 +161,9 @@ class CalibrationPixels(ABC):
         """Return whether a parameter acts on the rays."""
 
     @abstractmethod
-    def ray_slopes(
+    def ray_derivatives(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
-    ) -> RaySlopes | None:
+    ) -> RayDerivatives | None:
         """Return the derivatives of rays, which hardly change with the bench; None if the engine has no
         rays.
         """
@@ -174,7 +174,7 @@ class CalibrationPixels(ABC):
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
-        slopes: RaySlopes | None,
+        derivatives: RayDerivatives | None,
     ) -> Iterable[ComplexArray]:
         """Return changes of the field on the exit grid per unit of each parameter that acts on the rays."""
 
@@ -207,30 +207,30 @@ class DensePixels(CalibrationPixels):
     def _acts_on_rays(self, parameter: Parameter) -> bool:
         return parameter.group in ("lens", "mounting")
 
-    def ray_slopes(
+    def ray_derivatives(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
-    ) -> RaySlopes | None:
+    ) -> RayDerivatives | None:
         if not isinstance(engine, EikonalTiles | PerturbedTiles):
             return None
         carried = [p for p in parameters if self._acts_on_rays(p)]
-        slopes = path_slopes(
+        derivatives = path_derivatives(
             engine, self.illumination.values.dtype, self._perturbed_scenes(unknowns, carried)
         )
-        return RaySlopes.of(carried, [slopes])
+        return RayDerivatives.of(carried, [derivatives])
 
     def _exit_field_changes(
         self,
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
-        slopes: RaySlopes | None,
+        derivatives: RayDerivatives | None,
     ) -> Iterable[ComplexArray]:
         engine = linear.model.engine
-        if slopes is None or not isinstance(engine, EikonalTiles | PerturbedTiles):
+        if derivatives is None or not isinstance(engine, EikonalTiles | PerturbedTiles):
             return exit_field_changes_by_engines(
                 engine, linear.lit, self._perturbed_scenes(unknowns, parameters), self.make
             )
-        return exit_field_changes_by_rays(engine, linear.lit, slopes.plane(0, parameters))
+        return exit_field_changes_by_rays(engine, linear.lit, derivatives.plane(0, parameters))
 
     def _perturbed_scenes(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[PerturbedScene]:
         states = [stepped(unknowns, p).state for p in parameters]
@@ -330,7 +330,9 @@ class SparsePixels(CalibrationPixels):
     def _acts_on_rays(self, parameter: Parameter) -> bool:
         return parameter.group != "light" and background_orders(parameter.name) is None
 
-    def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
+    def ray_derivatives(
+        self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
+    ) -> RayDerivatives:
         assert isinstance(engine, TilesToPlanes)
         carried = [p for p in parameters if self._acts_on_rays(p)]
         states, dtype = [stepped(unknowns, p).state for p in carried], self.illumination.values.dtype
@@ -340,21 +342,21 @@ class SparsePixels(CalibrationPixels):
                 PerturbedScene(self._scene(state, n), p.small, state.sensor_pose(n))
                 for p, state in zip(carried, states, strict=True)
             ]
-            planes.append(path_slopes(plane, dtype, changed))
-        return RaySlopes.of(carried, planes)
+            planes.append(path_derivatives(plane, dtype, changed))
+        return RayDerivatives.of(carried, planes)
 
     def _exit_field_changes(
         self,
         unknowns: Unknowns,
         linear: LinearModel,
         parameters: Sequence[Parameter],
-        slopes: RaySlopes | None,
+        derivatives: RayDerivatives | None,
     ) -> Iterable[ComplexArray]:
         operator = linear.model.engine
         assert isinstance(operator, TilesToPlanes)
-        assert slopes is not None
+        assert derivatives is not None
         planes = [
-            exit_field_changes_by_rays(plane, linear.lit, slopes.plane(n, parameters))
+            exit_field_changes_by_rays(plane, linear.lit, derivatives.plane(n, parameters))
             for n, plane in enumerate(operator.planes)
         ]
         return (np.concatenate(parts) for parts in zip(*planes, strict=True))

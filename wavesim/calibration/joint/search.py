@@ -29,7 +29,7 @@ from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.covariance import covariance_of_estimates, residual_variance
 from wavesim.calibration.joint.gauss_newton_step import GaussNewtonStep
 from wavesim.calibration.joint.line_search import LineSearch
-from wavesim.calibration.joint.pixels import CalibrationPixels, RaySlopes
+from wavesim.calibration.joint.pixels import CalibrationPixels, RayDerivatives
 from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.forward.linear_model import LinearModel, RealArray
@@ -133,7 +133,7 @@ class _ReferenceTiles(NamedTuple):
     """Tiles of a similar bench, and the derivatives of their rays."""
 
     engine: Operator
-    slopes: RaySlopes | None
+    ray_derivatives: RayDerivatives | None
 
 
 class _StageEnd(NamedTuple):
@@ -211,14 +211,14 @@ class JointSearch:
             verified = self._verified(stage_end.current)
         current, state, reason = stage_end.current, stage_end.state, stage_end.reason
         del stage_end  # its columns are large
-        return self._estimated(state, current, verified, reference.slopes, reason)
+        return self._estimated(state, current, verified, reference.ray_derivatives, reason)
 
     def _estimated(
         self,
         state: SearchState,
         current: _BenchFit,
         verified: _BenchFit,
-        slopes: RaySlopes | None,
+        ray_derivatives: RayDerivatives | None,
         reason: str,
     ) -> FitResult:
         """Return the estimates about the final object, and the bench with the parameters that are needed."""
@@ -229,7 +229,7 @@ class JointSearch:
         # Ratio of misfits up to which a bench with fewer parameters, or a refined one, counts as equal.
         tolerated_ratio = 1.02
         for count in range(refinements):
-            equations, estimates = self._estimate(best, slopes)
+            equations, estimates = self._estimate(best, ray_derivatives)
             if count == refinements - 1:
                 break
             refined = self._converged_fit_or_none(
@@ -272,10 +272,12 @@ class JointSearch:
         """Return the bench with an object whose misfit has reached the noise or has converged."""
         return self._fit_bench(unknowns, start=start, iterations=CONVERGED_ITERATIONS)
 
-    def _estimate(self, fit: _BenchFit, slopes: RaySlopes | None) -> tuple[GaussNewtonStep, Array]:
+    def _estimate(
+        self, fit: _BenchFit, ray_derivatives: RayDerivatives | None
+    ) -> tuple[GaussNewtonStep, Array]:
         """Return the normal equations about an object, without damping, and the estimates that solve them."""
         linear = fit.linear
-        columns = self.pixels.columns(fit.unknowns, linear, self.parameters, slopes)
+        columns = self.pixels.columns(fit.unknowns, linear, self.parameters, ray_derivatives)
         # A misfit beyond the noise is a model error, which limits the information like noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
         variance = residual_variance(misfit, self._pixel_count)
@@ -304,7 +306,7 @@ class JointSearch:
 
     def _reference_tiles(self, current: _BenchFit) -> _ReferenceTiles:
         return _ReferenceTiles(
-            current.engine, self.pixels.ray_slopes(current.unknowns, current.engine, self.parameters)
+            current.engine, self.pixels.ray_derivatives(current.unknowns, current.engine, self.parameters)
         )
 
     def _descend(
@@ -315,7 +317,7 @@ class JointSearch:
         parameters: tuple[Parameter, ...],
     ) -> _StageEnd:
         parameters_sought, reason = parameters, "limit of benches reached"
-        columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
+        columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.ray_derivatives)
         if parameters == self.parameters:
             parameters_sought = self._determined_parameters(current, columns)
         # For each stage, the fraction of the squared misfit below which the gain of a step ends it.
@@ -348,7 +350,9 @@ class JointSearch:
             del equations, sought_columns
             if gain > linear_gain:
                 del columns  # only one set of columns fits in memory
-                columns = self.pixels.columns(current.unknowns, current.linear, parameters, reference.slopes)
+                columns = self.pixels.columns(
+                    current.unknowns, current.linear, parameters, reference.ray_derivatives
+                )
         return _StageEnd(state, current, columns, reason)
 
     def _is_free(

@@ -12,7 +12,7 @@ from wavesim.calibration.joint.perturbed_tiles import (
     PerturbedTiles,
     exit_field_changes_by_engines,
     exit_field_changes_by_rays,
-    path_slopes,
+    path_derivatives,
 )
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
@@ -70,7 +70,7 @@ def test_changes_of_the_field_are_those_of_the_engine(
     step = 0.02
     scene = changed(engine.scene, what, step)
     there, dtype = [PerturbedScene(scene, step)], lit.values.dtype
-    (by_path,) = exit_field_changes_by_rays(engine, lit, path_slopes(engine, dtype, there))
+    (by_path,) = exit_field_changes_by_rays(engine, lit, path_derivatives(engine, dtype, there))
     (by_tiles,) = exit_field_changes_by_engines(
         engine, lit, there, lambda one: EikonalTiles(one, error=0.1, tile_width_mm=0.03)
     )
@@ -86,7 +86,7 @@ def test_slopes_of_rays_hold_where_tiles_are_turned(reference: tuple[EikonalTile
     turned = PerturbedTiles(engine, changed(engine.scene, what, 1.0))
     dtype, step = lit.values.dtype, 0.02
     slopes = [
-        path_slopes(one, dtype, [PerturbedScene(changed(engine.scene, what, size + step), step)])
+        path_derivatives(one, dtype, [PerturbedScene(changed(engine.scene, what, size + step), step)])
         for one, size in ((engine, 0.0), (turned, 1.0))
     ]
     before, now = (exit_field_changes_by_rays(turned, lit, own)[0] for own in slopes)

@@ -15,7 +15,7 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_result import correlated_parameters, read_calibration
-from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
+from wavesim.calibration.joint.pixels import DensePixels, RayDerivatives
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import VIBRATION, Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
@@ -116,13 +116,13 @@ def fit_and_count_rays(
 ) -> tuple[int, FitResult]:
     """Count the derivatives of the rays of tiles, and return the result of a search."""
     asked: list[str] = []
-    told_of = DensePixels.ray_slopes
+    told_of = DensePixels.ray_derivatives
 
-    def counted(self: DensePixels, *given: Any) -> RaySlopes | None:
+    def counted(self: DensePixels, *given: Any) -> RayDerivatives | None:
         asked.append("rays")
         return told_of(self, *given)
 
-    monkeypatch.setattr(DensePixels, "ray_slopes", counted)
+    monkeypatch.setattr(DensePixels, "ray_derivatives", counted)
     found = search.run(SearchState(start))
     return len(asked), found
 
