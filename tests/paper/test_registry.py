@@ -54,7 +54,7 @@ def numbers(results: Results, key: str) -> dict[str, Number]:
     return {number.name: number for number in results[key].made.numbers}
 
 
-def check_numbers_and_commands(made: Made) -> None:
+def assert_numbers_and_commands(made: Made) -> None:
     """Every number is stated once, and there are commands that give the same."""
     assert made.commands
     assert made.difference
@@ -77,7 +77,7 @@ class TestLens:
 
     @pytest.mark.parametrize("key", KEYS)
     def test_numbers_are_told_once_and_commands_are_there(self, key: str, results: Results) -> None:
-        check_numbers_and_commands(results[key].made)
+        assert_numbers_and_commands(results[key].made)
 
     def test_the_products_and_the_limit_of_angles(self, results: Results) -> None:
         first, second = numbers(results, "equation-1"), numbers(results, "equation-2")
@@ -140,7 +140,7 @@ class TestMethod:
 
     @pytest.mark.parametrize("key", KEYS)
     def test_numbers_are_told_once_and_commands_are_there(self, key: str, results: Results) -> None:
-        check_numbers_and_commands(results[key].made)
+        assert_numbers_and_commands(results[key].made)
 
     def test_slices_are_cut_as_the_surfaces_lie(self, results: Results, paper_lens: Lens) -> None:
         """Planes and radii of one slice against the sag, and the gain of Eq. 4 against its thickness."""
@@ -215,7 +215,7 @@ class TestRetrieval:
 
     @pytest.mark.parametrize("key", KEYS)
     def test_numbers_are_told_once_and_commands_are_there(self, key: str, results: Results) -> None:
-        check_numbers_and_commands(results[key].made)
+        assert_numbers_and_commands(results[key].made)
 
     def test_only_a_good_start_leads_to_the_chart_and_a6_does_not_tell(self, results: Results) -> None:
         by_name = numbers(results, "figure-8")
@@ -250,7 +250,7 @@ class TestObjects:
 
     @pytest.mark.parametrize("key", KEYS)
     def test_numbers_are_told_once_and_commands_are_there(self, key: str, results: Results) -> None:
-        check_numbers_and_commands(results[key].made)
+        assert_numbers_and_commands(results[key].made)
 
     def test_brackets_bring_the_lens_more_than_one_exposure(self, results: Results) -> None:
         by_name = {name: number.here for name, number in numbers(results, "figure-5-at-size").items()}
@@ -283,7 +283,7 @@ class TestOtherWays:
 
     @pytest.mark.parametrize("key", KEYS)
     def test_numbers_are_told_once_and_commands_are_there(self, key: str, results: Results) -> None:
-        check_numbers_and_commands(results[key].made)
+        assert_numbers_and_commands(results[key].made)
 
     def test_appendix_a_wants_other_frames_and_oblique_slices(self, results: Results) -> None:
         by_name = {name: number.here for name, number in numbers(results, "the-papers-way").items()}

