@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 def ghost(
     design: Design,
-    share: Annotated[
+    fraction: Annotated[
         float | None,
         typer.Option(
-            help="Fraction of the light after both reflections, 0 to 1; default: that of uncoated surfaces."
+            "--share",
+            help="Fraction of the light after both reflections, 0 to 1; default: that of uncoated surfaces.",
         ),
     ] = None,
     wavelength_um: Annotated[
@@ -38,7 +39,7 @@ def ghost(
     from lensdesign.files.design import load_design
 
     validate_length("--wavelength-um", wavelength_um, "um", WAVELENGTH_UM)
-    report = ghost_report(load_design(design), share, wavelength_um)
+    report = ghost_report(load_design(design), fraction, wavelength_um)
     if as_json:
         print_json(report.as_dict())
         return

@@ -310,12 +310,12 @@ def closed_elements(lens: Surfaces) -> list[Element]:
     return elements
 
 
-def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
+def smallest_gap(front_profile: Array, back_profile: Array) -> tuple[float, float]:
     """Return the radial height of the smallest gap between two polygonal profiles along z, and the gap.
 
     Parameters
     ----------
-    front, back
+    front_profile, back_profile
         Radial height (increasing) and z in mm, shape (n, 2).
 
     Returns
@@ -323,8 +323,8 @@ def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
     r_mm, gap_mm : float
         The gap is negative where the profiles have crossed.
     """
-    r = np.union1d(front[:, 0], back[:, 0])
-    gap = np.interp(r, *back.T) - np.interp(r, *front.T)
+    r = np.union1d(front_profile[:, 0], back_profile[:, 0])
+    gap = np.interp(r, *back_profile.T) - np.interp(r, *front_profile.T)
     smallest = int(np.argmin(gap))
     return float(r[smallest]), float(gap[smallest])
 

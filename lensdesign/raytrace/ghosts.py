@@ -21,7 +21,7 @@ from lensdesign.errors import InputError
 from lensdesign.raytrace.compiled import CompiledSystem
 
 
-def ghost_system(system: CompiledSystem, front: int = 0, back: int = 1) -> CompiledSystem:
+def ghost_system(system: CompiledSystem, front_index: int = 0, back_index: int = 1) -> CompiledSystem:
     """Return the equivalent lens for light that is reflected at two surfaces before it leaves.
 
     Directions between the reflections point along +z, although the light travels along -z.
@@ -30,42 +30,46 @@ def ghost_system(system: CompiledSystem, front: int = 0, back: int = 1) -> Compi
     ----------
     system
         The lens without reflections.
-    front, back
-        Indices, from 0, of the surfaces that reflect; the light is reflected at `back` first.
+    front_index, back_index
+        Indices, from 0, of the surfaces that reflect; the light is reflected at `back_index` first.
 
     Raises
     ------
     InputError
-        Unless 0 <= front < back and both surfaces exist.
+        Unless 0 <= front_index < back_index and both surfaces exist.
     """
     count = system.surfaces
-    if not 0 <= front < back < count:
+    if not 0 <= front_index < back_index < count:
         raise InputError(
-            f"ghost between surfaces {front + 1} and {back + 1}: must be two surfaces from 1 to {count}, the "
-            "front one first"
+            f"ghost between surfaces {front_index + 1} and {back_index + 1}: must be two surfaces from 1 to "
+            f"{count}, the front one first"
         )
-    order = ghost_order(count, front, back)
+    order = ghost_order(count, front_index, back_index)
     return replace(
         system,
         rotation=np.ascontiguousarray(system.rotation[:, order]),
         vertex=np.ascontiguousarray(system.vertex[:, order]),
         shapes=tuple(system.shapes[i] for i in order),
-        index=np.ascontiguousarray(ghost_indices(system.index, front, back)),
+        index=np.ascontiguousarray(ghost_indices(system.index, front_index, back_index)),
         semi_diameter=system.semi_diameter[order],
         tilted=system.tilted[order],
         figures=tuple(system.figures[i] for i in order),
     )
 
 
-def ghost_order(count: int, front: int = 0, back: int = 1) -> list[int]:
+def ghost_order(count: int, front_index: int = 0, back_index: int = 1) -> list[int]:
     """Return the surface indices of a lens of `count` surfaces in the order of the ghost's light path."""
-    return [*range(back + 1), *range(back - 1, front - 1, -1), *range(front + 1, count)]
+    return [
+        *range(back_index + 1),
+        *range(back_index - 1, front_index - 1, -1),
+        *range(front_index + 1, count),
+    ]
 
 
-def ghost_indices(index: Array, front: int = 0, back: int = 1) -> Array:
+def ghost_indices(index: Array, front_index: int = 0, back_index: int = 1) -> Array:
     """Return the indices along the ghost's light path, negative on the backward path.
 
     The media of `index` and of the result are along the last axis.
     """
-    first_pass, second_pass = index[..., : back + 1], index[..., front + 1 :]
-    return np.concatenate([first_pass, -index[..., back:front:-1], second_pass], axis=-1)
+    first_pass, second_pass = index[..., : back_index + 1], index[..., front_index + 1 :]
+    return np.concatenate([first_pass, -index[..., back_index:front_index:-1], second_pass], axis=-1)

@@ -104,7 +104,7 @@ class BarImagingChain:
 
     @cached_property
     def sensor(self) -> Sensor:
-        """Central window of the sensor that holds the nominal light with a margin of 10 %."""
+        """Central window of the sensor that contains the nominal light with a margin of 10 %."""
         import scipy.fft
 
         from wavesim.sensor.windows import sensor_window
@@ -302,7 +302,7 @@ class BarImagingChain:
     def _contrast(self, power: Array, axis: Axis, centre_mm: Array) -> float:
         """Return the largest contrast of a set of bars within half a line width of its centre.
 
-        Each gap is compared with the two bars beside it. The contrast of the set is the mean of all gaps.
+        Each gap is compared with its two neighbouring bars. The contrast of the set is the mean of all gaps.
         """
         grid, width = self.patch.grid, 1e-3 * self.line_width_um
         across, along = (0, 1) if axis == "x" else (1, 0)

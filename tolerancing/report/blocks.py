@@ -38,7 +38,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Paragraph of text. A `soft` one explains the block beside it, and is set in a lighter style."""
+    """Paragraph of text. A `soft` one explains the neighbouring block, and is set in a lighter style."""
 
     text: str
     soft: bool = False

@@ -116,21 +116,21 @@ class PixelMeans:
     def _means(self, rows: Rows, others: Rows, lower_bound: float) -> RealArray:
         taps = np.array(self.taps, np.result_type(rows[0].real, others[0].real))
         phase = half_sample(rows[0].shape[1], rows[0].dtype)
-        along = tuple(np.empty(part.shape, taps.dtype) for part in rows)
-        for part, other, means in zip(rows, others, along, strict=True):
+        along = tuple(np.empty(half_rows.shape, taps.dtype) for half_rows in rows)
+        for half_rows, other, means in zip(rows, others, along, strict=True):
 
             def block(
                 start: int,
                 stop: int,
-                part: ComplexArray = part,
+                half_rows: ComplexArray = half_rows,
                 other: ComplexArray = other,
                 means: RealArray = means,
             ) -> None:
-                own = _samples(part[start:stop], phase)
-                theirs = own if other is part else _samples(other[start:stop], phase)
+                own = _samples(half_rows[start:stop], phase)
+                theirs = own if other is half_rows else _samples(other[start:stop], phase)
                 means_along_rows(*own, *theirs, taps, means[start:stop])
 
-            for_blocks(block, len(part), rows_in(part[0].nbytes))
+            for_blocks(block, len(half_rows), rows_in(half_rows[0].nbytes))
         result, bound = np.empty_like(along[0]), taps.dtype.type(lower_bound)
         for_blocks(lambda a, b: means_along_columns(*along, taps, bound, result, a, b), len(result), 64)
         return result
@@ -160,18 +160,20 @@ class PixelMeans:
         along_x = half_sample(width, total.dtype)
         taps = np.array(self.taps, total.real.dtype) * 2
         half = taps.dtype.type(0.5)
-        for between, part in zip((False, True), rows, strict=True):
+        for between, half_rows in zip((False, True), rows, strict=True):
 
-            def block(start: int, stop: int, part: ComplexArray = part, between: bool = between) -> None:
-                even, odd = _samples(part[start:stop], along_x)
+            def block(
+                start: int, stop: int, half_rows: ComplexArray = half_rows, between: bool = between
+            ) -> None:
+                even, odd = _samples(half_rows[start:stop], along_x)
                 multiply_spread(even, odd, change, start, between, taps)
-                part[start:stop] = scipy.fft.fft(even, axis=1, overwrite_x=True)
+                half_rows[start:stop] = scipy.fft.fft(even, axis=1, overwrite_x=True)
                 odd = scipy.fft.fft(odd, axis=1, overwrite_x=True)
                 odd *= along_x.conj()
-                part[start:stop] += odd
-                part[start:stop] *= half
+                half_rows[start:stop] += odd
+                half_rows[start:stop] *= half
 
-            for_blocks(block, height, rows_in(part[0].nbytes))
+            for_blocks(block, height, rows_in(half_rows[0].nbytes))
         self._add_rows_adjoint(rows, propagator, total)
 
     def apply_change(

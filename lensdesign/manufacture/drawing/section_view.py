@@ -87,11 +87,11 @@ class _Body:
         return float(np.max(self.flange[:, 0], initial=self.half))
 
     @property
-    def left(self) -> float:
+    def leftmost(self) -> float:
         return float(np.min(self.front[:, 1]))
 
     @property
-    def right(self) -> float:
+    def rightmost(self) -> float:
         return float(np.max(self.back[:, 1]))
 
     def contains(self, x: Array, y: Array, margin: float) -> Array:
@@ -137,8 +137,10 @@ def _toleranced(value: float, tolerances: DrawingTolerances, name: str, prefix: 
     return f"{prefix}{value:.6g}" + (f" ±{allowed:g}{tolerances.mark(name)}" if allowed is not None else "")
 
 
-def _body_on_paper(element: Element, front: Array, back: Array, scale: float, area: Area) -> _Body:
-    middle = 0.5 * (float(np.min(front[:, 1])) + float(np.max(back[:, 1])))
+def _body_on_paper(
+    element: Element, front_profile: Array, back_profile: Array, scale: float, area: Area
+) -> _Body:
+    middle = 0.5 * (float(np.min(front_profile[:, 1])) + float(np.max(back_profile[:, 1])))
     x0 = 0.5 * (area.left + LEFT_MM + area.right - RIGHT_MM)
     axis_y = 0.5 * (area.bottom + BOTTOM_MM + area.top - TOP_MM)
 
@@ -150,7 +152,7 @@ def _body_on_paper(element: Element, front: Array, back: Array, scale: float, ar
             return None
         return float(np.interp(scale * semi, *meridian_profile.T)), scale * semi
 
-    profiles, flange = (on_paper(front), on_paper(back)), on_paper(element.flange_corners)
+    profiles, flange = (on_paper(front_profile), on_paper(back_profile)), on_paper(element.flange_corners)
     sides = zip(profiles, (element.front, element.back), strict=True)
     left, right = (rim(profile, meridian.surface.semi_diameter_mm) for profile, meridian in sides)
     return _Body(*profiles, axis_y, (left, right), flange)
@@ -169,8 +171,8 @@ def _hatching(body: _Body) -> list[Item]:
     s = 0.5 * math.sqrt(0.5) * HATCH_STROKE_MM
     shifts, lengths = 1.1 * math.sqrt(0.5) * np.array([-1.0, 0.0, 1.0]), np.array([0.45, 1.0, 0.45])
     items: list[Item] = []
-    across = 0.5 * (body.right - body.left)
-    columns = 0.5 * (body.left + body.right) + HATCH_MM * _centred(across / HATCH_MM)
+    across = 0.5 * (body.rightmost - body.leftmost)
+    columns = 0.5 * (body.leftmost + body.rightmost) + HATCH_MM * _centred(across / HATCH_MM)
     along = np.linspace(-1.0, 1.0, 9)
     for row in _centred(body.half / HATCH_MM):
         y = body.axis_y + HATCH_MM * row
@@ -191,7 +193,7 @@ def _centred(limit: float) -> Array:
 
 def _axis(body: _Body) -> list[Item]:
     y = body.axis_y
-    return [Stroke(((body.left - 8.0, y), (body.right + 8.0, y)), dashes_mm=CENTRE_LINE_DASHES)]
+    return [Stroke(((body.leftmost - 8.0, y), (body.rightmost + 8.0, y)), dashes_mm=CENTRE_LINE_DASHES)]
 
 
 def _names(body: _Body) -> list[Item]:
@@ -287,8 +289,8 @@ def _clear_diameters(body: _Body, element: Element) -> list[Item]:
     items: list[Item] = []
     # The extension line of the ground diameter crosses the right dimension, that of a flange the left one.
     positions = (
-        (body.left - CLEAR_OFFSET_MM, body.axis_y + body.outer if len(body.flange) else -math.inf),
-        (body.right + CLEAR_OFFSET_MM, body.axis_y + body.half),
+        (body.leftmost - CLEAR_OFFSET_MM, body.axis_y + body.outer if len(body.flange) else -math.inf),
+        (body.rightmost + CLEAR_OFFSET_MM, body.axis_y + body.half),
     )
     for (x, crossing), rim, meridian in zip(
         positions, body.clear, (element.front, element.back), strict=True
@@ -303,7 +305,7 @@ def _clear_diameters(body: _Body, element: Element) -> list[Item]:
 
 def _ground_diameter(body: _Body, text: str) -> list[Item]:
     """Draw the ground diameter with the datum triangle, which makes the axis of the edge the datum."""
-    x, edge_x = body.right + GROUND_OFFSET_MM, float(body.back[-1, 1])
+    x, edge_x = body.rightmost + GROUND_OFFSET_MM, float(body.back[-1, 1])
     low, high = body.axis_y - body.half, body.axis_y + body.half
     dimension = _vertical(x, low, high, edge_x, text)
     items, base = list(dimension.items), dimension.top
@@ -337,7 +339,7 @@ def _flange(body: _Body, flange: Flange | None) -> list[Item]:
     """Draw the flange's diameter at the left; below, its distance from the vertex and its thickness."""
     if flange is None:
         return []
-    x = body.left - CLEAR_OFFSET_MM - FLANGE_MARGIN_MM
+    x = body.leftmost - CLEAR_OFFSET_MM - FLANGE_MARGIN_MM
     low, high = body.axis_y - body.outer, body.axis_y + body.outer
     front, back = float(body.flange[0, 1]), float(body.flange[-1, 1])
     items = list(_vertical(x, low, high, front, f"Ø {2.0 * flange.semi_diameter_mm:.6g}").items)
