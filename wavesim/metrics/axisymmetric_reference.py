@@ -34,12 +34,6 @@ ComplexArray = NDArray[np.complex128]
 PANEL_WAVES, ANGLES_AT_ONCE = 1.9, 200
 """Width of a panel on a surface in wavelengths; number of angles that are summed at a time."""
 
-OVERFILLED = 1.1
-"""Largest direction sine of the light of rings, relative to the numerical aperture."""
-
-RING_RADIUS = 0.4
-"""Radius at which the amplitude of rings is 1/e, relative to half of the patch."""
-
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
@@ -84,10 +78,13 @@ def rings(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
     """Return random rings around the axis that fill the aperture evenly and fade out within the grid."""
     rng = np.random.default_rng(20261123)
     radius = _radius(grid)
-    fade = RING_RADIUS * min(grid.half_widths_mm)
-    most = 2e3 * math.pi / wavelength_um * OVERFILLED * numerical_aperture
+    # Radius at which the amplitude is 1/e.
+    fade = 0.4 * min(grid.half_widths_mm)
+    # The light overfills the aperture by a tenth.
+    largest_wavenumber = 2e3 * math.pi / wavelength_um * 1.1 * numerical_aperture
     values = np.zeros(grid.shape, complex)
-    for q in most * (np.arange(count := math.ceil(most * fade)) + 0.5) / count:
+    count = math.ceil(largest_wavenumber * fade)
+    for q in largest_wavenumber * (np.arange(count) + 0.5) / count:
         values += q * complex(*rng.standard_normal(2)) * j0(q * radius)
     values *= np.exp(-((radius / fade) ** 2))
     return Field(grid, values / np.sqrt(np.mean(np.abs(values) ** 2)), wavelength_um)

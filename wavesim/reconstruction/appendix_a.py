@@ -40,9 +40,6 @@ T = TypeVar("T")
 FAINTEST = 1e-30
 """Modulus below which an amplitude is not divided by it, since the quotient might overflow."""
 
-FLOOR = 1e-6
-"""Fraction of the root mean square that is added to each modulus by which A4 divides."""
-
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -177,7 +174,8 @@ def _add_smoothed(field: ComplexArray, tv_step: float, weight: float, total: Com
     """
     parts = field.view(field.real.dtype)
     power = math.fsum(_for_rows(lambda rows: float(np.einsum("ij,ij", parts[rows], parts[rows])), field))
-    floor = FLOOR * math.sqrt(power / field.size) + float(np.finfo(field.dtype).tiny)
+    # A small fraction of the root mean square is added to each modulus by which A4 divides.
+    floor = 1e-6 * math.sqrt(power / field.size) + float(np.finfo(field.dtype).tiny)
 
     def block(rows: slice) -> None:
         result = total[rows]

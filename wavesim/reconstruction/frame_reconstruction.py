@@ -68,9 +68,6 @@ from wavesim.sensor.windows import imaging_engine
 from wavesim.targets.patch import transmission_of
 from wavesim.targets.region import cut_field, soft_rim
 
-BETTER = 0.97
-"""Ratio of residuals below which an unbounded amplitude object, or one from another start, is preferred."""
-
 ClusterHandover = Callable[[Engine], Engine]
 """Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
 
@@ -477,7 +474,8 @@ def _leave_local_minimum(
             break
         other = search()
         other_excess = excess_of(case, other.residual_maps)
-        if other_excess < BETTER * excess:
+        # The result of another search is preferred only if its residuals are clearly smaller.
+        if other_excess < 0.97 * excess:
             found, excess = other, other_excess
     return found
 

@@ -9,9 +9,6 @@ from typing import Any
 
 import numpy as np
 
-WORTH_THREADS = 3
-"""With more threads than this, FINUFFT is faster than one thread of :mod:`wavesim.runtime.fourier.terms`."""
-
 
 @dataclass(frozen=True)
 class Precision:
@@ -34,7 +31,8 @@ class Precision:
 
 def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
     """Return the fastest transform for a number of threads; parameters as in :func:`fourier_plan`."""
-    if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
+    # With more threads than three, FINUFFT is faster than one thread of the other transform.
+    if precision.dtype != np.complex64 or len(shape) != 3 or threads > 3:
         return fourier_plan(kind, shape, precision, threads)
     from wavesim.runtime.fourier.terms import TermsTransform
 
