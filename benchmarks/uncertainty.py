@@ -134,7 +134,7 @@ def main() -> None:
             print(f"| {name} | {rms(np.array(errors)):.4f} | nothing: {error} | | |", flush=True)
             continue
         ratio = rms(np.array(errors)) / rms(stated.values[inside])
-        figures = (rms(np.array(errors)), rms(stated.values[inside]), stated.of_starts)
+        figures = (rms(np.array(errors)), rms(stated.values[inside]), stated.starts_rms)
         cells = [name, *(f"{one:.4f}" for one in figures), f"{ratio:.2f}"]
         print(f"| {' | '.join(cells)} |", flush=True)
 

@@ -26,7 +26,7 @@ def verify(
 
     The report states whether the mesh is closed, and how far its vertices, edge midpoints and facet centres
     are from each optical surface. The mesh must have its front vertex at z = 0 and its axis along z. The
-    bodies of the design have the outline of its drawing, like exports.
+    bodies of the design have the outline of its drawing, as in exports.
 
     Exit status: 0 if the mesh agrees, 1 if it is open, inside out, too inaccurate or has another number of
     bodies than the design, 2 for bad input.

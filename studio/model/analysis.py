@@ -12,7 +12,7 @@ from lensdesign.analysis.report import CheckReport
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.built import AsBuiltPrediction, ManufacturingQuality, built
-from studio.model.picture import Layout, heights_of, layout_of
+from studio.model.picture import Layout, field_heights_mm, layout_of
 from studio.model.pupils import (
     COARSE,
     COARSE_PATCH,
@@ -101,7 +101,7 @@ def waves_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     refused: list[str] = []
     samples = SAMPLES if settled else COARSE
     with one_blas_thread():
-        what_if, heights = request.what_if.of(lens), heights_of(lens)
+        what_if, heights = request.what_if.of(lens), field_heights_mm(lens)
         pupils = _tried(lambda: analyse_pupils(lens, what_if, heights, samples), refused)
         as_built = None if quality is None else _tried(lambda: built(lens, quality, settled=settled), refused)
     return LensAnalysis(

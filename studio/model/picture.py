@@ -1,4 +1,4 @@
-"""Coordinates of the layout (lines and polygons) and of the spots on the sensor."""
+"""Coordinates of the pictures of a lens: its section with rays, and the spots on the sensor planes."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Layout:
     spots: tuple[tuple[Array, ...], ...]
 
 
-def heights_of(lens: Lens) -> tuple[float, ...]:
-    """Return the field heights of the pictures in mm."""
-    return tuple(share * lens.half_field_mm for share in FIELD_FRACTIONS)
+def field_heights_mm(lens: Lens) -> tuple[float, ...]:
+    """Return the heights of the three field points in mm."""
+    return tuple(fraction * lens.half_field_mm for fraction in FIELD_FRACTIONS)
 
 
 def layout_of(lens: Lens) -> Layout:
@@ -50,7 +50,7 @@ def layout_of(lens: Lens) -> Layout:
         If a surface's size is neither given nor can be determined from rays.
     """
     lens = sized_lens(lens)
-    heights = heights_of(lens)
+    heights = field_heights_mm(lens)
     fan = pupil_fan(11).points
     rays = tuple(ray_paths(lens, (0.0, h), fan)[..., [2, 1]] for h in heights)
     outlines = [element.outline()[:, ::-1] for element in glass_elements(lens)]

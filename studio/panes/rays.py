@@ -12,7 +12,7 @@ from lensdesign.analysis.report import CheckReport
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.picture import Layout, heights_of
+from studio.model.picture import Layout, field_heights_mm
 from studio.panes.common import bench_of, follow_result
 from studio.panes.themes import COLORS, FIELDS, Theme, ThemedChart, chart, framed
 
@@ -213,4 +213,4 @@ def _stepped(value: float) -> float:
 
 def field_heights(lens: Lens) -> list[str]:
     """Return the field heights of the pictures as texts."""
-    return [f"{height:.3g} mm" for height in heights_of(lens)]
+    return [f"{height:.3g} mm" for height in field_heights_mm(lens)]

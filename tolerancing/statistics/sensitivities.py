@@ -1,4 +1,4 @@
-"""Sensitivities: the effect of each perturbation alone, and the yield that follows for all of them together.
+"""Sensitivities: the effect of each perturbation alone, and the yield that follows from their sum.
 
 Many merits are even in a perturbation: the decenter of a centred lens has the same effect in both directions,
 so its derivative at nominal is zero. Each merit is therefore modelled as a parabola of each perturbation, and
@@ -69,7 +69,7 @@ class Sensitivity:
     def worst_change(self, merits: Sequence[Merit]) -> Array:
         """Return the most harmful change within the tolerance, shape (d, m).
 
-        This is the smallest change of the merit's margin over the steps. It is positive where every step
+        The change is that of the merit's margin, at its worst step. It is positive where every step
         improves the merit, and minus infinity where a step has no score.
         """
         toward_good = np.array([1.0 if merit.at_least is not None else -1.0 for merit in merits])
@@ -211,9 +211,10 @@ def sensitivity(store: Store) -> StudySensitivity:
     """
     study = store.study
     found = study_sensitivities(study, store.nominal(), store.steps())
-    predicted, trials = root_sum_square(found, study.merits), store.trials()
-    own = replicates(study.draws, trials.trials)
-    return StudySensitivity(study, found, compare_with_trials(predicted, trials.scores, own))
+    predicted = root_sum_square(found, study.merits)
+    trials = store.trials()
+    replicate_of_trial = replicates(study.draws, trials.trials)
+    return StudySensitivity(study, found, compare_with_trials(predicted, trials.scores, replicate_of_trial))
 
 
 def study_sensitivities(

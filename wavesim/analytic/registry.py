@@ -1,7 +1,7 @@
-"""Exact solutions by name.
+"""Registry of the analytic cases: scenes with an object field whose exit field is known without an engine.
 
-An oracle is a scene with an object field whose exit field is known without an engine. To add an oracle, write
-a module and add a line to `ORACLES`.
+The command `wavesim oracle` compares engines with them. To add a case, write a module and add a line to
+`ANALYTIC_CASES`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from wavesim.fields.field import Field
     from wavesim.scene.scene import Scene
 
-ORACLES: dict[str, str] = {
+ANALYTIC_CASES: dict[str, str] = {
     "cylinder": "wavesim.analytic.cylinder:cylinder_scene",
     "sphere": "wavesim.analytic.sphere:sphere_scene",
     "stigmatic": "wavesim.analytic.stigmatic:stigmatic_scene",
@@ -32,7 +32,7 @@ ORACLES: dict[str, str] = {
     "plane": "wavesim.analytic.plane_interface:plane_scene",
     "beam": "wavesim.analytic.plane_interface:beam_scene",
 }
-"""Location of each solution as `module:function`. A module is imported when it is first requested."""
+"""Location of each case as `module:function`. A module is imported when it is first requested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,24 +59,24 @@ class AnalyticCase:
 
 
 def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
-    """Return an oracle by name.
+    """Return an analytic case by name.
 
     Parameters
     ----------
     name
-        One of `ORACLES`.
+        One of `ANALYTIC_CASES`.
     **arguments
         Arguments of the function that creates it.
 
     Raises
     ------
     InputError
-        If there is no such oracle, or an argument is unknown or has an invalid value.
+        If there is no such case, or an argument is unknown or has an invalid value.
     """
-    if name not in ORACLES:
+    if name not in ANALYTIC_CASES:
         raise InputError(
-            f"oracle = {name!r}: there is no such oracle; allowed: {', '.join(ORACLES)}"
-            f"{did_you_mean(name, ORACLES)}"
+            f"oracle = {name!r}: there is no such oracle; allowed: {', '.join(ANALYTIC_CASES)}"
+            f"{did_you_mean(name, ANALYTIC_CASES)}"
         )
     make = _maker(name)
     allowed = tuple(inspect.signature(make).parameters)
@@ -86,18 +86,18 @@ def analytic_case(name: str, **arguments: Any) -> AnalyticCase:
                 f"oracle {name}: {argument} = {arguments[argument]!r}: there is no such argument; "
                 f"allowed: {', '.join(allowed)}{did_you_mean(argument, allowed)}"
             )
-    return _made(name, tuple(sorted(arguments.items())))
+    return _cached_case(name, tuple(sorted(arguments.items())))
 
 
 def _maker(name: str) -> Callable[..., AnalyticCase]:
-    module, _, attribute = ORACLES[name].partition(":")
+    module, _, attribute = ANALYTIC_CASES[name].partition(":")
     make: Callable[..., AnalyticCase] = getattr(import_module(module), attribute)
     return make
 
 
 # Cases are cached, since the exact field of a large cylinder takes longer than an engine.
 @lru_cache(maxsize=8)
-def _made(name: str, arguments: tuple[tuple[str, Any], ...]) -> AnalyticCase:
+def _cached_case(name: str, arguments: tuple[tuple[str, Any], ...]) -> AnalyticCase:
     case = _maker(name)(**dict(arguments))
     for field in (case.object_field, case.exact):
         field.values.flags.writeable = False

@@ -8,7 +8,7 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.options import Json
-from wavesim.analytic.registry import ORACLES
+from wavesim.analytic.registry import ANALYTIC_CASES
 from wavesim.cli.options import print_warnings, settings_text
 from wavesim.cli.runs import print_table
 from wavesim.engines.registry import ENGINES
@@ -18,7 +18,9 @@ from wavesim.scene.settings import SingleEngineDetails
 def oracle(
     engine: Annotated[str, typer.Option(help=f"Engine: one of {', '.join(ENGINES)}.")],
     details: SingleEngineDetails,
-    oracle: Annotated[str, typer.Option(help=f"Exact solution: one of {', '.join(ORACLES)}.")] = "cylinder",
+    oracle: Annotated[
+        str, typer.Option(help=f"Exact solution: one of {', '.join(ANALYTIC_CASES)}.")
+    ] = "cylinder",
     radius_mm: Annotated[float | None, typer.Option(help="Radius of the cylinder or sphere.")] = None,
     semi_diameter_mm: Annotated[
         float | None, typer.Option(help="Semi-diameter of the stigmatic lens or the stop.")

@@ -81,7 +81,7 @@ def run_analytic_case(
     engine
         One of :data:`wavesim.engines.registry.ENGINES`.
     oracle
-        One of :data:`wavesim.analytic.registry.ORACLES`.
+        One of :data:`wavesim.analytic.registry.ANALYTIC_CASES`.
     radius_mm
         Radius of the cylinder or the sphere in mm. Default: the exact solution's own.
     oracle_arguments

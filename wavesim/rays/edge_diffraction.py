@@ -260,7 +260,7 @@ def _followed(detours: EdgePathDifference) -> _Followed:
     depths[:, 0] = within * deepest[line] * detours.reach
     depths[:STEPS_BEYOND, 1] = -beyond * _beyond(detours.reach, line, rate)
     twice = (np.tile(part, 2) for part in (arms, (inwards[0] - inwards[1]) / (2.0 * moved), good))
-    steps = list(detours.marched(depths.reshape(len(depths), -1), *twice))
+    steps = list(detours.march(depths.reshape(len(depths), -1), *twice))
     distance, longer, ok = (
         np.reshape([getattr(step, name) for step in steps], depths.shape)
         for name in ("inwards", "detour", "ok")
@@ -286,7 +286,7 @@ def _next_to_rim(detours: EdgePathDifference) -> tuple[Array, Array, Array, NDAr
         if not len(some):
             break
         step = fraction * detours.zone_mm[some]
-        found = detours.landed(np.concatenate([step, -step]), np.tile(some, 2))
+        found = detours.trace_landings(np.concatenate([step, -step]), np.tile(some, 2))
         way, longer, ok = (values.reshape(2, -1) for values in (found.inwards, found.detour, found.ok))
         with np.errstate(invalid="ignore"):
             new = ok.all(axis=0) & (way[0] * way[1] < -(least_distance**2)) & (longer[0] * longer[1] > 0.0)

@@ -39,6 +39,8 @@ FLANGE_MARGIN_MM, FLANGE_ROW_MM = 13.0, 9.0
 """Additional margins at the left and below for the dimensions of a flange."""
 
 TEXT_MM, NAME_MM, ARROW_MM = 3.2, 4.2, 2.4
+"""Height of texts of dimensions and of the names of surfaces; length of an arrow head."""
+
 HATCH_MM, HATCH_STROKE_MM = 5.0, 4.0
 """Distance between groups of strokes; length of the middle stroke."""
 
@@ -80,10 +82,12 @@ class _Body:
 
     @property
     def half(self) -> float:
+        """Half of the ground diameter."""
         return float(self.front[-1, 0])
 
     @property
     def outer(self) -> float:
+        """Half of the largest diameter, that of the flange if there is one."""
         return float(np.max(self.flange[:, 0], initial=self.half))
 
     @property
@@ -133,6 +137,7 @@ def section_view(element: Element, tolerances: DrawingTolerances, area: Area) ->
 
 
 def _toleranced(value: float, tolerances: DrawingTolerances, name: str, prefix: str = "") -> str:
+    """Return the text of a dimension with its tolerance, if it has one."""
     allowed = getattr(tolerances, name)
     return f"{prefix}{value:.6g}" + (f" ±{allowed:g}{tolerances.mark(name)}" if allowed is not None else "")
 
@@ -197,7 +202,7 @@ def _axis(body: _Body) -> list[Item]:
 
 
 def _names(body: _Body) -> list[Item]:
-    """Draw L and R without crossing the axis or extension lines."""
+    """Draw the names L and R of the left and right surface, clear of the axis and extension lines."""
     items: list[Item] = []
     ends = (("L", body.front, -5.0, ()), ("R", body.back, 5.0, (body.half,)))
     for (name, profile, offset, levels), rim in zip(ends, body.clear, strict=True):
@@ -208,7 +213,7 @@ def _names(body: _Body) -> list[Item]:
 
 
 def _clear_of(levels: Sequence[float], foot: float, height: float) -> float:
-    """Return the lowest position from `foot` upwards where no line at these levels crosses a height."""
+    """Return the lowest y from `foot` upwards at which a text of this height crosses none of the levels."""
     margin = 1.0
     for level in sorted(levels):
         if foot - margin < level < foot + height + margin:

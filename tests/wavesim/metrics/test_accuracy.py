@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from wavesim.analytic.registry import ORACLES, analytic_case
+from wavesim.analytic.registry import ANALYTIC_CASES, analytic_case
 from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import relative_error
 from wavesim.metrics.accuracy import run_analytic_case
@@ -91,7 +91,7 @@ def test_a_phase_counts_as_an_error(scaled: str) -> None:
     assert run_analytic_case(scaled, "beam", factor=-1.0).relative_error == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("name", ORACLES)
+@pytest.mark.parametrize("name", ANALYTIC_CASES)
 def test_every_oracle_has_a_field_on_both_grids_of_its_scene(name: str) -> None:
     case = analytic_case(name)
     assert case.object_field.grid == case.scene.object_grid

@@ -35,10 +35,10 @@ def test_marches_along_the_shortest_way_round(dimensions: int, side: float) -> N
     pupil = open_pupil(scene, point, BEHIND_MM, 24)
     detours = EdgePathDifference(scene, point, pupil, BEHIND_MM)
     arms = np.arange(len(pupil.reach))
-    near = [detours.landed(sign * 0.1 * detours.zone_mm, arms) for sign in (1.0, -1.0)]
+    near = [detours.trace_landings(sign * 0.1 * detours.zone_mm, arms) for sign in (1.0, -1.0)]
     per_mm = (near[0].inwards - near[1].inwards) / (0.2 * detours.zone_mm)
     depths = side * np.array([0.1, 0.2, 0.3])[:, None] * pupil.reach
-    for depth, found in zip(depths, detours.marched(depths, arms, per_mm, near[0].ok), strict=True):
+    for depth, found in zip(depths, detours.march(depths, arms, per_mm, near[0].ok), strict=True):
         assert found.ok.all()
         np.testing.assert_allclose(found.inwards, depth, atol=0.05)
         through = STOP_MM * found.stop
@@ -59,5 +59,5 @@ def test_what_is_lost_stays_lost() -> None:
     scene = hole(1)
     detours = EdgePathDifference(scene, (0.0, 0.0), open_pupil(scene, (0.0, 0.0), BEHIND_MM), BEHIND_MM)
     gone = np.array([True, False])
-    found = list(detours.marched(np.full((2, 2), 0.05) * [[1], [2]], np.arange(2), np.full(2, -1.0), gone))
+    found = list(detours.march(np.full((2, 2), 0.05) * [[1], [2]], np.arange(2), np.full(2, -1.0), gone))
     assert not any(one.ok[1] for one in found)

@@ -60,22 +60,23 @@ class Uncertainty:
     values : ndarray
         Standard deviation of each sample, on the object grid: root of the summed variances of real and
         imaginary part, from noise and between starts; 0 where there is no light.
-    of_noise, of_starts : float
-        Root mean square of either part where there is light.
+    noise_rms, starts_rms : float
+        Root mean square of the part that follows from noise, and of that between starts, where there is
+        light.
     misfit_over_noise : float
         Misfit of the result over that of noise alone.
     held_out_over_noise : float or None
         The same ratio on a held-out plane.
-    leaves_out : str
+    not_included : str
         Description of errors that are not included.
     """
 
     values: Array
-    of_noise: float
-    of_starts: float
+    noise_rms: float
+    starts_rms: float
     misfit_over_noise: float
     held_out_over_noise: float | None
-    leaves_out: str
+    not_included: str
 
 
 def uncertainty(

@@ -75,10 +75,10 @@ def test_it_is_the_true_error(lit: tuple[Engine, Field]) -> None:
     errors = np.sqrt(np.mean(np.abs(results - two_bars()) ** 2, axis=0))
     assert 0.8 < np.sqrt(np.mean(errors[inside] ** 2) / np.mean(values[inside] ** 2)) < 1.25
     assert np.corrcoef(values[inside], scatter[inside])[0, 1] > 0.5
-    parts = np.hypot(stated.of_noise, stated.of_starts)
+    parts = np.hypot(stated.noise_rms, stated.starts_rms)
     assert np.sqrt(np.mean(values[inside] ** 2)) == pytest.approx(parts, rel=1e-6)
     assert stated.misfit_over_noise < 1.0
-    assert "wrong model of lens" in stated.leaves_out
+    assert "wrong model of lens" in stated.not_included
 
 
 def test_less_light_is_less_certain(lit: tuple[Engine, Field]) -> None:
@@ -86,7 +86,7 @@ def test_less_light_is_less_certain(lit: tuple[Engine, Field]) -> None:
     for electrons in (1e4, 1e6):
         planes = record(lit, 1, electrons)
         map_ = uncertainty(*lit, planes, found(lit, planes), repeats=2, iterations=6, **SETTINGS)
-        sizes.append(map_.of_noise)
+        sizes.append(map_.noise_rms)
     assert sizes[0] > 3.0 * sizes[1]
 
 
@@ -121,7 +121,7 @@ def test_a_plane_that_was_held_out_has_its_say(lit: tuple[Engine, Field]) -> Non
     result = found(lit, planes)
     predicted = uncertainty(*lit, planes, result, held_out=right, repeats=2, iterations=2, **SETTINGS)
     assert 0.6 < predicted.held_out_over_noise < 1.1
-    assert "held out" not in predicted.leaves_out
+    assert "held out" not in predicted.not_included
     (wrong,) = record(lit, 3, transmission=np.ones((64, 64)), distances_mm=(0.9,))
     with pytest.raises(UndeterminedError, match="plane held out"):
         uncertainty(*lit, planes, result, held_out=wrong, repeats=2, **SETTINGS)
