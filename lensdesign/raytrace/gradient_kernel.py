@@ -43,6 +43,9 @@ def gradient_kernel(
     `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
     Variable j is described by kind[j], surface_of[j] (a surface) and term[j] (a term of its shape).
     `codes` is None if all surfaces are conics; other shapes are then not compiled.
+
+    Below, p and d are the position and the direction cosines of a ray, and dp and dd are their derivatives by
+    the variables, shape (3, v).
     """
     rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
     dp = np.empty((3, variables))
@@ -110,7 +113,7 @@ def _hit(p, d, codes, s, start, terms):
 
 
 @_jit
-def _derivatives(codes, s, terms, x, y):
+def _slopes_and_hessian(codes, s, terms, x, y):
     """Return the slopes of surface s along x and y, and its second derivatives xx, xy and yy."""
     if codes is None:
         _, by_x, by_y = shapes.conic_sag_and_gradient(terms, x, y)
@@ -122,7 +125,7 @@ def _derivatives(codes, s, terms, x, y):
 
 
 @_jit
-def _by_term(codes, s, terms, j, x, y):
+def _term_derivatives(codes, s, terms, j, x, y):
     """Return the derivatives of sag and slopes of surface s with respect to term j."""
     if codes is None:
         return shapes.conic_term_derivatives(terms, j, x, y)
@@ -139,7 +142,7 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of
         return outcome
     for a in range(3):
         p[a] += t * d[a]
-    by_x, by_y, bend_xx, bend_xy, bend_yy = _derivatives(codes, s, own, p[0], p[1])
+    by_x, by_y, sag_xx, sag_xy, sag_yy = _slopes_and_hessian(codes, s, own, p[0], p[1])
     nx, ny = -by_x, -by_y
     along = d[2] + nx * d[0] + ny * d[1]
     m2 = 1.0 + nx * nx + ny * ny
@@ -152,11 +155,11 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of
     if along == 0.0:
         return NOT_CONVERGED
     cos_out = math.sqrt(square)
-    bend = (cos_out - mu * cos_in) / m
+    change = (cos_out - mu * cos_in) / m
     for j in range(kind.shape[0]):
         sag_j, by_x_j, by_y_j = 0.0, 0.0, 0.0
         if surface_of[j] == s and kind[j] == SHAPE:
-            sag_j, by_x_j, by_y_j = _by_term(codes, s, own, term[j], p[0], p[1])
+            sag_j, by_x_j, by_y_j = _term_derivatives(codes, s, own, term[j], p[0], p[1])
         px = dp[0, j] + t * dd[0, j]
         py = dp[1, j] + t * dd[1, j]
         pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], surface_of[j], s)
@@ -164,21 +167,21 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, surface_of
         px += dt * d[0]
         py += dt * d[1]
         pz += dt * d[2]
-        dnx = -(bend_xx * px + bend_xy * py + by_x_j)
-        dny = -(bend_xy * px + bend_yy * py + by_y_j)
+        dnx = -(sag_xx * px + sag_xy * py + by_x_j)
+        dny = -(sag_xy * px + sag_yy * py + by_y_j)
         dm2 = 2.0 * (nx * dnx + ny * dny)
         dalong = dd[2, j] + dnx * d[0] + nx * dd[0, j] + dny * d[1] + ny * dd[1, j]
         dcos_in = dalong / m - 0.5 * cos_in * dm2 / m2
         dcos_out = mu * mu * cos_in * dcos_in / cos_out
-        dbend = (dcos_out - mu * dcos_in) / m - 0.5 * bend * dm2 / m2
+        dchange = (dcos_out - mu * dcos_in) / m - 0.5 * change * dm2 / m2
         dp[0, j], dp[1, j] = px, py
         dp[2, j] = pz + _vertex_motion(kind[j], surface_of[j], s)
-        dd[0, j] = mu * dd[0, j] + dbend * nx + bend * dnx
-        dd[1, j] = mu * dd[1, j] + dbend * ny + bend * dny
-        dd[2, j] = mu * dd[2, j] + dbend
-    d[0] = mu * d[0] + bend * nx
-    d[1] = mu * d[1] + bend * ny
-    d[2] = mu * d[2] + bend
+        dd[0, j] = mu * dd[0, j] + dchange * nx + change * dnx
+        dd[1, j] = mu * dd[1, j] + dchange * ny + change * dny
+        dd[2, j] = mu * dd[2, j] + dchange
+    d[0] = mu * d[0] + change * nx
+    d[1] = mu * d[1] + change * ny
+    d[2] = mu * d[2] + change
     p[2] += vertex[s]
     return OK
 

@@ -175,7 +175,7 @@ def _field(
 
 def first_by(paths: Paths, changes: Changes, sag_errors: Sequence[SagErrors]) -> Array:
     """Return the first derivatives of paths in mm by changes, shape (n, d)."""
-    found = paths.by_numbers @ changes.first
+    found = paths.by_parameters @ changes.first
     for one in sag_errors:
         found[:, one.columns] += paths.by_sag_error(one.surface, one.sag)
     return np.asarray(found)

@@ -26,7 +26,7 @@ class Motions:
     """Response of n rays to q motions of a lens with s surfaces.
 
     The motions are, in this order: rotations about x, y and z in radians and shifts of each station; terms of
-    the shapes; indices; the ratio of wavelengths; and the amplitude of each figure term.
+    the shapes; indices; the ratio of wavelengths; and the amplitude of each sag error.
 
     Attributes
     ----------
@@ -43,10 +43,10 @@ class Motions:
     def _first_term(self) -> int:
         return 6 * (self.paths.layout.surfaces + 2)
 
-    def _position(self, numbers: slice) -> slice:
+    def _position(self, parameters: slice) -> slice:
         """Return the motions that are system parameters, for a slice of those behind the poses."""
         shift = self._first_term - POSE * (self.paths.layout.surfaces + 2)
-        return slice(numbers.start + shift, numbers.stop + shift)
+        return slice(parameters.start + shift, parameters.stop + shift)
 
     @cached_property
     def _indices(self) -> slice:
@@ -59,16 +59,16 @@ class Motions:
 
     @cached_property
     def _sags(self) -> list[tuple[int, slice, Array]]:
-        """Surface, motions and sag with slopes, shape (n, 3, motions), of each shape and figure."""
+        """Surface, motions and sag with slopes, shape (n, 3, motions), of each shape and sag error."""
         paths, layout = self.paths, self.paths.layout
         found = []
         for k, shape in enumerate(paths.shapes):
             terms = [np.stack(paths.term_derivatives(k, t), axis=1) for t in shape.TERMS[: layout.terms[k]]]
             found.append((k, self._position(layout.of_shape(k)), np.stack(terms, axis=2)))
         place = self._indices.stop + 1
-        for figure in self.sag_errors:
-            parts = np.stack([figure.sag, figure.slope_x, figure.slope_y], axis=1)
-            found.append((figure.surface, slice(place, place + parts.shape[2]), parts))
+        for one in self.sag_errors:
+            parts = np.stack([one.sag, one.slope_x, one.slope_y], axis=1)
+            found.append((one.surface, slice(place, place + parts.shape[2]), parts))
             place += parts.shape[2]
         return found
 
@@ -94,15 +94,15 @@ class Motions:
         return np.asarray((self.paths.directions[:, :, None] @ moves)[:, :, 0])
 
     @cached_property
-    def slide(self) -> Array:
+    def mixed_derivatives(self) -> Array:
         """Mixed second derivatives of the path by x, y on a surface and by a motion, shape (n, 2 s, q)."""
         paths, tangents = self.paths, self.paths.tangents
-        bent = paths.hessian @ self.points
+        gradients = paths.hessian @ self.points
         for k in range(len(paths.shapes)):
             # The gradient at a surface is the optical direction before it less the one behind it.
-            bent[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k] += paths.directions[:, k]
-            bent[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k + 1] -= paths.directions[:, k + 1]
-        found = paths.along_surfaces(bent)
+            gradients[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k] += paths.directions[:, k]
+            gradients[:, 3 * k + 3 : 3 * k + 6, self._indices.start + k + 1] -= paths.directions[:, k + 1]
+        found = paths.along_surfaces(gradients)
         for k in range(len(paths.shapes)):
             gradient = paths.gradient[:, k + 1]
             for c in range(2):
@@ -119,9 +119,11 @@ class Motions:
         The ray slides along the surfaces to where its path is stationary. With the path V of motions i and j
         and of the ray's positions w on the surfaces, the result is V_ij - V_iw V_ww^-1 V_wj.
         """
-        paths, points, slide = self.paths, self.points, self.slide
+        paths, points, mixed_derivatives = self.paths, self.points, self.mixed_derivatives
         found = np.swapaxes(points, 1, 2) @ (paths.hessian @ points)
-        found -= np.swapaxes(slide, 1, 2) @ np.linalg.solve(paths.sliding, slide)
+        found -= np.swapaxes(mixed_derivatives, 1, 2) @ np.linalg.solve(
+            paths.surface_hessian, mixed_derivatives
+        )
         crossed = np.zeros_like(found)
         crossed[:, self._indices] += self.lengths
         ratio = self._indices.stop
@@ -135,16 +137,16 @@ class Motions:
         found += crossed + np.swapaxes(crossed, 1, 2)
         for k, shape in enumerate(paths.shapes):
             own = self._position(paths.layout.of_shape(k))
-            bends = _sag_bends(shape, paths.heights_mm[:, k])
-            found[:, own, own] += paths.gradient[:, k + 1, 2, None, None] * bends
+            hessians = _sag_hessians(shape, paths.heights_mm[:, k])
+            found[:, own, own] += paths.gradient[:, k + 1, 2, None, None] * hessians
         return found
 
 
 def motions_of(changes: Changes) -> Array:
     """Return the motions of which each of d changes consists, shape (q, d)."""
     layout, first = changes.layout, changes.first
-    # Positions among the 12 numbers of a pose: matrix elements that are rotations about x, y and z to first
-    # order, and then the shift.
+    # Positions among the 12 parameters of a pose: matrix elements that are rotations about x, y and z to
+    # first order, and then the shift.
     of_pose = (7, 2, 3, 9, 10, 11)
     poses = POSE * np.arange(layout.surfaces + 2)[:, None] + np.array(of_pose)
     rest = np.arange(POSE * (layout.surfaces + 2), layout.size)
@@ -157,8 +159,8 @@ def pair_weights(changes: Changes) -> sparse.csr_array:
     """Return the matrix of the chain rule, which yields second derivatives by pairs of changes.
 
     It multiplies one vector: the second derivatives by motions, followed by the first derivatives by the
-    numbers of the system. Its shape is (d (d + 1) / 2, q^2 + numbers); rows are pairs of changes (i, j),
-    i <= j, in the order of `numpy.triu_indices`.
+    parameters of the system. Its shape is (d (d + 1) / 2, q^2 + parameters); rows are pairs of changes (i,
+    j), i <= j, in the order of `numpy.triu_indices`.
     """
     moved = sparse.csr_array(motions_of(changes).T)
     i, j = np.triu_indices(changes.count)
@@ -183,7 +185,7 @@ def second_by_pairs(paths: Paths, weights: sparse.csr_array, sag_errors: Sequenc
     ndarray, shape (n, d (d + 1) / 2)
     """
     by_motions = Motions(paths, sag_errors).second
-    own = np.concatenate([by_motions.reshape(len(by_motions), -1), paths.by_numbers], axis=1)
+    own = np.concatenate([by_motions.reshape(len(by_motions), -1), paths.by_parameters], axis=1)
     return np.asarray((weights @ own.T).T)
 
 
@@ -192,7 +194,7 @@ def _rotations(points: Array) -> Array:
     return np.swapaxes(np.cross(np.eye(3), points[:, None]), 1, 2)
 
 
-def _sag_bends(shape: Shape, heights_mm: Array) -> Array:
+def _sag_hessians(shape: Shape, heights_mm: Array) -> Array:
     """Return second derivatives of a sag by the terms of its shape, shape (n, terms, terms).
 
     They are computed by a complex step, accurate to rounding errors; the points must be real.

@@ -1,4 +1,4 @@
-"""Optical paths through a lens, and their derivatives by all numbers that describe the lens.
+"""Optical paths through a lens, and their derivatives by all parameters of the system.
 
 By Fermat's principle the path V from an object point to a sensor point does not change, to first order, if
 the points w of the ray on the surfaces are displaced. Its first derivative by a change of the lens is
@@ -20,14 +20,14 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape
 
 POSE = 12
-"""Count of the numbers of a pose: the rotation matrix by rows, then the shift in mm."""
+"""Count of the parameters of a pose: the rotation matrix by rows, then the shift in mm."""
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Positions of the numbers that describe a system, in one vector.
+class ParameterLayout:
+    """Positions of the parameters of a system in one vector.
 
-    The numbers are the poses of the stations (object, surfaces and sensor), the terms of the shapes, the
+    The parameters are the poses of the stations (object, surfaces and sensor), the terms of the shapes, the
     refractive indices, and the ratio of the wavelengths.
 
     Attributes
@@ -102,9 +102,9 @@ class Paths:
         return Paths(self.shapes, self.vertices_mm, self.index, *ends)
 
     @cached_property
-    def layout(self) -> Layout:
-        """Positions of the numbers that describe the lens."""
-        return Layout(tuple(shape.terms.shape[-1] for shape in self.shapes))
+    def layout(self) -> ParameterLayout:
+        """Positions of the parameters of the system."""
+        return ParameterLayout(tuple(shape.terms.shape[-1] for shape in self.shapes))
 
     @cached_property
     def _sags(self) -> list[tuple[Array, Array, Array]]:
@@ -167,8 +167,8 @@ class Paths:
         return np.concatenate([edge, optical], axis=1) - np.concatenate([optical, edge], axis=1)
 
     @cached_property
-    def by_numbers(self) -> Array:
-        """Derivatives of the path by the system's numbers, shape (n, numbers)."""
+    def by_parameters(self) -> Array:
+        """Derivatives of the path by the system's parameters, shape (n, parameters)."""
         layout, gradient = self.layout, self.gradient
         found = np.zeros((len(gradient), layout.size), gradient.dtype)
         for k in range(layout.surfaces + 2):
@@ -224,19 +224,19 @@ class Paths:
         return (np.swapaxes(self.tangents, 2, 3) @ inner).reshape(n, 2 * surfaces, -1)
 
     @cached_property
-    def sliding(self) -> Array:
+    def surface_hessian(self) -> Array:
         """Second derivatives of the path by x and y on the surfaces, shape (n, 2 s, 2 s)."""
         n, s = len(self.objects_mm), len(self.shapes)
         half = self.along_surfaces(self.hessian)
         half = half.reshape(n, 2 * s, s + 2, 3)[:, :, 1:-1]
         found = np.einsum("nwka,nkac->nwkc", half, self.tangents)
         for k, shape in enumerate(self.shapes):
-            bends = shape.second_derivatives(self.heights_mm[:, k, 0], self.heights_mm[:, k, 1])
+            second_derivatives = shape.second_derivatives(self.heights_mm[:, k, 0], self.heights_mm[:, k, 1])
             gradient = self.gradient[:, k + 1, 2]
-            for (i, j), bend in zip(((0, 0), (0, 1), (1, 1)), bends, strict=True):
-                found[:, 2 * k + i, k, j] += gradient * bend
+            for (i, j), derivative in zip(((0, 0), (0, 1), (1, 1)), second_derivatives, strict=True):
+                found[:, 2 * k + i, k, j] += gradient * derivative
                 if i != j:
-                    found[:, 2 * k + j, k, i] += gradient * bend
+                    found[:, 2 * k + j, k, i] += gradient * derivative
         return found.reshape(n, 2 * s, 2 * s)
 
 

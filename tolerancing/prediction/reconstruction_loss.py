@@ -299,13 +299,13 @@ class _Nodes:
     def coefficients(self, changed: _Changed) -> Array:
         """Return polynomials of the path in waves for a unit of each change, shape (planes * TERMS, d)."""
         changes, found = changed.changes, []
-        # Index of a station's axial shift among the numbers of its pose.
+        # Index of a station's axial shift among the parameters of its pose.
         depth = 11
         sensor = changes.layout.pose(changes.layout.surfaces + 1).start + depth
         for number, paths in enumerate(self.planes):
             path = first_by(paths, changes, sag_errors_on(paths, changes))
             # Additional planes have the mean motion of the planes of the design.
             if number < len(changed.farther):
-                path = path + np.outer(paths.by_numbers[:, sensor], changed.farther[number])
+                path = path + np.outer(paths.by_parameters[:, sensor], changed.farther[number])
             found.append(1e3 / self.wavelength_um * self.fit @ (path - path.mean(axis=0)))
         return np.concatenate(found)

@@ -130,9 +130,9 @@ def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     kept = slice(2 * stop, 2 * stop + 2)
     mixed = paths.along_surfaces(paths.hessian[:, :, sensor])
     # The point on the sensor is an unknown instead of the point on the stop.
-    free = paths.sliding.copy()
+    free = paths.surface_hessian.copy()
     free[:, :, kept] = mixed
-    moved: Array = -np.asarray(np.linalg.solve(free, motions.slide))
+    moved: Array = -np.asarray(np.linalg.solve(free, motions.mixed_derivatives))
     position = moved[:, kept].copy()
     moved[:, kept] = 0.0
     optical = np.swapaxes(mixed, 1, 2) @ moved

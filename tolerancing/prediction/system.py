@@ -1,4 +1,4 @@
-"""First and second derivatives by perturbations of the numbers that describe a lens."""
+"""First and second derivatives by perturbations of the parameters of a system."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from lensdesign.raytrace.compiled import compile_system
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.irregularity import INDICES, peak_to_valley, random_surface_figures
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.prediction.paths import Layout
+from tolerancing.prediction.paths import ParameterLayout
 
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Derivatives by d changes of the numbers that describe a system (:class:`Layout`).
+    """Derivatives by d changes of the parameters of a system (:class:`ParameterLayout`).
 
     A perturbation is one change, except that an irregularity has one change for each term of its figures.
 
     Attributes
     ----------
-    layout : Layout
-        Positions of the numbers.
-    first : ndarray, shape (numbers, d)
-        Derivatives of the system's numbers, for a unit of each change.
-    second : sparse array, shape (d (d + 1) / 2, numbers)
+    layout : ParameterLayout
+        Positions of the system parameters.
+    first : ndarray, shape (system parameters, d)
+        Derivatives of the system's parameters, for a unit of each change.
+    second : sparse array, shape (d (d + 1) / 2, system parameters)
         Second derivatives by pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`.
     columns : tuple of slice
         Changes of each perturbation.
@@ -40,7 +40,7 @@ class Changes:
         For each irregularity: index of the surface, changes, and figures for one unit of each change.
     """
 
-    layout: Layout
+    layout: ParameterLayout
     first: Array
     second: sparse.csr_array
     columns: tuple[slice, ...]
@@ -107,11 +107,11 @@ def changes_of(
         If the lens does not have a perturbed parameter.
     """
     smooth = [k for k, p in enumerate(parameters) if not p.is_irregularity]
-    numbers = _Numbers(lens, [parameters[k] for k in smooth], pivot_z_mm, wavelength_um)
+    system_parameters = _SystemParameters(lens, [parameters[k] for k in smooth], pivot_z_mm, wavelength_um)
     # Step of finite differences, as a fraction of a perturbation's size.
     step_fraction = 0.1
     steps = step_fraction * np.asarray(sizes, float)[smooth]
-    slopes, (i, j, bends) = numbers.derivatives(steps, second)
+    slopes, (i, j, bends) = system_parameters.derivatives(steps, second)
     columns, place = columns_of(parameters)
     own = np.array([columns[k].start for k in smooth], int)
     first_all = np.zeros((len(slopes), place))
@@ -125,7 +125,7 @@ def changes_of(
         for k, p in enumerate(parameters)
         if p.is_irregularity and (surface := p.surface) is not None
     )
-    return Changes(numbers.layout, first_all, second_all, columns, figures)
+    return Changes(system_parameters.layout, first_all, second_all, columns, figures)
 
 
 def pair_places(count: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -141,18 +141,18 @@ def _unit_surface_figures(lens: Lens, surface: int) -> SurfaceFigure:
     return random_surface_figures(np.eye(len(INDICES)), ones, "rms", semi_diameter)
 
 
-class _Numbers:
-    """The numbers of a perturbed lens as a function of d perturbations."""
+class _SystemParameters:
+    """The parameters of a perturbed system as a function of d perturbations."""
 
     def __init__(
         self, lens: Lens, parameters: Sequence[PerturbedParameter], pivot_z_mm: float, wavelength_um: float
     ) -> None:
         self.lens, self.parameters = lens, tuple(parameters)
         self.pivot_z_mm, self.wavelength_um = pivot_z_mm, wavelength_um
-        self.layout = Layout(tuple(s.shape.terms.shape[-1] for s in lens.surfaces))
+        self.layout = ParameterLayout(tuple(s.shape.terms.shape[-1] for s in lens.surfaces))
 
     def at(self, values: Array) -> Array:
-        """Return the numbers, shape (trials, numbers), for values of shape (trials, d)."""
+        """Return the system parameters, one row for each trial, for values of shape (trials, d)."""
         lens, layout = self.lens, self.layout
         batch = PerturbationBatch(self.parameters, values, self.pivot_z_mm)
         perturbed = batch.surface_perturbations(lens, self.wavelength_um)
@@ -176,10 +176,10 @@ class _Numbers:
     def derivatives(
         self, steps: Array, second: bool
     ) -> tuple[Array, tuple[NDArray[np.intp], NDArray[np.intp], Array]]:
-        """Return first derivatives, shape (numbers, d), and second derivatives by pairs i <= j.
+        """Return first derivatives, shape (system parameters, d), and second derivatives by pairs i <= j.
 
-        The second derivatives are the indices i and j, and values of shape (pairs, numbers); those of other
-        pairs are 0.
+        The second derivatives are the indices i and j, and values of shape (pairs, system parameters); those
+        of other pairs are 0.
         """
         d, none = len(steps), np.zeros(0, int)
         if d == 0:

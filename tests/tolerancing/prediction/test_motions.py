@@ -37,7 +37,7 @@ def test_pairs_are_the_chain_rule(lens: Lens, changes: Changes) -> None:
     np.testing.assert_allclose(by_motions, np.swapaxes(by_motions, 1, 2), atol=1e-9)
     i, j = np.triu_indices(changes.count)
     dense = np.einsum("nab,ad,be->nde", by_motions, moved, moved)[:, i, j]
-    dense += (changes.second @ paths.by_numbers.T).T
+    dense += (changes.second @ paths.by_parameters.T).T
     np.testing.assert_allclose(second_by_pairs(paths, pair_weights(changes)), dense, atol=1e-12)
 
 

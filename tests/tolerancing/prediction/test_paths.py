@@ -16,7 +16,7 @@ from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths
 from tolerancing.prediction.motions import pair_weights, second_by_pairs
-from tolerancing.prediction.paths import Layout, Paths
+from tolerancing.prediction.paths import ParameterLayout, Paths
 from tolerancing.prediction.system import _Numbers, amounts_of, changes_of
 
 PARAMETERS = [
@@ -106,7 +106,7 @@ def test_two_orders_leave_the_third(lens: Lens, paths: Paths, shares: list[float
     """What they leave over falls with the cube of the perturbation."""
     sizes = np.array([size for *_, size in PARAMETERS])
     changes = changes_of(lens, parameters(), sizes, 0.0, 0.532)
-    first = paths.by_numbers @ changes.first
+    first = paths.by_parameters @ changes.first
     second = by_both(second_by_pairs(paths, pair_weights(changes)), len(PARAMETERS))
     left = []
     for part in (1.0, 0.5):
@@ -137,7 +137,9 @@ def test_a_thicker_plate_and_a_longer_wavelength_are_told_in_closed_form() -> No
     ]
     changes = changes_of(lens, asked, np.array([0.01, 0.001, 0.1, 0.001]), 0.0, 0.5)
     total = 10.0 + 1.6 * 2.0 + 5.0
-    np.testing.assert_allclose(paths.by_numbers @ changes.first, [[0.6, 2.0, 1.0, -total / 0.5]], rtol=1e-6)
+    np.testing.assert_allclose(
+        paths.by_parameters @ changes.first, [[0.6, 2.0, 1.0, -total / 0.5]], rtol=1e-6
+    )
     second = by_both(second_by_pairs(paths, pair_weights(changes)), len(asked))[0]
     assert second[0, 1] == pytest.approx(1.0, rel=1e-6)
     assert second[2, 3] == pytest.approx(-1.0 / 0.5, rel=1e-6)
@@ -146,7 +148,7 @@ def test_a_thicker_plate_and_a_longer_wavelength_are_told_in_closed_form() -> No
 
 
 def test_numbers_have_places_of_their_own() -> None:
-    layout = Layout((2, 4))
+    layout = ParameterLayout((2, 4))
     taken: list[int] = []
     for part in (
         *(layout.pose(k) for k in range(4)),
