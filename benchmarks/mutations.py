@@ -90,7 +90,7 @@ MUTATIONS = (
         "lensdesign/analysis/exit_beam.py",
         "np.hypot(direction[..., 0], direction[..., 1])",
         "np.abs(direction[..., 1])",
-        "tests/lensdesign/analysis/test_traced_spread.py",
+        "tests/lensdesign/analysis/test_exit_beam.py",
     ),
     # Surfaces and rays
     Mutation(

@@ -17,7 +17,7 @@ from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.prediction.derivatives import nominal_paths
 from tolerancing.prediction.motions import pair_weights, second_by_pairs
 from tolerancing.prediction.paths import ParameterLayout, Paths
-from tolerancing.prediction.system import _Numbers, amounts_of, changes_of
+from tolerancing.prediction.system import _SystemParameters, amounts_of, changes_of
 
 PARAMETERS = [
     ("lens", "decenter_x_mm", 0.02),
@@ -46,7 +46,7 @@ def paths(lens: Lens) -> Paths:
 
 def shortest(lens: Lens, paths: Paths, values: np.ndarray) -> np.ndarray:
     """Stationary paths of each ray through the perturbed lens, from its numbers alone."""
-    numbers = _Numbers(lens, parameters(), 0.0, 0.532).at(values[None])[0]
+    numbers = _SystemParameters(lens, parameters(), 0.0, 0.532).at(values[None])[0]
     found = []
     for ray in range(len(paths.objects_mm)):
 
