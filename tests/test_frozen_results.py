@@ -203,7 +203,7 @@ CHAIN = {
     "correlation": 0.965497122922,
     "misfit": 0.145385455725,
     "found decenter": 0.00100347811496,
-    "standard deviation": 7.22435895585e-06,
+    "standard deviation": 7.20238265335e-06,
 }
 
 

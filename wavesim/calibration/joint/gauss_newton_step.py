@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
@@ -28,6 +29,13 @@ LEAST_INFORMATION = 0.5
 """Information of the frames over that of the prior below which a combination of parameters is not followed.
 
 With more information, a standard deviation falls by at least a fifth.
+"""
+
+LOSS_ITERATIONS, LEAST_LOSS = 5, 0.1
+"""Iterations of the elimination of the object, and the relative increase of a combination's variance in them
+below which the combination of parameters is no longer followed.
+
+A single iteration is not enough: the variance of a combination may rise on after one that changed nothing.
 """
 
 TOLERANCE = 1e-3
@@ -150,17 +158,18 @@ class GaussNewtonStep:
         The object may change with the parameters, so a parameter is determined only by the part of its effect
         that no change of the object can make. With the columns :math:`C` of the parameters, and the
         projection :math:`P` onto the changes that the object can make, the result is :math:`(1 - P) C`. Block
-        conjugate gradients build the projection: each iteration takes the gradients of all columns at once,
-        and makes their effects orthogonal to those of the iteration before. The lengths of the results are
-        upper bounds that fall with every iteration.
+        conjugate gradients build the projection: each iteration takes the gradients of combinations of
+        columns, and makes their effects orthogonal to those of the iteration before. The lengths of the
+        results are upper bounds that fall with every iteration.
 
-        Combinations of parameters that the frames determine less well than the prior are not followed.
+        Combinations that the frames determine less well than the prior are not followed, nor are those whose
+        lengths have converged (`LEAST_LOSS`).
 
         Parameters
         ----------
         most_iterations
             Largest number of iterations. Each of them applies the forward and the adjoint operator once per
-            parameter. With 0 iterations the object stays fixed.
+            combination. With 0 iterations the object stays fixed.
 
         References
         ----------
@@ -169,10 +178,15 @@ class GaussNewtonStep:
         """
         remaining, shape = self.columns.copy(), self.linear.residual.shape
         previous: RealArray | None = None
+        precisions: list[Array] = []
         for _ in range(most_iterations):
-            effects = self._determined(remaining)
-            if not len(effects):
+            precisions.append(self._precision(remaining))
+            followed = _well_determined(precisions[-1])
+            if len(precisions) > LOSS_ITERATIONS:
+                followed = _still_losing(precisions[-1 - LOSS_ITERATIONS], precisions[-1])
+            if not followed.shape[1]:
                 break
+            effects = self._unit_combinations(remaining, followed)
             for effect in effects:
                 gradient = (
                     self._object_part(self.linear.adjoint_to_object(effect.reshape(shape)))
@@ -185,14 +199,19 @@ class GaussNewtonStep:
             remaining -= _combined(previous, _products(remaining, previous))
         return remaining
 
-    def _determined(self, columns: RealArray) -> RealArray:
-        """Return unit mixtures of columns with more than `LEAST_INFORMATION` of the prior's information."""
+    def _precision(self, columns: RealArray) -> Array:
+        """Return the precision that columns give to the parameters, in units of that of their priors."""
         unit = 1.0 / np.sqrt(self.prior_precision)
-        precision, mixtures = np.linalg.eigh(_products(columns, columns) * np.outer(unit, unit))
-        chosen = mixtures[:, precision > LEAST_INFORMATION] * unit[:, None]
-        mixtures = _combined(columns, chosen.T)
-        lengths = np.linalg.norm(mixtures, axis=1)
-        return np.asarray(mixtures / lengths[:, None].astype(columns.dtype))
+        return _products(columns, columns) * np.outer(unit, unit)
+
+    def _unit_combinations(self, columns: RealArray, factors: Array) -> RealArray:
+        """Return combinations of columns in units of the priors, each of length 1.
+
+        The factors have the shape (parameters, combinations).
+        """
+        combinations = _combined(columns, (factors / np.sqrt(self.prior_precision)[:, None]).T)
+        lengths = np.linalg.norm(combinations, axis=1)
+        return np.asarray(combinations / lengths[:, None].astype(columns.dtype))
 
     def _times(self, direction: NDArray[Any], bench_direction: Array) -> tuple[NDArray[Any], Array]:
         """Return the product of the Hessian with a direction of object and bench."""
@@ -210,6 +229,22 @@ class GaussNewtonStep:
     def _object_part(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the part of a change that the object can make: the real part for an amplitude object."""
         return np.asarray(values.real) if self.is_real else values
+
+
+def _well_determined(precision: Array) -> Array:
+    """Return combinations of parameters with more than `LEAST_INFORMATION` of the prior's information."""
+    information, combinations = np.linalg.eigh(precision)
+    return np.asarray(combinations[:, information > LEAST_INFORMATION])
+
+
+def _still_losing(before: Array, after: Array) -> Array:
+    """Return combinations of parameters whose variance rose by more than `LEAST_LOSS`.
+
+    Precisions are in units of those of the priors, to which they add.
+    """
+    prior = np.eye(len(after))
+    ratios, combinations = scipy.linalg.eigh(before + prior, after + prior)
+    return np.asarray(combinations[:, ratios > 1.0 + LEAST_LOSS])
 
 
 def _products(rows: RealArray, other_rows: RealArray) -> Array:

@@ -25,11 +25,13 @@ class Dense:
         self.residual = rng.standard_normal(PIXELS)
         self.misfit = float(np.linalg.norm(self.residual))
         self.model = SimpleNamespace(lit=np.ones(OBJECT, bool))
+        self.applications = 0
 
     def without_scale(self, changes: NDArray[Any]) -> NDArray[Any]:
         return changes
 
     def jacobian_times_object(self, change: NDArray[Any]) -> NDArray[Any]:
+        self.applications += 1
         return np.asarray(self.matrix @ change)
 
     def adjoint_to_object(self, left: NDArray[Any]) -> NDArray[Any]:
@@ -103,8 +105,13 @@ def test_the_object_is_eliminated(rng: np.random.Generator) -> None:
         assert np.linalg.eigvalsh(fewer - more).min() > -1e-9
 
 
-def test_elimination_converges_where_parts_of_the_object_hardly_matter(rng: np.random.Generator) -> None:
-    """Directions of the object whose effects differ a hundred times are all eliminated."""
+@pytest.mark.parametrize("seed", range(6))
+def test_elimination_converges_where_parts_of_the_object_hardly_matter(seed: int) -> None:
+    """Directions of the object whose effects differ a hundred times are all eliminated.
+
+    Combinations of parameters that have converged cost nothing more.
+    """
+    rng = np.random.default_rng(seed)
     linear, size = Dense(rng), 30
     left, _ = np.linalg.qr(rng.standard_normal((PIXELS, size)))
     linear.matrix = left @ np.diag(np.geomspace(1.0, 0.01, size))
@@ -114,8 +121,10 @@ def test_elimination_converges_where_parts_of_the_object_hardly_matter(rng: np.r
     exact = np.sqrt(np.diag(np.linalg.inv(eliminated(columns, linear))))
     inside = np.full(size, 0.5)
     joint = GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside)  # type: ignore[arg-type]
+    linear.applications = 0
     found = np.sqrt(np.diag(np.linalg.inv(curvature(joint, 20))))
-    assert found == pytest.approx(exact, rel=0.02)
+    assert found == pytest.approx(exact, rel=0.03)
+    assert linear.applications < 0.75 * 20 * PARAMETERS
 
 
 def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> None:
