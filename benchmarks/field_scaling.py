@@ -23,9 +23,9 @@ from benchmarks.full_field import field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, engine_for
-from wavesim.engines.whole_field import executors
-from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.tiles import propagate_tiles
+from wavesim.engines.eikonal import executors
+from wavesim.engines.eikonal.super_tiles import propagate_tiles
+from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Grid
 from wavesim.runtime.threads import THREADS
 

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from wavesim import Engine, Field, Grid, Scene
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.metrics.axisymmetric_reference import summed_plane_waves
 from wavesim.scene.patches import patch_scene

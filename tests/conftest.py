@@ -27,7 +27,7 @@ HUNG_SECONDS = 600
 LONG = (
     "wavesim/calibration/test_frame_calibration.py",
     "lensdesign/optimization/limits/",
-    "wavesim/engines/whole_field/test_on_cluster.py",
+    "wavesim/engines/eikonal/test_on_cluster.py",
     "wavesim/engines/test_registry_memory.py",
     "test_documented_commands.py",
     "paper/test_registry.py",

@@ -6,9 +6,9 @@ import pytest
 from small_twins import small_spot, stopped_down
 
 from lensdesign.errors import InputError
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.thin_lens import ThinLens
-from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import correlation, relative_error
 from wavesim.scene.scene import Scene
 

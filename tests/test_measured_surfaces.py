@@ -15,10 +15,10 @@ from lensdesign.lens import surface_figure_from_zernike
 from lensdesign.raytrace.bundles import launch
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import trace
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.thin_lens import ThinLens
-from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, correlation, relative_error
 from wavesim.pupil.characteristic import PupilSampler

@@ -33,7 +33,7 @@ from wavesim.calibration.parameters import (
     field_stop_parameters,
     with_priors,
 )
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit

@@ -1,9 +1,9 @@
 from .choosing import Choice, Prediction, choose, engine_for, predict
+from .eikonal.engine import EikonalTiles
 from .no_lens import NoLens
 from .slices.engine import AnnularSlices
 from .surfaces.grids import TotalReflectionWarning
 from .thin_lens import ThinLens
-from .tiles.engine import EikonalTiles
 from .with_ghost import WithGhost
 from .wpm.engine import WavePropagation
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from wavesim.scene.scene import Scene
 
 ENGINES: dict[str, str] = {
-    "eikonal": "wavesim.engines.tiles.engine:EikonalTiles",
-    "hierarchical": "wavesim.engines.whole_field.engine:WholeFieldEngine",
+    "eikonal": "wavesim.engines.eikonal.engine:EikonalTiles",
+    "hierarchical": "wavesim.engines.eikonal.whole_field:WholeFieldEngine",
     "slices": "wavesim.engines.slices.engine:AnnularSlices",
     "wpm": "wavesim.engines.wpm.engine:WavePropagation",
     "thin-lens": "wavesim.engines.thin_lens:ThinLens",

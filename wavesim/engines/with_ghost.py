@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from lensdesign.errors import InputError
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
 from wavesim.scene.ghosts import ghost_of
 from wavesim.scene.scattered_light import Light

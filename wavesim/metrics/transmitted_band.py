@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from wavesim.engines.whole_field.ray_maps import Region, object_terms, solve
+from wavesim.engines.eikonal.ray_maps import Region, object_terms, solve
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import inside_border
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle

@@ -1,7 +1,7 @@
 """A small patch of the object, propagated through a perturbed lens and back through the nominal lens.
 
-Both propagations use rays from the patch's centre c (Eikonal tiles, :mod:`wavesim.engines.tiles.engine`). The
-forward field is U'(s) = (1/lambda) a'(s) exp(i k V'(s)) times the spectrum of O at p'(s). The reconstruction
+Both propagations use rays from the patch's centre c (:mod:`wavesim.engines.eikonal.engine`). The forward
+field is U'(s) = (1/lambda) a'(s) exp(i k V'(s)) times the spectrum of O at p'(s). The reconstruction
 is
 
     O_rec(d) = (1/lambda^2) Int dp |ds/dp| a a' exp(i k (V' - V)) Spectrum[O](p'(s(p))) exp(i k p.d),

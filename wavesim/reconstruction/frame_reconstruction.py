@@ -16,7 +16,7 @@ import numpy as np
 
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
-from wavesim.engines.whole_field.on_cluster import tiles_in
+from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.metrics.result_quality import truth_metrics

@@ -22,9 +22,9 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import affordable_engines, engine_for
+from wavesim.engines.eikonal.on_cluster import validate_tiled
 from wavesim.engines.registry import AUTO
 from wavesim.engines.surfaces.grids import LONGEST_SECONDS
-from wavesim.engines.whole_field.on_cluster import validate_tiled
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle

@@ -356,7 +356,7 @@ class Tiled(Engine):
         sums
             Store of the tiles' fields on their own grids, by the index of the tile. Fields that it contains
             are not computed again. A dict keeps them in memory,
-            :class:`wavesim.engines.whole_field.tile_store.TileStore` in files.
+            :class:`wavesim.engines.eikonal.tile_store.TileStore` in files.
 
         Yields
         ------

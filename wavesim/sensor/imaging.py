@@ -12,7 +12,7 @@ from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
-from wavesim.engines.whole_field.on_cluster import tiles_in
+from wavesim.engines.eikonal.on_cluster import tiles_in
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field
 from wavesim.runtime.memory import Memory, memory_limit

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
-from wavesim.engines.whole_field.tile_store import TileStore
+from wavesim.engines.eikonal.tile_store import TileStore
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.propagator import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support

@@ -9,7 +9,7 @@ from scipy.special import hankel1
 from lensdesign.errors import InputError
 from wavesim.analytic.aperture_diffraction import hole_scene, slit_scene
 from wavesim.analytic.registry import analytic_case
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import Grid, relative_error
 from wavesim.fields.propagator import FreeSpacePropagator
 

@@ -7,7 +7,7 @@ from lensdesign.errors import InputError
 from wavesim.analytic.beam import Beam
 from wavesim.analytic.half_plane import GAP, half_plane_scene
 from wavesim.analytic.registry import AnalyticCase
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import relative_error
 from wavesim.rays.edge_diffraction import fresnel_edge
 

@@ -14,7 +14,7 @@ from programs import Command
 from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
-from wavesim.engines.whole_field.executors import ThisComputer
+from wavesim.engines.eikonal.executors import ThisComputer
 from wavesim.reconstruction import frame_reconstruction, resumable
 
 

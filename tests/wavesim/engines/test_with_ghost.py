@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene

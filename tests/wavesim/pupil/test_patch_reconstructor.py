@@ -13,7 +13,7 @@ from places import DESIGNS
 
 from lensdesign import InputError, Pose, SurfacePerturbation, load_design, scaled
 from lensdesign.errors import SamplingError
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid, Orientation, correlation
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast

@@ -10,7 +10,7 @@ import pytest
 from lensdesign import Lens, Pose, scaled
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.rays import edge_diffraction

@@ -17,7 +17,7 @@ from lensdesign import load_design, save_design, scaled
 from lensdesign.common import clusters
 from lensdesign.lens.poses import Pose
 from wavesim.engines.choosing import engine_for
-from wavesim.engines.whole_field import executors, tile_store
+from wavesim.engines.eikonal import executors, tile_store
 from wavesim.fields.field import relative_error
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene

@@ -23,8 +23,8 @@ from numpy.typing import DTypeLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
-from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_adjoint, at_once
+from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.flat_tiles import Tile, TileOperator, add_tiles, add_tiles_adjoint, at_once
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
 from wavesim.rays.ray_bundles import RayBundle, trace_bundle

@@ -37,7 +37,7 @@ from wavesim.calibration.parameters import (
     background_orders,
     light_orders,
 )
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray

@@ -14,7 +14,7 @@ from wavesim.calibration.joint.perturbed_tiles import (
     exit_field_changes_by_rays,
     path_derivatives,
 )
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import Field
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.system_state import SystemState

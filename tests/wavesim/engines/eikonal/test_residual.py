@@ -10,7 +10,7 @@ import pytest
 from lensdesign import Lens
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
-from wavesim.engines.tiles.residual import Residual, tile_residual
+from wavesim.engines.eikonal.residual import Residual, tile_residual
 from wavesim.fields.field import Grid
 from wavesim.rays.maps import RayMapError, ray_map
 from wavesim.scene.scene import Scene

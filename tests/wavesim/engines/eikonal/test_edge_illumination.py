@@ -10,7 +10,7 @@ import pytest
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.scaling import stopped_down
-from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import EikonalTiles
 from wavesim.fields.field import Field, relative_error
 from wavesim.metrics.comparison import random_field, reference_for
 from wavesim.scene.patches import patch_scene

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from wavesim.engines.whole_field import tile_store
-from wavesim.engines.whole_field.tile_store import TileStore
+from wavesim.engines.eikonal import tile_store
+from wavesim.engines.eikonal.tile_store import TileStore
 
 
 def values(number: int) -> np.ndarray[Any, Any]:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.tiles import SuperTile, propagate_tiles
+from wavesim.engines.eikonal.super_tiles import SuperTile, propagate_tiles
 from wavesim.runtime.threads import THREADS
 
 Part = tuple[int, NDArray[np.complex64]]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavesim.engines.tiles.operator import GROUP, Tile, coarse_is_used, coarse_steps_mm, precision_for
-from wavesim.engines.tiles.residual import FACTOR_ORDER
+from wavesim.engines.eikonal.flat_tiles import GROUP, Tile, coarse_is_used, coarse_steps_mm, precision_for
+from wavesim.engines.eikonal.residual import FACTOR_ORDER
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap

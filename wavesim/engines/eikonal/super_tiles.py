@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.tiles.operator import BAND_MARGIN, Tile
-from wavesim.engines.whole_field.carrier_interpolation import (
+from wavesim.engines.eikonal.carrier_interpolation import (
     CarrierInterpolation,
     InterpolationWeights,
     interpolation_weights,
 )
-from wavesim.engines.whole_field.factors import FactorsOverObject
-from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
+from wavesim.engines.eikonal.factors import FactorsOverObject
+from wavesim.engines.eikonal.flat_tiles import BAND_MARGIN, Tile
+from wavesim.engines.eikonal.ray_maps import REACH, MapsOverObject
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap

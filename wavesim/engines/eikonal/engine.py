@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, SamplingError, validate_choice, validate_positive
-from wavesim.engines.tiles.cost import tiles_cost
-from wavesim.engines.tiles.edge_errors import drawn_error, edge_error, shared_spans
-from wavesim.engines.tiles.edge_illumination import edge_illumination
-from wavesim.engines.tiles.operator import (
+from wavesim.engines.eikonal.cost import tiles_cost
+from wavesim.engines.eikonal.edge_errors import drawn_error, edge_error, shared_spans
+from wavesim.engines.eikonal.edge_illumination import edge_illumination
+from wavesim.engines.eikonal.flat_tiles import (
     Tile,
     TileOperator,
     add_tiles,
@@ -32,8 +32,8 @@ from wavesim.engines.tiles.operator import (
     at_once,
     precision_for,
 )
-from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
-from wavesim.engines.tiles.residual import Quadratic, Separable
+from wavesim.engines.eikonal.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
+from wavesim.engines.eikonal.residual import Quadratic, Separable
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError

@@ -29,9 +29,9 @@ from lensdesign.common.clusters import (
     toolkit_version,
 )
 from lensdesign.errors import InputError
-from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.executors import Band, Part, Progress, Sums, part_of
-from wavesim.engines.whole_field.tiles import propagate_tiles
+from wavesim.engines.eikonal.executors import Band, Part, Progress, Sums, part_of
+from wavesim.engines.eikonal.super_tiles import propagate_tiles
+from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene

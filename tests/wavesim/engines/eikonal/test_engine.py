@@ -18,8 +18,8 @@ from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.scaling import stopped_down
 from lensdesign.lens.surface import Surface
 from wavesim.analytic.registry import analytic_case
-from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.plan import chosen_probe
+from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.plan import chosen_probe
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.sampling_checks import SamplingWarning

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
-from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.whole_field import cost, executors, ray_maps
-from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.ray_maps import maps_over_object, region_of_object
-from wavesim.engines.whole_field.tiles import tile_frame
+from wavesim.engines.eikonal import executors, ray_maps, whole_field_cost
+from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.ray_maps import maps_over_object, region_of_object
+from wavesim.engines.eikonal.super_tiles import tile_frame
+from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
@@ -46,7 +46,7 @@ def noise(grid: Grid, seed: int = 1) -> Field:
 def two_threads() -> Iterator[None]:
     """Whatever number of cores there is."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (cost, executors):
+        for module in (whole_field_cost, executors):
             patch.setattr(module, "THREADS", 2)
         yield
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from lensdesign import Lens, scaled
-from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.soft_edge import SOFT, missed
+from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.soft_edge import SOFT, missed
+from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wavesim.engines.whole_field.carrier_interpolation import CarrierInterpolation
-from wavesim.engines.whole_field.tiles import SuperTile, WholeFieldSettings
+from wavesim.engines.eikonal.carrier_interpolation import CarrierInterpolation
+from wavesim.engines.eikonal.super_tiles import SuperTile, WholeFieldSettings
 from wavesim.runtime.memory import COMPLEX64, FLOAT64
 from wavesim.runtime.speed import pass_seconds
 from wavesim.runtime.threads import THREADS

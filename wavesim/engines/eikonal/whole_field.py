@@ -1,8 +1,8 @@
 """Eikonal tiles of a whole field, summed in two levels.
 
-As :mod:`wavesim.engines.tiles.engine`, for fields of millimetres: tiles are summed about the carrier of their
-super-tile on a coarse grid, and super-tiles are summed on the plane. Neighbouring tiles share rays
-(:mod:`wavesim.engines.whole_field.ray_maps`), and only a few polynomials of a tile are stored between uses.
+As :mod:`wavesim.engines.eikonal.engine`, for fields of millimetres: tiles are summed about the carrier of
+their super-tile on a coarse grid, and super-tiles are summed on the plane. Neighbouring tiles share rays
+(:mod:`wavesim.engines.eikonal.ray_maps`), and only a few polynomials of a tile are stored between uses.
 All values are complex64; phases are computed in float64.
 """
 
@@ -19,22 +19,22 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
-from wavesim.engines.tiles.edge_errors import edge_error, rim_fraction_per_mm
-from wavesim.engines.tiles.edge_illumination import edge_illumination
-from wavesim.engines.tiles.engine import MOST_ERROR, TILE_FRACTION
-from wavesim.engines.tiles.operator import Tile
-from wavesim.engines.tiles.plan import counts_for, cut
-from wavesim.engines.whole_field.cost import whole_field_cost
-from wavesim.engines.whole_field.executors import Band, Executor, Part, Progress, Sums, ThisComputer
-from wavesim.engines.whole_field.factors import factors_over_object
-from wavesim.engines.whole_field.ray_maps import MapsOverObject, Region, maps_over_object, region_of_object
-from wavesim.engines.whole_field.soft_edge import soft_edge_error, softness
-from wavesim.engines.whole_field.tiles import (
+from wavesim.engines.eikonal.edge_errors import edge_error, rim_fraction_per_mm
+from wavesim.engines.eikonal.edge_illumination import edge_illumination
+from wavesim.engines.eikonal.engine import MOST_ERROR, TILE_FRACTION
+from wavesim.engines.eikonal.executors import Band, Executor, Part, Progress, Sums, ThisComputer
+from wavesim.engines.eikonal.factors import factors_over_object
+from wavesim.engines.eikonal.flat_tiles import Tile
+from wavesim.engines.eikonal.plan import counts_for, cut
+from wavesim.engines.eikonal.ray_maps import MapsOverObject, Region, maps_over_object, region_of_object
+from wavesim.engines.eikonal.soft_edge import soft_edge_error, softness
+from wavesim.engines.eikonal.super_tiles import (
     TAPER,
     TAPER_LOSS,
     SuperTile,
     WholeFieldSettings,
 )
+from wavesim.engines.eikonal.whole_field_cost import whole_field_cost
 from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.maps import RayMap, RayMapError, ray_map

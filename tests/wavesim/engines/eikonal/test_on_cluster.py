@@ -15,10 +15,9 @@ from lensdesign import Lens, scaled
 from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
-from wavesim.engines.whole_field import on_cluster as cluster_tiles
-from wavesim.engines.whole_field.carrier_interpolation import CarrierInterpolation
-from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.on_cluster import (
+from wavesim.engines.eikonal import on_cluster as cluster_tiles
+from wavesim.engines.eikonal.carrier_interpolation import CarrierInterpolation
+from wavesim.engines.eikonal.on_cluster import (
     ClusterExecutor,
     ScenePacket,
     add,
@@ -28,6 +27,7 @@ from wavesim.engines.whole_field.on_cluster import (
     tiles_in,
     validate_tiled,
 )
+from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -104,7 +104,7 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
     def refuse(*_: Any) -> None:
         raise AssertionError("done here")
 
-    monkeypatch.setattr("wavesim.engines.whole_field.executors.propagate_tiles", refuse)
+    monkeypatch.setattr("wavesim.engines.eikonal.executors.propagate_tiles", refuse)
     for name in ("add", "collect"):
         monkeypatch.setattr(CarrierInterpolation, name, refuse)
     away = engine_on(scene)

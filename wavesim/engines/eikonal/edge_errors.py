@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
-from wavesim.engines.tiles.operator import Tile
+from wavesim.engines.eikonal.flat_tiles import Tile
 from wavesim.fields.field import Grid
 from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import shoot

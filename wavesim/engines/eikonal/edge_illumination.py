@@ -15,7 +15,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.tiles.operator import Tile
+from wavesim.engines.eikonal.flat_tiles import Tile
 from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.scattered_light import Light

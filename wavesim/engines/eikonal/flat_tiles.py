@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.tiles.residual import Separable
+from wavesim.engines.eikonal.residual import Separable
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import (
     OVERSAMPLING,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from wavesim.engines.tiles.plan import Probe, cut
+from wavesim.engines.eikonal.plan import Probe, cut
 from wavesim.fields.field import Grid
 
 

@@ -12,8 +12,8 @@ from itertools import product
 import numpy as np
 
 from lensdesign.errors import SamplingError
-from wavesim.engines.tiles.operator import Tile, at_once
-from wavesim.engines.tiles.residual import MAX_RANK, Quadratic, Residual, Separable, tile_residual
+from wavesim.engines.eikonal.flat_tiles import Tile, at_once
+from wavesim.engines.eikonal.residual import MAX_RANK, Quadratic, Residual, Separable, tile_residual
 from wavesim.fields.field import Grid
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError

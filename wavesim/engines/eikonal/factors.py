@@ -1,7 +1,7 @@
 """Expansion of the residual beyond the Fourier kernel, for all tiles of a field.
 
-It has the form of :mod:`wavesim.engines.tiles.residual`, but all tiles share the tile factors v_r(d), and the
-coefficients of the sensor factors u_r(s) are polynomials in the tile's centre.
+It has the form of :mod:`wavesim.engines.eikonal.residual`, but all tiles share the tile factors v_r(d), and
+the coefficients of the sensor factors u_r(s) are polynomials in the tile's centre.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.tiles.residual import MAX_RANK, Separable, at_tile_nodes, tile_residual
-from wavesim.engines.whole_field.ray_maps import OverObject, Region, fit_over_object, object_terms, solve
+from wavesim.engines.eikonal.ray_maps import OverObject, Region, fit_over_object, object_terms, solve
+from wavesim.engines.eikonal.residual import MAX_RANK, Separable, at_tile_nodes, tile_residual
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.whole_field.kernel import collect, expand
+from wavesim.engines.eikonal.kernel import collect, expand
 from wavesim.fields.resampling import Kernel, Weights, for_column_blocks, interpolation, onto_coarse
 
 

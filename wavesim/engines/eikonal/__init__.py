@@ -1,0 +1,1 @@
+"""Eikonal tiles: rays carry the phase of the light, Fourier transforms carry the object."""

@@ -1,1 +1,0 @@
-"""Eikonal tiles: the default engine for a patch of the object."""

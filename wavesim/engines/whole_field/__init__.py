@@ -1,1 +1,0 @@
-"""Eikonal tiles of a whole field, summed in two levels."""
