@@ -24,8 +24,8 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, engine_for
 from wavesim.engines.eikonal import executors
+from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.engines.eikonal.super_tiles import propagate_tiles
-from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Grid
 from wavesim.runtime.threads import THREADS
 
@@ -102,7 +102,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     scene = field_scene(lens, field_mm, side)
     rng = np.random.default_rng(1)
     engine = engine_for(scene, "hierarchical")
-    assert isinstance(engine, WholeFieldEngine)
+    assert isinstance(engine, HierarchicalTiles)
     started = time.perf_counter()
     groups = len(engine.groups)
     setup = time.perf_counter() - started
@@ -127,7 +127,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     }
 
 
-def warm_up(engine: WholeFieldEngine, grid: Grid) -> None:
+def warm_up(engine: HierarchicalTiles, grid: Grid) -> None:
     """Have loops compiled, or loaded."""
     group = engine.groups[0]
     if grid == engine.scene.object_grid:

@@ -20,8 +20,8 @@ from benchmarks.full_field import dot_product_mismatch, field_scene, growth, noi
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from wavesim import Field, engine_for
+from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.engines.eikonal.on_cluster import tiles_in
-from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.scene.engine import Engine
 
 FIELD_MM, PAPER_MM, SIDE = 5.0, 3.0, 11_700
@@ -60,7 +60,7 @@ def main() -> None:
     ]
     with workers() as address, tiles_in(address) as take:
         engine = take(engine_for(scene, "hierarchical"))
-        assert isinstance(engine, WholeFieldEngine)
+        assert isinstance(engine, HierarchicalTiles)
         engine.cost()
         started = time.perf_counter()
         engine.adjoint_on(other, range(WORKERS))

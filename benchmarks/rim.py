@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from wavesim import Engine, Field, Grid, Scene
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.metrics.axisymmetric_reference import summed_plane_waves
 from wavesim.scene.patches import patch_scene
@@ -43,7 +43,7 @@ def main() -> None:
         radii = np.abs(scene.exit_grid.y_mm[middle[0] :])
         true = summed_plane_waves(scene, _point(scene).values, radii)
         weight = np.ones_like(radii) if is_line else radii
-        engines: dict[str, Engine] = {"eikonal": EikonalTiles(scene, tile_width_mm=PITCH_MM, error=0.01)}
+        engines: dict[str, Engine] = {"eikonal": FlatTiles(scene, tile_width_mm=PITCH_MM, error=0.01)}
         if is_line:
             engines |= {f"wpm, {zones:g} zones": WavePropagation(scene, zones=zones) for zones in (4.0, 80.0)}
         for name, engine in engines.items():

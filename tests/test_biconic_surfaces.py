@@ -6,7 +6,7 @@ import pytest
 from small_twins import small_spot, stopped_down
 
 from lensdesign.errors import InputError
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.thin_lens import ThinLens
 from wavesim.fields.field import correlation, relative_error
@@ -24,7 +24,7 @@ def test_tiles_and_slices_agree() -> None:
     """Exit fields change by more than half with the radius along x, and in the same way for both."""
     round_, flat = small_scene(42.3 / 8), small_scene(1.2)
     source = small_spot(round_.object_grid)
-    tiles = [EikonalTiles(scene, error=0.02).forward(source).values for scene in (round_, flat)]
+    tiles = [FlatTiles(scene, error=0.02).forward(source).values for scene in (round_, flat)]
     slices = [AnnularSlices(scene, 8, "oblique").forward(source).values for scene in (round_, flat)]
     assert relative_error(tiles[1], tiles[0]) > 0.5
     for mine, theirs in zip(tiles, slices, strict=True):

@@ -26,7 +26,6 @@ from lensdesign import (
 )
 from tolerancing import load_study, open_store, run_study, summarize
 from wavesim import calibrate_frames, engine_for, image, reconstruct_frames
-from wavesim.engines.registry import ENGINES
 from wavesim.fields.field import Field
 from wavesim.scene.patches import patch_scene
 
@@ -307,7 +306,7 @@ def test_optimum() -> None:
     assert optimum() == pytest.approx(OPTIMUM, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("name", FIELDS)
 @pytest.mark.filterwarnings("ignore::wavesim.SamplingWarning")
 def test_exit_field(paper_lens: Lens, name: str) -> None:
     # The wave propagation method takes long through all but the smallest lens.

@@ -15,7 +15,7 @@ from lensdesign.lens import surface_figure_from_zernike
 from lensdesign.raytrace.bundles import launch
 from lensdesign.raytrace.compiled import compile_system
 from lensdesign.raytrace.rays import trace
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.thin_lens import ThinLens
@@ -115,7 +115,7 @@ def test_engines_agree_on_an_astigmatic_and_comatic_figure() -> None:
     fields = {
         name: [build(scene).forward(source).values for scene in (bare, made)]
         for name, build in (
-            ("eikonal", lambda s: EikonalTiles(s, error=0.02)),
+            ("eikonal", lambda s: FlatTiles(s, error=0.02)),
             ("oblique slices", lambda s: AnnularSlices(s, 8, "oblique")),
             ("wave propagation", WavePropagation),
         )
@@ -141,6 +141,6 @@ def test_a_figure_that_is_not_symmetric_about_the_line_is_refused_on_it() -> Non
     line = Grid((24,), 0.0015, -13.5 / 8), Grid((150,), 0.003, 9.7 / 8 + 0.25)
     scene = replace(plane, object_grid=line[0], exit_grid=line[1])
     source = Field(line[0], np.ones(24, complex), WAVELENGTH_UM)
-    for build in (EikonalTiles, AnnularSlices, WavePropagation):
+    for build in (FlatTiles, AnnularSlices, WavePropagation):
         with pytest.raises(InputError, match="not symmetric"):
             build(scene).forward(source)

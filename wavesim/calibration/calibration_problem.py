@@ -33,7 +33,7 @@ from wavesim.calibration.parameters import (
     field_stop_parameters,
     with_priors,
 )
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
@@ -107,7 +107,7 @@ class CalibrationProblem:
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
         pixel_settings = settings.scale, settings.fill_factor, self.make
         sparse, spacing = None, pixel_spacing(framed.patch, self.scene)
-        if spacing > 1 and settings.engine == EikonalTiles.name:
+        if spacing > 1 and settings.engine == FlatTiles.name:
             dense = DensePixels(self.scene, light, self.recorded, *pixel_settings)
             sparse = sparse_pixels(dense, framed.frames, spacing)
         scene, recorded = padded_to_fast_shape(self.scene, self.recorded)

@@ -76,7 +76,7 @@ def _parameters(model: type[FrozenModel]) -> list[inspect.Parameter]:
     """Return one parameter for each field, annotated for Typer."""
     made = []
     for name, field in model.model_fields.items():
-        flags = [] if field.annotation is bool else _flags(name, field)
+        flags = [] if bool in _kinds(field.annotation) else _flags(name, field)
         kind = _typed(field)
         typed: Any = Annotated[kind, typer.Option(*flags, help=field.description)]
         default = field.get_default(call_default_factory=True)

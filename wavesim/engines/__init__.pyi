@@ -1,5 +1,5 @@
 from .choosing import Choice, Prediction, choose, engine_for, predict
-from .eikonal.engine import EikonalTiles
+from .eikonal.engine import EikonalEngine
 from .no_lens import NoLens
 from .slices.engine import AnnularSlices
 from .surfaces.grids import TotalReflectionWarning
@@ -10,7 +10,7 @@ from .wpm.engine import WavePropagation
 __all__ = [
     "AnnularSlices",
     "Choice",
-    "EikonalTiles",
+    "EikonalEngine",
     "NoLens",
     "Prediction",
     "ThinLens",

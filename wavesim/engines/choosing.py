@@ -202,8 +202,8 @@ def predictions(
     the engines that meet the limit, by the identity of their predictions, so that their ray traces are
     reused.
     """
-    for name in ENGINES:
-        engine, previous = engine_class(name), math.inf
+    for engine in (one for name in ENGINES for one in engine_class(name).implementations()):
+        previous = math.inf
         for settings in engine.candidates(scene, error):
             candidate = engine(scene, **settings)
             found = _predicted(candidate, settings, light)

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from wavesim.scene.scene import Scene
 
 ENGINES: dict[str, str] = {
-    "eikonal": "wavesim.engines.eikonal.engine:EikonalTiles",
-    "hierarchical": "wavesim.engines.eikonal.whole_field:WholeFieldEngine",
+    "eikonal": "wavesim.engines.eikonal.engine:EikonalEngine",
     "slices": "wavesim.engines.slices.engine:AnnularSlices",
     "wpm": "wavesim.engines.wpm.engine:WavePropagation",
     "thin-lens": "wavesim.engines.thin_lens:ThinLens",
@@ -26,8 +25,10 @@ ENGINES: dict[str, str] = {
 }
 """Location of each engine as `module:class`. A module is imported when its engine is first requested."""
 
-ALIASES = {"two-level": "hierarchical"}
-"""Former names of engines, which settings and files may still use."""
+ALIASES: dict[str, str] = dict.fromkeys(
+    ("hierarchical", "two-level"), "wavesim.engines.eikonal.engine:HierarchicalTiles"
+)
+"""Further names that settings and files may use: the eikonal engine whose tiles form a hierarchy."""
 
 AUTO = "auto"
 """Engine name that selects the cheapest engine within the error limit."""
@@ -39,20 +40,20 @@ def engine_class(name: str) -> type[Engine]:
     Parameters
     ----------
     name
-        Name of an engine, or one of its former names (`ALIASES`).
+        Name of an engine, or an alias (`ALIASES`).
 
     Raises
     ------
     InputError
         If there is no engine of this name.
     """
-    name = ALIASES.get(name, name)
-    if name not in ENGINES:
+    locations = ENGINES | ALIASES
+    if name not in locations:
         raise InputError(
-            f"engine = {name!r}: there is no such engine; allowed: {', '.join((*ENGINES, AUTO))}"
-            f"{did_you_mean(name, ENGINES)}"
+            f"engine = {name!r}: there is no such engine; allowed: {', '.join((*locations, AUTO))}"
+            f"{did_you_mean(name, locations)}"
         )
-    module, _, attribute = ENGINES[name].partition(":")
+    module, _, attribute = locations[name].partition(":")
     found: type[Engine] = getattr(import_module(module), attribute)
     return found
 
@@ -70,4 +71,4 @@ def settings_of(name: str) -> tuple[str, ...]:
     InputError
         If there is no engine of this name.
     """
-    return tuple(inspect.signature(engine_class(name)).parameters)[1:]
+    return tuple(inspect.signature(engine_class(name).__init__).parameters)[2:]

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from lensdesign.errors import InputError
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Tiled
 from wavesim.scene.ghosts import ghost_of
 from wavesim.scene.scattered_light import Light
@@ -49,11 +49,11 @@ class WithGhost(Engine):
         return WithGhost(self.straight.at_wavelength(wavelength_um), self.reflectance)
 
     @cached_property
-    def ghost(self) -> EikonalTiles:
+    def ghost(self) -> FlatTiles:
         """Engine of the ghost, with both reflectances set to 1."""
         # Allowed relative error of the ghost's own field, which is a small part of the whole field.
         allowed_error = 0.05
-        return EikonalTiles(ghost_of(self.scene), error=allowed_error)
+        return FlatTiles(ghost_of(self.scene), error=allowed_error)
 
     def _forward(self, values: Any) -> Any:
         return self.straight._forward(values) + math.sqrt(self.reflectance) * self.ghost._forward(values)

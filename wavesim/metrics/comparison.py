@@ -83,9 +83,10 @@ class Measured:
 def variants(scene: Scene) -> tuple[Variant, ...]:
     """Return all engines over a range of their settings for a scene."""
     return tuple(
-        (family, name, settings)
+        (family, engine.name, settings)
         for name in ENGINES
-        for family, curve in engine_class(name).curves(scene).items()
+        for engine in engine_class(name).implementations()
+        for family, curve in engine.curves(scene).items()
         for settings in curve
     )
 

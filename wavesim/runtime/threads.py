@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
@@ -78,6 +78,14 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def at_once(works: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Return the results of functions, each called in a thread.
+
+    Threads within one transform would take several times its work where other processes run on the machine.
+    """
+    return for_blocks(lambda index, _: works[index](), len(works), 1)
 
 
 def rows_in(bytes_of_row: int, most_bytes: int = 2**19) -> int:

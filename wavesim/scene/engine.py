@@ -170,6 +170,11 @@ class Engine(ABC):
         return type(self)(replace(self.scene, wavelength_um=wavelength_um), **self.settings())
 
     @classmethod
+    def implementations(cls) -> tuple[type[Engine], ...]:
+        """Return the classes whose candidates compete with each other in the choice of an engine."""
+        return (cls,)
+
+    @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         """Yield the settings that are worth trying for an allowed relative L2 error, the cheapest first."""
         yield {}

@@ -196,8 +196,9 @@ class PoseSettings(Settings):
 class EngineDetails(Settings):
     """Settings of single engines; None leaves the value to the engine."""
 
-    tile_width_mm: Size | None = Field(
-        None, description="eikonal, hierarchical: width of a tile of the object."
+    tile_width_mm: Size | None = Field(None, description="eikonal: width of a tile of the object.")
+    hierarchical: bool | None = Field(
+        None, description="eikonal: whether tiles form a hierarchy; default: by their number."
     )
     slices: Count | None = Field(None, description="slices: number of slices.")
     compensation: str | None = Field(None, description="slices: vertical or oblique.")
@@ -232,7 +233,7 @@ class MachineSettings(Settings):
 
     memory_gb: Size | None = Field(None, description="Memory limit; default: 80 % of what is free.")
     cluster: str | None = Field(
-        None, description="hierarchical: Dask scheduler (ADDRESS) whose workers compute the tiles."
+        None, description="Dask scheduler (ADDRESS) whose workers compute the tiles of engine hierarchical."
     )
 
 

@@ -9,7 +9,7 @@ from scipy.special import hankel1
 from lensdesign.errors import InputError
 from wavesim.analytic.aperture_diffraction import hole_scene, slit_scene
 from wavesim.analytic.registry import analytic_case
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Grid, relative_error
 from wavesim.fields.propagator import FreeSpacePropagator
 
@@ -52,10 +52,10 @@ def radiated(across2: np.ndarray, along_mm: float) -> np.ndarray:
 def test_edge_of_eikonal_tiles(oracle: str, allowed: float, monkeypatch: pytest.MonkeyPatch) -> None:
     case = analytic_case(oracle, semi_diameter_mm=0.06)
     pitch_mm = case.scene.object_grid.pitch_mm
-    drawn = EikonalTiles(case.scene, tile_width_mm=pitch_mm)
+    drawn = FlatTiles(case.scene, tile_width_mm=pitch_mm)
     error = relative_error(drawn.forward(case.object_field).values, case.exact.values)
-    monkeypatch.setattr(EikonalTiles, "_draws_edges", False)
-    sharp = EikonalTiles(case.scene, tile_width_mm=pitch_mm)
+    monkeypatch.setattr(FlatTiles, "_draws_edges", False)
+    sharp = FlatTiles(case.scene, tile_width_mm=pitch_mm)
     assert error < allowed
     assert error < drawn.predicted_error() < 3.0 * error
     assert relative_error(sharp.forward(case.object_field).values, case.exact.values) > 4.0 * error

@@ -7,7 +7,7 @@ from lensdesign.errors import InputError
 from wavesim.analytic.beam import Beam
 from wavesim.analytic.half_plane import GAP, half_plane_scene
 from wavesim.analytic.registry import AnalyticCase
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import relative_error
 from wavesim.rays.edge_diffraction import fresnel_edge
 
@@ -47,10 +47,10 @@ def test_edge_of_eikonal_tiles(index: float, monkeypatch: pytest.MonkeyPatch) ->
     """Most of what they leave out lies deep in the shadow, where they end."""
     case = half_plane_scene(index)
     width_mm = 4.0 * case.scene.object_grid.pitch_mm
-    drawn = EikonalTiles(case.scene, tile_width_mm=width_mm)
+    drawn = FlatTiles(case.scene, tile_width_mm=width_mm)
     error = relative_error(drawn.forward(case.object_field).values, case.exact.values)
-    monkeypatch.setattr(EikonalTiles, "_draws_edges", False)
-    sharp = EikonalTiles(case.scene, tile_width_mm=width_mm)
+    monkeypatch.setattr(FlatTiles, "_draws_edges", False)
+    sharp = FlatTiles(case.scene, tile_width_mm=width_mm)
     assert error < 0.03
     assert error < drawn.predicted_error()
     assert relative_error(sharp.forward(case.object_field).values, case.exact.values) > 4.0 * error

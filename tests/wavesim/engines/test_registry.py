@@ -12,6 +12,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.surface_figure import SurfaceFigure
 from wavesim.engines.choosing import engine_for
+from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.engines.registry import ALIASES, ENGINES, engine_class, settings_of
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.patches import patch_scene
@@ -26,21 +27,24 @@ def scene(paper_lens: Lens) -> Scene:
 PLANES_ONLY = ("hierarchical",)
 
 
-@pytest.mark.parametrize("name", ENGINES)
+NAMES = (*ENGINES, "hierarchical")
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_every_engine_is_made_by_its_name(paper_lens: Lens, name: str) -> None:
     shape = (20, 20) if name in PLANES_ONLY else (20,)
     scene = Scene(paper_lens, Grid(shape, 1e-3, -13.5), Grid(shape, 1e-3, 12.7), 0.532)
     engine = engine_for(scene, name)
-    assert type(engine) is engine_class(name)
+    assert isinstance(engine, engine_class(name))
     assert engine.name == name
     assert engine.scene is scene
 
 
-def test_a_former_name_gives_the_same_engine() -> None:
-    for former, name in ALIASES.items():
-        assert former not in ENGINES
-        assert engine_class(former) is engine_class(name)
-        assert settings_of(former) == settings_of(name)
+def test_aliases_give_the_eikonal_engine_with_a_hierarchy() -> None:
+    for alias in ALIASES:
+        assert alias not in ENGINES
+        assert engine_class(alias) is HierarchicalTiles
+        assert settings_of(alias) == settings_of("eikonal")
 
 
 def test_settings_reach_the_engine(scene: Scene) -> None:
@@ -59,7 +63,7 @@ def test_an_unknown_setting_is_refused_with_a_hint(scene: Scene) -> None:
         engine_for(scene, "no-lens", pitch_mm=1.0)
 
 
-@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_no_engine_takes_or_gives_what_is_not_finite(name: str, value: float) -> None:
     twin = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)

@@ -7,7 +7,7 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
@@ -17,7 +17,7 @@ PLANE_MM = 0.125
 SCENE = Scene(
     LENS, Grid((33,), 4e-4, LENS.object_z_mm), Grid((641,), 1.6e-3, LENS.exit_vertex_z_mm + PLANE_MM), 0.532
 )
-ENGINE = WithGhost(EikonalTiles(SCENE), 0.0018)
+ENGINE = WithGhost(FlatTiles(SCENE), 0.0018)
 
 
 def way(length):

@@ -13,7 +13,7 @@ from places import DESIGNS
 
 from lensdesign import InputError, Pose, SurfacePerturbation, load_design, scaled
 from lensdesign.errors import SamplingError
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, Grid, Orientation, correlation
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast
@@ -81,9 +81,9 @@ def by_engines(
         start = Grid(model.patch.shape, 1e-3 * model.patch.pitch_um, lens.object_z_mm, centre)
         return Scene(lens, start, ends, grid.wavelength_um, pose)
 
-    forward = EikonalTiles(scene(pose, np.zeros(2)), **settings)
+    forward = FlatTiles(scene(pose, np.zeros(2)), **settings)
     field = forward.forward(Field(forward.scene.object_grid, values, WAVELENGTH_UM))
-    return np.asarray(EikonalTiles(scene(Pose(), reconstructed.shift_um), **settings).adjoint(field).values)
+    return np.asarray(FlatTiles(scene(Pose(), reconstructed.shift_um), **settings).adjoint(field).values)
 
 
 @pytest.mark.parametrize("name", ["line", "plane"])
@@ -236,7 +236,7 @@ def test_noise_is_that_of_the_pixels(line: PatchReconstructor) -> None:
     start = Grid(line.patch.shape, 1e-3 * line.patch.pitch_um, PAPER.object_z_mm)
     pitch = 1e-3 * PAPER.sensor.pixel_pitch_um
     ends = Grid((5800,), pitch, PAPER.exit_vertex_z_mm + 3.0)
-    engine = EikonalTiles(Scene(PAPER, start, ends, WAVELENGTH_UM))
+    engine = FlatTiles(Scene(PAPER, start, ends, WAVELENGTH_UM))
     field = np.asarray(engine.forward(Field(start, bars, WAVELENGTH_UM)).values)
     spread = 0.5 * np.abs(field).max() / np.sqrt(electrons)
     reconstructed = []

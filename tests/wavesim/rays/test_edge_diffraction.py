@@ -10,7 +10,7 @@ import pytest
 from lensdesign import Lens, Pose, scaled
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.propagator import FreeSpacePropagator
 from wavesim.rays import edge_diffraction
@@ -77,7 +77,7 @@ def test_light_of_a_point_behind_a_hole(dimensions: int, allowed: float) -> None
     place = (1,) * dimensions
     values = np.zeros(scene.object_grid.shape, complex)
     values[place] = 1.0
-    engine = EikonalTiles(scene, tile_width_mm=scene.object_grid.pitch_mm)
+    engine = FlatTiles(scene, tile_width_mm=scene.object_grid.pitch_mm)
     found = engine.forward(Field(scene.object_grid, values, WAVELENGTH_UM)).values
     exact = through_the_hole(scene, place)
     assert relative_error(found, exact) < allowed

@@ -23,12 +23,13 @@ from numpy.typing import DTypeLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
-from wavesim.engines.eikonal.engine import EikonalTiles
-from wavesim.engines.eikonal.flat_tiles import Tile, TileOperator, add_tiles, add_tiles_adjoint, at_once
+from wavesim.engines.eikonal.engine import FlatTiles
+from wavesim.engines.eikonal.flat_tiles import TileOperator, add_tiles, add_tiles_adjoint
+from wavesim.engines.eikonal.plan import Tile
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
 from wavesim.rays.ray_bundles import RayBundle, trace_bundle
-from wavesim.runtime.threads import one_blas_thread
+from wavesim.runtime.threads import at_once, one_blas_thread
 from wavesim.scene.engine import Cost, Engine, ErrorTerm, Operator
 from wavesim.scene.scene import Scene
 from wavesim.scene.system_state import SensorPose
@@ -129,9 +130,7 @@ class PerturbedTiles(Engine):
 
     name = "perturbed-tiles"
 
-    def __init__(
-        self, reference: EikonalTiles, scene: Scene, sensor_pose: SensorPose = NOMINAL_SENSOR
-    ) -> None:
+    def __init__(self, reference: FlatTiles, scene: Scene, sensor_pose: SensorPose = NOMINAL_SENSOR) -> None:
         super().__init__(scene)
         if sensor_pose != NOMINAL_SENSOR and reference.plane.beyond is not None:
             raise InputError(
@@ -200,7 +199,7 @@ class PerturbedScene(NamedTuple):
 
 
 def path_derivatives(
-    engine: EikonalTiles | PerturbedTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
+    engine: FlatTiles | PerturbedTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
 ) -> PathDerivatives:
     """Return the derivatives of paths and directions of each tile's rays with respect to each parameter.
 
@@ -241,7 +240,7 @@ def path_derivatives(
 
 
 def exit_field_changes_by_rays(
-    engine: EikonalTiles | PerturbedTiles, lit: Field, derivatives: PathDerivatives
+    engine: FlatTiles | PerturbedTiles, lit: Field, derivatives: PathDerivatives
 ) -> list[ComplexArray]:
     """Return the change of the exit field per unit of each parameter, from path derivatives.
 
@@ -285,7 +284,7 @@ def exit_field_changes_by_engines(
 
 
 def _tile_moments(
-    engine: EikonalTiles | PerturbedTiles, field: Field
+    engine: FlatTiles | PerturbedTiles, field: Field
 ) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
     """Yield each tile, its rays, and its fields on the plane where tiles are summed, shape (3, ny, nx).
 

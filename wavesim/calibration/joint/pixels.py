@@ -37,7 +37,7 @@ from wavesim.calibration.parameters import (
     background_orders,
     light_orders,
 )
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import ComplexArray, FreeSpaceMeasurement, LinearModel, RealArray
@@ -197,7 +197,7 @@ class DensePixels(CalibrationPixels):
         state = unknowns.state
         scene = placed_scene(self.scene, state)
         return ForwardModel(
-            PerturbedTiles(reference, scene) if isinstance(reference, EikonalTiles) else self.make(scene),
+            PerturbedTiles(reference, scene) if isinstance(reference, FlatTiles) else self.make(scene),
             placed_light(self.illumination, state),
             placed_planes(self.recorded, state),
             self.scale,
@@ -210,7 +210,7 @@ class DensePixels(CalibrationPixels):
     def ray_derivatives(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
     ) -> RayDerivatives | None:
-        if not isinstance(engine, EikonalTiles | PerturbedTiles):
+        if not isinstance(engine, FlatTiles | PerturbedTiles):
             return None
         carried = [p for p in parameters if self._acts_on_rays(p)]
         derivatives = path_derivatives(
@@ -226,7 +226,7 @@ class DensePixels(CalibrationPixels):
         derivatives: RayDerivatives | None,
     ) -> Iterable[ComplexArray]:
         engine = linear.model.engine
-        if derivatives is None or not isinstance(engine, EikonalTiles | PerturbedTiles):
+        if derivatives is None or not isinstance(engine, FlatTiles | PerturbedTiles):
             return exit_field_changes_by_engines(
                 engine, linear.lit, self._perturbed_scenes(unknowns, parameters), self.make
             )
@@ -311,7 +311,7 @@ class SparsePixels(CalibrationPixels):
 
     def model(self, unknowns: Unknowns, reference: Operator | None = None) -> ForwardModel:
         state = unknowns.state
-        tiles: Sequence[EikonalTiles]
+        tiles: Sequence[FlatTiles]
         if isinstance(reference, TilesToPlanes):
             tiles = [plane.reference for plane in reference.planes]
         else:
@@ -367,7 +367,7 @@ class SparsePixels(CalibrationPixels):
     def reaches_directly(self, plane_index: int) -> bool:
         """Return whether tiles reach a plane without free space."""
         tiles = self.make(self._scene(SystemState(), plane_index))
-        return isinstance(tiles, EikonalTiles) and tiles.plane.beyond is None
+        return isinstance(tiles, FlatTiles) and tiles.plane.beyond is None
 
     def _scene(self, state: SystemState, plane_index: int) -> Scene:
         """Return the scene to a plane at its nominal distance."""
@@ -375,9 +375,9 @@ class SparsePixels(CalibrationPixels):
         grid = nominal.at(nominal.z_mm + self.recorded[plane_index].distance_mm)
         return placed_scene(replace(self.scene, exit_grid=grid), state)
 
-    def _tiles(self, scene: Scene) -> EikonalTiles:
+    def _tiles(self, scene: Scene) -> FlatTiles:
         tiles = self.make(scene)
-        assert isinstance(tiles, EikonalTiles)
+        assert isinstance(tiles, FlatTiles)
         return tiles
 
 

@@ -71,6 +71,13 @@ class CarrierInterpolation:
     edge: Any
     window: tuple[slice, slice]
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of its arrays."""
+        arrays = [*self.weights.first, *self.weights.smooth_weights, self.phase_waves, self.edge]
+        arrays += [a for axis in self.weights.field for a in (axis.first, axis.weight, *axis.adjoint)]
+        return sum(int(array.nbytes) for array in arrays)
+
     def add(self, coarse: NDArray, fine: NDArray, first_row: int = 0, threads: int = 1) -> None:
         """Add a coarse field to a fine one, or to its rows from `first_row` on; `fine` is C-contiguous."""
         band, needed = self.onto_rows(first_row, first_row + fine.shape[0])

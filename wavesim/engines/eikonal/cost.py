@@ -1,4 +1,7 @@
-"""Predicted time and memory of eikonal tiles, from sizes and from the rays of the middle tile."""
+"""Predicted time and memory of eikonal tiles, from the sizes of their grids.
+
+Times are measured constants times the time of a pass over complex128 values (:mod:`wavesim.runtime.speed`).
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavesim.engines.eikonal.flat_tiles import GROUP, Tile, coarse_is_used, coarse_steps_mm, precision_for
+from wavesim.engines.eikonal.flat_tiles import GROUP, coarse_is_used, coarse_steps_mm, precision_for
+from wavesim.engines.eikonal.plan import Tile
 from wavesim.engines.eikonal.residual import FACTOR_ORDER
+from wavesim.engines.eikonal.super_tiles import SharedTileData, SuperTile
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
@@ -52,7 +57,7 @@ class _Size:
     map_terms: int
 
 
-def tiles_cost(
+def flat_cost(
     scene: Scene,
     plane: ExitPlane,
     tiles: Sequence[Tile],
@@ -61,7 +66,7 @@ def tiles_cost(
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
 ) -> Cost:
-    """Predict time and memory from the middle tile; the time is that of complex128 fields."""
+    """Predict time and memory of flat tiles from the middle one; the time is that of complex128 fields."""
     middle = tiles[len(tiles) // 2]
     carrier = mapper(middle.centre_mm)
     size = _sizes(scene, plane, middle, carrier, error)
@@ -99,6 +104,42 @@ def tiles_cost(
         peak_bytes(COMPLEX128),
         peak_bytes(COMPLEX64),
     )
+
+
+def hierarchical_cost(shared: SharedTileData, groups: Sequence[SuperTile]) -> Cost:
+    """Predict time and memory of tiles in a hierarchy; values are complex64.
+
+    Parameters
+    ----------
+    shared
+        Data that all tiles share.
+    groups
+        Super-tiles of the field.
+    """
+    # Times in complex products: of a tile's maps for each sample of its grid, of its Fourier transform for
+    # each sample and term, and of a propagated sample of a finer grid.
+    map_passes, transform_passes, carry_passes = 130.0, 5.0, 5.0
+    setup_seconds, least_seconds = 1.8, 0.2
+    # Memory of polynomials and rays during the fit, and after it.
+    fitting_bytes, fitted_bytes = 50_000_000, 18_000_000
+    rank = len(shared.factors.tile_nodes)
+    filled = 0.25 * math.pi
+    seconds, largest, kept = least_seconds, 0, 0
+    for group in groups:
+        fine = math.prod(w.stop - w.start for w in group.window)
+        coarse = math.prod(len(axis) for axis in group.axes)
+        own = math.prod(group.tile_shape)
+        lit = filled * math.prod(
+            2.0 * h / s for h, s in zip(shared.half_width_mm, group.steps_mm, strict=True)
+        )
+        passes = len(group.tiles) * (
+            map_passes * own + transform_passes * filled * rank * own + carry_passes * lit
+        )
+        seconds += pass_seconds(round(passes + carry_passes * filled * fine)) / THREADS
+        kept += group.interpolation.nbytes
+        tile = THREADS * own * (9 * FLOAT64 + 2 * rank * COMPLEX64)
+        largest = max(largest, (THREADS + 1) * coarse * COMPLEX64 + tile)
+    return Cost(seconds, setup_seconds, max(fitting_bytes, fitted_bytes + kept + largest))
 
 
 def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: float) -> _Size:

@@ -7,21 +7,20 @@ computed on a coarse grid and interpolated, if this grid has fewer samples.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from wavesim.engines.eikonal.plan import Tile, coarse_step_mm
 from wavesim.engines.eikonal.residual import Separable
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import (
-    OVERSAMPLING,
     Kernel,
     Weights,
     add_interpolated,
@@ -39,49 +38,11 @@ from wavesim.runtime.fourier.nonuniform import (
     plan_of_terms,
     sum_of_terms,
 )
-from wavesim.runtime.threads import THREADS, for_blocks
+from wavesim.runtime.threads import THREADS, at_once
 from wavesim.scene.scene import Scene
-
-Result = TypeVar("Result")
-
-BAND_MARGIN = 1.1
-"""Margin of the coarse grid's band for the slowly varying factors besides the Fourier kernel."""
 
 GROUP = 4 * THREADS
 """Tiles whose fields are computed before they are added, since threads wait between groups."""
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A part of the object grid.
-
-    Attributes
-    ----------
-    part : tuple of slice
-        Samples of the object grid.
-    centre_mm : (x, y)
-        Sample whose rays carry the tile.
-    offsets_mm : tuple of ndarray
-        Offsets of the samples from the centre, y (and x).
-    pitch_mm : float
-        Pitch of the object grid.
-    """
-
-    part: tuple[slice, ...]
-    centre_mm: tuple[float, float]
-    offsets_mm: tuple[Array, ...]
-    pitch_mm: float
-
-    @property
-    def spans_mm(self) -> Array:
-        """Extent of the tile about its centre, shape (d, 2)."""
-        half = 0.5 * self.pitch_mm
-        return np.array([[o[0] - half, o[-1] + half] for o in self.offsets_mm])
-
-    @property
-    def width_mm(self) -> float:
-        """Distance from its first sample to its last along the longer side."""
-        return float(max(o[-1] - o[0] for o in self.offsets_mm))
 
 
 def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
@@ -101,7 +62,7 @@ def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float
     # border, where no rays support the maps.
     coarsest = 1.0 / 300.0
     widest = coarsest * np.ptp(bundle.sensor_mm[ok], axis=0)
-    return np.minimum(math.pi / (OVERSAMPLING * BAND_MARGIN * band), widest)
+    return np.minimum(coarse_step_mm(band), widest)
 
 
 def coarse_is_used(steps_mm: Array, axes: tuple[Array, ...]) -> bool:
@@ -283,14 +244,6 @@ def add_tiles_adjoint(operators: Sequence[TileOperator], values: NDArray, result
         parts = at_once([partial(one.adjoint, values, max(1, THREADS // len(some))) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
-
-
-def at_once(works: Sequence[Callable[[], Result]]) -> list[Result]:
-    """Return the results of functions, each called in a thread.
-
-    Threads within one transform would take several times its work where other processes run on the machine.
-    """
-    return for_blocks(lambda index, _: works[index](), len(works), 1)
 
 
 def _plans(angles: Array, shape: tuple[int, ...], precision: Precision, threads: int) -> tuple[Any, Any]:

@@ -29,9 +29,9 @@ from lensdesign.common.clusters import (
     toolkit_version,
 )
 from lensdesign.errors import InputError
+from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.engines.eikonal.executors import Band, Part, Progress, Sums, part_of
 from wavesim.engines.eikonal.super_tiles import propagate_tiles
-from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -189,7 +189,7 @@ class ClusterExecutor:
         return hold(add, self.sent, place, total, [number for number, _ in fields], needed)
 
 
-def validate_tiled(engine: Engine) -> WholeFieldEngine:
+def validate_tiled(engine: Engine) -> HierarchicalTiles:
     """Return the engine if a cluster can run it.
 
     Raises
@@ -197,7 +197,7 @@ def validate_tiled(engine: Engine) -> WholeFieldEngine:
     InputError
         If the engine has no super-tiles.
     """
-    if not isinstance(engine, WholeFieldEngine):
+    if not isinstance(engine, HierarchicalTiles):
         raise InputError(
             f"--cluster: engine {engine.name} runs only on this machine; a cluster needs engine hierarchical"
         )
@@ -238,11 +238,11 @@ def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
         yield assign
 
 
-_engines: dict[str, WholeFieldEngine] = {}
+_engines: dict[str, HierarchicalTiles] = {}
 _making = threading.Lock()
 
 
-def engine_of(packet: ScenePacket) -> WholeFieldEngine:
+def engine_of(packet: ScenePacket) -> HierarchicalTiles:
     """Return the engine that a worker's threads share.
 
     Raises
@@ -254,7 +254,7 @@ def engine_of(packet: ScenePacket) -> WholeFieldEngine:
         if packet.key not in _engines:
             check_same_version(packet.toolkit_version)
             _engines.clear()
-            made = WholeFieldEngine(packet.scene, **packet.settings)
+            made = HierarchicalTiles(packet.scene, **packet.settings)
             made.groups  # noqa: B018
             _engines[packet.key] = made
         return _engines[packet.key]

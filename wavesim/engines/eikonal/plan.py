@@ -1,4 +1,9 @@
-"""Number of tiles into which an object is cut, by the allowed error."""
+"""The cut of an object into tiles: their width, by the allowed error, and whether they form a hierarchy.
+
+Flat tiles are propagated to the plane one by one. Each has its own rays and residual, so that the widest
+tiles that meet the error limit follow from the residuals of some of them. Tiles of a hierarchy share rays and
+residual, and a few terms must describe all of them.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +16,15 @@ from itertools import product
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
-from wavesim.engines.eikonal.flat_tiles import Tile, at_once
+from wavesim.engines.eikonal.ray_maps import Region
 from wavesim.engines.eikonal.residual import MAX_RANK, Quadratic, Residual, Separable, tile_residual
 from wavesim.fields.field import Grid
+from wavesim.fields.resampling import OVERSAMPLING
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError
+from wavesim.runtime.threads import at_once
 from wavesim.scene.scene import Scene
 
 TARGET_RANK, TARGET_RANK_OF_MANY, MANY = 5, 8, 16
@@ -25,6 +33,39 @@ from which they are many. Each tile needs its own rays and maps. Transforms proc
 vectors."""
 
 Mapper = Callable[[tuple[float, float]], RayMap]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of the object grid.
+
+    Attributes
+    ----------
+    part : tuple of slice
+        Samples of the object grid.
+    centre_mm : (x, y)
+        Sample whose rays carry the tile.
+    offsets_mm : tuple of ndarray
+        Offsets of the samples from the centre, y (and x).
+    pitch_mm : float
+        Pitch of the object grid.
+    """
+
+    part: tuple[slice, ...]
+    centre_mm: tuple[float, float]
+    offsets_mm: tuple[Array, ...]
+    pitch_mm: float
+
+    @property
+    def spans_mm(self) -> Array:
+        """Extent of the tile about its centre, shape (d, 2)."""
+        half = 0.5 * self.pitch_mm
+        return np.array([[o[0] - half, o[-1] + half] for o in self.offsets_mm])
+
+    @property
+    def width_mm(self) -> float:
+        """Distance from its first sample to its last along the longer side."""
+        return float(max(o[-1] - o[0] for o in self.offsets_mm))
 
 
 def cut(grid: Grid, counts: tuple[int, ...]) -> tuple[Tile, ...]:
@@ -45,6 +86,52 @@ def cut(grid: Grid, counts: tuple[int, ...]) -> tuple[Tile, ...]:
 def counts_for(grid: Grid, width_mm: float) -> tuple[int, ...]:
     """Return the number of tiles along each side that are at most as wide as given."""
     return tuple(min(n, max(1, math.ceil(n * grid.pitch_mm / width_mm - 1e-9))) for n in grid.shape)
+
+
+def shared_tile_width_mm(scene: Scene) -> float:
+    """Return the width of the tiles of a hierarchy, for which a few terms describe the residual."""
+    zone_mm = math.sqrt(1e-3 * scene.wavelength_um * -scene.object_grid.z_mm)
+    # Width over sqrt(wavelength x working distance) / NA for which a few terms describe the residual.
+    zones = 0.74
+    return zones * zone_mm / scene.lens.object.numerical_aperture
+
+
+def hierarchy_is_cheaper(scene: Scene) -> bool:
+    """Return whether so many tiles are needed that their hierarchy is worth its set-up.
+
+    A hierarchy is for planes only.
+    """
+    grid = scene.object_grid
+    # Number of tiles along the longer side of the object.
+    many_tiles = 16
+    return not grid.is_line and max(grid.shape) * grid.pitch_mm > many_tiles * shared_tile_width_mm(scene)
+
+
+def coarse_step_mm(band_per_mm: Array) -> Array:
+    """Return the spacing of samples of a field without its carrier, for the largest angular frequency of its
+    light."""
+    # Margin for the slowly varying factors besides the Fourier kernel.
+    band_margin = 1.1
+    return np.asarray(math.pi / (OVERSAMPLING * band_margin * band_per_mm))
+
+
+Cut = tuple[tuple[Tile, tuple[int, ...]], ...]
+"""Tiles, each with the position of its super-tile."""
+
+
+def cut_hierarchy(grid: Grid, width_mm: float, tiles_across: int, region: Region) -> Cut:
+    """Return the tiles that extend into a region of the object, each with the position of its super-tile."""
+    counts = counts_for(grid, width_mm)
+    found = []
+    for index, tile in enumerate(cut(grid, counts)):
+        nearest = [
+            max(abs(c) - float(np.max(np.abs(s))), 0.0)
+            for c, s in zip(tile.centre_mm[::-1], tile.spans_mm, strict=True)
+        ]
+        if not region.is_disc or math.hypot(*nearest) < region.half_mm[0]:
+            position = (int(i) // tiles_across for i in np.unravel_index(index, counts))
+            found.append((tile, tuple(position)))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

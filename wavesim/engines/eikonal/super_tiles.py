@@ -22,11 +22,11 @@ from wavesim.engines.eikonal.carrier_interpolation import (
     InterpolationWeights,
     interpolation_weights,
 )
-from wavesim.engines.eikonal.factors import FactorsOverObject
-from wavesim.engines.eikonal.flat_tiles import BAND_MARGIN, Tile
+from wavesim.engines.eikonal.plan import Tile, coarse_step_mm
 from wavesim.engines.eikonal.ray_maps import REACH, MapsOverObject
+from wavesim.engines.eikonal.residual import FactorsOverObject
 from wavesim.fields.plane_waves import phasor_of
-from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
+from wavesim.fields.resampling import Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
 from wavesim.runtime.fourier.nonuniform import Precision, adjoint_of_terms, plan_of_terms, sum_of_terms
 from wavesim.runtime.threads import one_blas_thread
@@ -41,8 +41,8 @@ TAPER_LOSS = 0.059
 
 
 @dataclass(frozen=True, eq=False)
-class WholeFieldSettings:
-    """Settings, maps and factors that all tiles of a field share.
+class SharedTileData:
+    """Ray maps, residual and interpolation that all tiles of a hierarchy share.
 
     Attributes
     ----------
@@ -67,8 +67,7 @@ class WholeFieldSettings:
 
     def steps_mm(self, reach_mm: Array, slopes_per_mm: Array) -> Array:
         """Return the sample spacings for the light of points within a reach (y, x), without their carrier."""
-        band = self.scene.wavenumber_per_mm * (reach_mm @ slopes_per_mm)
-        return np.asarray(math.pi / (OVERSAMPLING * BAND_MARGIN * band))
+        return coarse_step_mm(self.scene.wavenumber_per_mm * (reach_mm @ slopes_per_mm))
 
     def rise_over(self, steps_mm: Array) -> float:
         """Return the width of the aperture's edge on grids of these steps, in squared relative distance."""
@@ -87,8 +86,8 @@ class SuperTile:
 
     Parameters
     ----------
-    settings
-        Common settings of the field.
+    shared
+        Data that all tiles share.
     tiles
         Tiles of the super-tile.
 
@@ -98,34 +97,34 @@ class SuperTile:
         Sample spacings (y, x) of its grid, and of its tiles' own.
     """
 
-    def __init__(self, settings: WholeFieldSettings, tiles: tuple[Tile, ...]) -> None:
-        self.settings, self.tiles = settings, tiles
+    def __init__(self, shared: SharedTileData, tiles: tuple[Tile, ...]) -> None:
+        self.shared, self.tiles = shared, tiles
         self.part = _around([tile.part for tile in tiles])
         centres = np.array([t.centre_mm[::-1] for t in tiles])
         middle = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
-        self.carrier: SmoothMap = settings.maps.carriers.at((float(middle[0]), float(middle[1])))
-        own_reach = np.max(np.abs(settings.factors.spans_mm), axis=1)
-        slopes_per_mm = settings.maps.slopes_per_mm(centres)
-        self.tile_steps_mm = settings.steps_mm(own_reach, slopes_per_mm)
-        self.steps_mm = settings.steps_mm(np.max(np.abs(centres - middle), axis=0) + own_reach, slopes_per_mm)
-        others = np.array([settings.maps.carriers.middle((float(y), float(x))) for y, x in centres])
-        low = others.min(axis=0) - settings.half_width_mm
-        high = others.max(axis=0) + settings.half_width_mm
-        self.window = window_between(settings.axes, low, high)
+        self.carrier: SmoothMap = shared.maps.carriers.at((float(middle[0]), float(middle[1])))
+        own_reach = np.max(np.abs(shared.factors.spans_mm), axis=1)
+        slopes_per_mm = shared.maps.slopes_per_mm(centres)
+        self.tile_steps_mm = shared.steps_mm(own_reach, slopes_per_mm)
+        self.steps_mm = shared.steps_mm(np.max(np.abs(centres - middle), axis=0) + own_reach, slopes_per_mm)
+        others = np.array([shared.maps.carriers.middle((float(y), float(x))) for y, x in centres])
+        low = others.min(axis=0) - shared.half_width_mm
+        high = others.max(axis=0) + shared.half_width_mm
+        self.window = window_between(shared.axes, low, high)
         self.empty = any(w.stop - w.start < 1 for w in self.window)
         if self.empty:
             return
-        fine = tuple(a[w] for a, w in zip(settings.axes, self.window, strict=True))
+        fine = tuple(a[w] for a, w in zip(shared.axes, self.window, strict=True))
         self.axes = tuple(
-            coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, self.steps_mm, strict=True)
+            coarse_axis(f, float(h), shared.kernel) for f, h in zip(fine, self.steps_mm, strict=True)
         )
-        smooth = tuple(_smooth_axis(f, settings) for f in fine)
+        smooth = tuple(_smooth_axis(f, shared) for f in fine)
         values = self.carrier.on_axes(smooth)
-        phase_waves = values[0] / (1e-3 * settings.scene.wavelength_um)
-        shift = float(np.max(np.abs(others - self.carrier.middle) / settings.half_width_mm))
+        phase_waves = values[0] / (1e-3 * shared.scene.wavelength_um)
+        shift = float(np.max(np.abs(others - self.carrier.middle) / shared.half_width_mm))
         opening = ((1.0 + shift) * REACH) ** 2 + 0.1 - values[4]
         weights = interpolation_weights(
-            (self.axes[0], self.axes[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), settings.kernel
+            (self.axes[0], self.axes[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), shared.kernel
         )
         # The edge is open wherever a tile has light; rows end outside.
         self.interpolation = CarrierInterpolation(
@@ -152,8 +151,8 @@ class SuperTile:
     @property
     def tile_shape(self) -> tuple[int, int]:
         """Largest shape of the own grid of one of its tiles."""
-        ends = zip(self.settings.half_width_mm, self.tile_steps_mm, strict=True)
-        rows, columns = (math.ceil(2.0 * h / s) + self.settings.kernel.taps + 1 for h, s in ends)
+        ends = zip(self.shared.half_width_mm, self.tile_steps_mm, strict=True)
+        rows, columns = (math.ceil(2.0 * h / s) + self.shared.kernel.taps + 1 for h, s in ends)
         return rows, columns
 
 
@@ -174,11 +173,11 @@ def window_between(axes: Sequence[Array], low: Array, high: Array) -> tuple[slic
     return rows, columns
 
 
-def _smooth_axis(fine: Array, settings: WholeFieldSettings) -> Array:
+def _smooth_axis(fine: Array, shared: SharedTileData) -> Array:
     """Return the samples between which phase and edge are interpolated by cubic polynomials."""
     # Number of samples of phase and edge over half of a footprint.
     smooth_samples = 150
-    step = float(np.max(settings.half_width_mm)) / smooth_samples
+    step = float(np.max(shared.half_width_mm)) / smooth_samples
     count = math.ceil((fine[-1] - fine[0]) / step) + 4
     return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
 
@@ -195,7 +194,7 @@ class TileFrame:
         Window of the super-tile's grid.
     weights : InterpolationWeights
         Interpolation from the tile's own grid.
-    rays, shared : MapOnAxes
+    rays, group_path : MapOnAxes
         Maps on its own grid: path and cosines p along y and x; the path of the super-tile's carrier.
     light, factors : MapOnAxes
         Maps in float32: amplitude and edge; real and imaginary part of each sensor factor.
@@ -211,7 +210,7 @@ class TileFrame:
     window: tuple[slice, slice]
     weights: InterpolationWeights
     rays: MapOnAxes
-    shared: MapOnAxes
+    group_path: MapOnAxes
     light: MapOnAxes
     factors: MapOnAxes
     tile_factors: NDArray[np.complex64]
@@ -231,19 +230,19 @@ def tile_frame(group: SuperTile, tile: Tile, cache: dict[Any, Any]) -> TileFrame
     cache
         Cache of data that tiles of the same size share; extended by this function.
     """
-    settings = group.settings
-    centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), settings.half_width_mm
-    carrier = settings.maps.carriers.at(centre)
+    shared = group.shared
+    centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), shared.half_width_mm
+    carrier = shared.maps.carriers.at(centre)
     window = window_between(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
     fine = group.axes[0][window[0]], group.axes[1][window[1]]
     steps = group.tile_steps_mm
-    y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
+    y, x = (coarse_axis(f, float(h), shared.kernel) for f, h in zip(fine, steps, strict=True))
     # Coarse axes are centred on fine ones, so that their relative position follows from the numbers of
     # samples. The number of coarse samples can differ by one for equal numbers of fine ones, by rounding.
     lengths = len(fine[0]), len(fine[1]), len(y), len(x)
     if lengths not in cache:
-        cache[lengths] = interpolation_weights((y, x), (y, x), fine, settings.kernel)
-    expansion, offsets = settings.factors.at(centre), list(tile.offsets_mm)
+        cache[lengths] = interpolation_weights((y, x), (y, x), fine, shared.kernel)
+    expansion, offsets = shared.factors.at(centre), list(tile.offsets_mm)
     size = tuple((len(o), round(1e9 * float(o[0]))) for o in offsets)
     if size not in cache:
         cache[size] = expansion.own_tile_factors(offsets).astype(np.complex64)
@@ -264,8 +263,8 @@ def tile_frame(group: SuperTile, tile: Tile, cache: dict[Any, Any]) -> TileFrame
         MapOnAxes(np.stack([amplitude, edge]), own).single(),
         MapOnAxes(parts, _terms(expansion.sensor_factors, (y, x))).single(),
         _exponential(expansion.shared_logarithm(offsets)) * cache[size],
-        settings.rise_over(group.steps_mm),
-        per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
+        shared.rise_over(group.steps_mm),
+        per_mm * 0.5 * shared.kernel.taps * float(np.max(steps)),
     )
 
 
@@ -293,11 +292,11 @@ class ObjectTile:
 
     def __init__(self, frame: TileFrame, plans: dict[tuple[int, ...], Any]) -> None:
         self._plans = plans
-        settings, scene = frame.group.settings, frame.group.settings.scene
+        shared, scene = frame.group.shared, frame.group.shared.scene
         wavelength_mm = 1e-3 * scene.wavelength_um
         path, py, px = frame.rays.each()
-        phase_waves = (path - next(frame.shared.each())) / wavelength_mm
-        phase_waves += -0.25 - 0.25 * settings.maps.caustics
+        phase_waves = (path - next(frame.group_path.each())) / wavelength_mm
+        phase_waves += -0.25 - 0.25 * shared.maps.caustics
         amplitude, edge = frame.light.each()
         self._interpolation = CarrierInterpolation(
             frame.weights, phase_waves, 0.5 + (1.0 - edge) / frame.rise, frame.window
@@ -313,7 +312,7 @@ class ObjectTile:
         for weight in self._weights:
             weight.real = scale * self._needed(next(parts))
             weight.imag = scale * self._needed(next(parts))
-        self._precision = settings.precision
+        self._precision = shared.precision
         per_mm, half = scene.wavenumber_per_mm * frame.tile.pitch_mm, np.float32(math.pi)
         angles = [(per_mm * self._needed(p)).astype(np.float32) for p in (py, px)]
         self._angles = [np.clip(angle, -half, half) for angle in angles]  # rounding may exceed half a turn

@@ -14,7 +14,7 @@ from wavesim.calibration.joint.perturbed_tiles import (
     exit_field_changes_by_rays,
     path_derivatives,
 )
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.system_state import SystemState
@@ -39,19 +39,19 @@ def changed(scene: Scene, what: str, size: float) -> Scene:
 def made_of(scene: Scene, lit: Field) -> np.ndarray:
     """The field behind tiles of the scene's own."""
     there = Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)
-    return EikonalTiles(scene, error=0.1, tile_width_mm=0.03).forward(there).values
+    return FlatTiles(scene, error=0.1, tile_width_mm=0.03).forward(there).values
 
 
 @pytest.fixture(scope="module")
-def reference() -> tuple[EikonalTiles, Field]:
+def reference() -> tuple[FlatTiles, Field]:
     """Four tiles and more, so that each is narrow beside the object."""
     scene, light, bars, _ = bars_under_stop()
-    engine = EikonalTiles(scene, error=0.1, tile_width_mm=0.03)
+    engine = FlatTiles(scene, error=0.1, tile_width_mm=0.03)
     return engine, light.with_values(light.values * bars)
 
 
 @pytest.mark.parametrize("what", WHAT)
-def test_turned_tiles_are_those_of_the_changed_lens(reference: tuple[EikonalTiles, Field], what: str) -> None:
+def test_turned_tiles_are_those_of_the_changed_lens(reference: tuple[FlatTiles, Field], what: str) -> None:
     engine, lit = reference
     scene = changed(engine.scene, what, 1.0)
     made = made_of(scene, lit)
@@ -63,16 +63,14 @@ def test_turned_tiles_are_those_of_the_changed_lens(reference: tuple[EikonalTile
 
 
 @pytest.mark.parametrize("what", WHAT)
-def test_changes_of_the_field_are_those_of_the_engine(
-    reference: tuple[EikonalTiles, Field], what: str
-) -> None:
+def test_changes_of_the_field_are_those_of_the_engine(reference: tuple[FlatTiles, Field], what: str) -> None:
     engine, lit = reference
     step = 0.02
     scene = changed(engine.scene, what, step)
     there, dtype = [PerturbedScene(scene, step)], lit.values.dtype
     (by_path,) = exit_field_changes_by_rays(engine, lit, path_derivatives(engine, dtype, there))
     (by_tiles,) = exit_field_changes_by_engines(
-        engine, lit, there, lambda one: EikonalTiles(one, error=0.1, tile_width_mm=0.03)
+        engine, lit, there, lambda one: FlatTiles(one, error=0.1, tile_width_mm=0.03)
     )
     change = (made_of(scene, lit) - engine.forward(lit).values) / step
     assert by_tiles == pytest.approx(change)
@@ -80,7 +78,7 @@ def test_changes_of_the_field_are_those_of_the_engine(
 
 
 @pytest.mark.parametrize("what", WHAT)
-def test_slopes_of_rays_hold_where_tiles_are_turned(reference: tuple[EikonalTiles, Field], what: str) -> None:
+def test_slopes_of_rays_hold_where_tiles_are_turned(reference: tuple[FlatTiles, Field], what: str) -> None:
     """A lens that has changed by some radians changes on as it did."""
     engine, lit = reference
     turned = PerturbedTiles(engine, changed(engine.scene, what, 1.0))
@@ -93,7 +91,7 @@ def test_slopes_of_rays_hold_where_tiles_are_turned(reference: tuple[EikonalTile
     assert np.linalg.norm(before - now) < 0.1 * np.linalg.norm(now)
 
 
-def test_turned_tiles_and_their_adjoint_agree(reference: tuple[EikonalTiles, Field]) -> None:
+def test_turned_tiles_and_their_adjoint_agree(reference: tuple[FlatTiles, Field]) -> None:
     engine, lit = reference
     turned = PerturbedTiles(engine, changed(engine.scene, "decenter", 1.0))
     field = turned.forward(lit)

@@ -10,7 +10,7 @@ import pytest
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.scaling import stopped_down
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal.engine import FlatTiles
 from wavesim.fields.field import Field, relative_error
 from wavesim.metrics.comparison import random_field, reference_for
 from wavesim.scene.patches import patch_scene
@@ -38,8 +38,8 @@ def beam(scene: Scene, waist_mm: float, sine: float = 0.0) -> Light:
 def test_even_light_is_1(paper_lens: Lens) -> None:
     scene = scene_of(paper_lens, 0.03, meridional=False)
     light = Light(random_field(scene.object_grid, scene.wavelength_um, APERTURE))
-    assert EikonalTiles(scene).edge_illumination(light) == pytest.approx(1.0, abs=0.2)
-    assert EikonalTiles(scene, tile_width_mm=0.01).edge_illumination(light) == pytest.approx(1.0, abs=0.2)
+    assert FlatTiles(scene).edge_illumination(light) == pytest.approx(1.0, abs=0.2)
+    assert FlatTiles(scene, tile_width_mm=0.01).edge_illumination(light) == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_slit_sends_what_its_diffraction_does(paper_lens: Lens) -> None:
@@ -48,14 +48,14 @@ def test_a_slit_sends_what_its_diffraction_does(paper_lens: Lens) -> None:
     grid, width_mm = scene.object_grid, 0.03
     slit = Light(Field(grid, (np.abs(grid.y_mm) < 0.5 * width_mm).astype(complex), scene.wavelength_um))
     expected = math.sqrt(2.0 / (math.pi * scene.wavenumber_per_mm * APERTURE * width_mm))
-    found = EikonalTiles(scene, tile_width_mm=0.05, error=0.5).edge_illumination(slit)
+    found = FlatTiles(scene, tile_width_mm=0.05, error=0.5).edge_illumination(slit)
     assert found == pytest.approx(expected, rel=0.2)
 
 
 @pytest.mark.parametrize("meridional", [True, False])
 def test_where_beams_go(paper_lens: Lens, meridional: bool) -> None:
     scene = scene_of(paper_lens, 0.02, meridional=meridional, pitch_um=0.3)
-    engine = EikonalTiles(scene, error=0.1)
+    engine = FlatTiles(scene, error=0.1)
     straight = engine.edge_illumination(beam(scene, 0.004))
     assert straight < 2e-3
     assert engine.edge_illumination(beam(scene, 0.004, APERTURE)) > 1.0
@@ -68,7 +68,7 @@ def test_where_beams_go(paper_lens: Lens, meridional: bool) -> None:
 
 def test_what_is_neglected_follows_the_light(paper_lens: Lens) -> None:
     scene = scene_of(paper_lens, 0.02, meridional=True)
-    engine = EikonalTiles(scene, error=0.01)
+    engine = FlatTiles(scene, error=0.01)
     light = beam(scene, 0.004)
     even, own = (
         {p.description: p for p in parts} for parts in (engine.error_terms(), engine.error_terms_of(light))
@@ -86,6 +86,6 @@ def test_what_is_neglected_follows_the_light(paper_lens: Lens) -> None:
 def test_light_of_another_scene_is_refused(paper_lens: Lens) -> None:
     scene, other = (scene_of(paper_lens, patch, meridional=True) for patch in (0.02, 0.03))
     with pytest.raises(InputError, match="must be the scene's"):
-        EikonalTiles(scene).predicted_error(beam(other, 0.004))
+        FlatTiles(scene).predicted_error(beam(other, 0.004))
     with pytest.raises(InputError, match=r"even = 1\.5.*0 to 1"):
         Light(beam(scene, 0.004).field, even=1.5)

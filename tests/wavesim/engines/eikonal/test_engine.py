@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -18,8 +19,10 @@ from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.scaling import stopped_down
 from lensdesign.lens.surface import Surface
 from wavesim.analytic.registry import analytic_case
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.eikonal.engine import EikonalEngine, FlatTiles, HierarchicalTiles
 from wavesim.engines.eikonal.plan import chosen_probe
+from wavesim.engines.registry import engine_on
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.sampling_checks import SamplingWarning
@@ -73,7 +76,7 @@ def spot(grid: Grid, waist_mm: float) -> Field:
 @pytest.mark.parametrize(("radius_mm", "allowed"), [(0.1, 3.5e-3), (0.2, 2.5e-3), (0.8, 6e-4)])
 def test_cylinder(radius_mm: float, allowed: float) -> None:
     case = analytic_case("cylinder", radius_mm=radius_mm)
-    engine = EikonalTiles(case.scene)
+    engine = FlatTiles(case.scene)
     assert relative_error(engine.forward(case.object_field).values, case.exact.values) < allowed
 
 
@@ -83,7 +86,7 @@ def test_narrower_tiles_err_less(paper_lens: Lens) -> None:
     case = lens_case(lens, 0.0169, 0.75 * lens.half_field_mm, plane_distance_mm=9 / 32)
     errors = []
     for width_mm in (0.017, 0.0086, 0.0043, 0.0022, 0.0011):
-        engine = EikonalTiles(case.scene, tile_width_mm=width_mm, error=0.05)
+        engine = FlatTiles(case.scene, tile_width_mm=width_mm, error=0.05)
         found = engine.forward(case.object_field)
         errors.append(relative_error(found.values, case.exact.values))
         assert errors[-1] < engine.predicted_error()
@@ -113,7 +116,7 @@ def test_point_that_fills_the_stop(
     start = Grid((5,), 0.25e-3, scene.object_grid.z_mm, (0.0, field * lens.half_field_mm))
     scene = replace(scene, object_grid=start)
     point = Field(start, np.eye(5, dtype=complex)[2], WAVELENGTH_UM)
-    engine = EikonalTiles(scene, tile_width_mm=start.pitch_mm)
+    engine = FlatTiles(scene, tile_width_mm=start.pitch_mm)
     truth = WavePropagation(scene, zones=45.0).forward(point).values
     error = relative_error(engine.forward(point).values, truth)
     assert error < allowed
@@ -123,9 +126,7 @@ def test_point_that_fills_the_stop(
 @pytest.mark.parametrize("oracle", ["stigmatic", "plate", "plane"])
 def test_other_exact_fields(oracle: str) -> None:
     case = analytic_case(oracle)
-    assert (
-        relative_error(EikonalTiles(case.scene).forward(case.object_field).values, case.exact.values) < 5e-3
-    )
+    assert relative_error(FlatTiles(case.scene).forward(case.object_field).values, case.exact.values) < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,7 @@ def test_sum_over_the_rays_of_object_points(paper_lens: Lens, changes: Any, quad
     values = np.zeros(scene.object_grid.shape, complex)
     for place, strength in points.items():
         values[place] = strength
-    found = EikonalTiles(scene, quadratic=quadratic).forward(Field(scene.object_grid, values, WAVELENGTH_UM))
+    found = FlatTiles(scene, quadratic=quadratic).forward(Field(scene.object_grid, values, WAVELENGTH_UM))
     expected, inside = direct_sum(scene, points)
     assert relative_error(found.values[inside], expected[inside]) < 1.2e-2
 
@@ -173,7 +174,7 @@ def test_adjoint(paper_lens: Lens, quadratic: Any, kind: str) -> None:
         "line": lambda: line_scene(paper_lens, 1.4),
         "past focus": lambda: focusing_scene(0.8),
     }[kind]()
-    engine = EikonalTiles(scene, quadratic=quadratic, error=0.05)
+    engine = FlatTiles(scene, quadratic=quadratic, error=0.05)
     assert dot_product_mismatch(engine) <= 1e-10
 
 
@@ -181,14 +182,14 @@ def test_coarse_grid_changes_nothing(paper_lens: Lens) -> None:
     few = replace(plane_scene(paper_lens), exit_grid=Grid((41, 41), 0.4, 12.7))
     many = replace(few, exit_grid=Grid((401, 401), 0.04, 12.7))
     u = noise(few.object_grid)
-    a, b = (EikonalTiles(scene).forward(u).values for scene in (few, many))
+    a, b = (FlatTiles(scene).forward(u).values for scene in (few, many))
     radius = np.hypot(few.exit_grid.y_mm[:, None], few.exit_grid.x_mm)
     assert relative_error(b[::10, ::10][radius < 9.4], a[radius < 9.4]) < 1e-3
 
 
 def test_single_precision_agrees(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens)
-    engine, u = EikonalTiles(scene), noise(scene.object_grid)
+    engine, u = FlatTiles(scene), noise(scene.object_grid)
     single = engine.forward(u.with_values(u.values.astype(np.complex64))).values
     assert single.dtype == np.complex64
     assert relative_error(single, engine.forward(u).values) < 1e-3
@@ -198,7 +199,7 @@ def test_single_precision_agrees(paper_lens: Lens) -> None:
 def test_light_inside_the_stop_keeps_its_energy(paper_lens: Lens, line: bool) -> None:
     scene = line_scene(paper_lens) if line else plane_scene(paper_lens)
     light = spot(scene.object_grid, 3e-3)
-    out = EikonalTiles(scene).forward(light)
+    out = FlatTiles(scene).forward(light)
     # |u|^2 over the plane is flux over cosine: small angles on both sides.
     assert out.energy / light.energy == pytest.approx(1.0, abs=4e-3)
 
@@ -207,7 +208,7 @@ def test_aperture_takes_what_rays_lose(paper_lens: Lens) -> None:
     scene = line_scene(paper_lens)
     point = np.zeros(200, complex)
     point[100] = 1.0
-    out = EikonalTiles(scene).forward(Field(scene.object_grid, point, WAVELENGTH_UM))
+    out = FlatTiles(scene).forward(Field(scene.object_grid, point, WAVELENGTH_UM))
     # A point sends cos(theta) dp / lambda into each dp.
     sine = 8.26 / math.hypot(8.26, 13.5 + float(paper_lens.surfaces[0].sag_mm(8.26)))
     through = scene.object_grid.cell**2 * (math.asin(sine) + sine * math.sqrt(1 - sine**2)) * 1e3
@@ -217,7 +218,7 @@ def test_aperture_takes_what_rays_lose(paper_lens: Lens) -> None:
 def test_bare_surfaces_lose_what_fresnel_says(paper_lens: Lens) -> None:
     ideal = line_scene(paper_lens)
     light = spot(ideal.object_grid, 5e-3)
-    energies = [EikonalTiles(s).forward(light).energy for s in (ideal, replace(ideal, coating="bare"))]
+    energies = [FlatTiles(s).forward(light).energy for s in (ideal, replace(ideal, coating="bare"))]
     index = 1.5194726
     assert energies[1] / energies[0] == pytest.approx((4 * index / (1 + index) ** 2) ** 2, rel=2e-3)
 
@@ -226,7 +227,7 @@ def test_bare_surfaces_lose_what_fresnel_says(paper_lens: Lens) -> None:
 def test_on_and_past_a_focus(exit_z_mm: float) -> None:
     scene = focusing_scene(exit_z_mm)
     light = spot(scene.object_grid, 0.012)
-    engine = EikonalTiles(scene, error=3e-3)
+    engine = FlatTiles(scene, error=3e-3)
     assert engine.settings()["plane_z_mm"] < exit_z_mm
     found = engine.forward(light).values
     assert relative_error(found, WavePropagation(scene).forward(light).values) < 3e-3
@@ -235,16 +236,16 @@ def test_on_and_past_a_focus(exit_z_mm: float) -> None:
 def test_fold_is_refused_by_name() -> None:
     scene = focusing_scene(0.7)
     with pytest.raises(FoldError, match=r"fold.*z = 0\.65 mm"):
-        EikonalTiles(scene, plane_z_mm=0.65).forward(noise(scene.object_grid))
+        FlatTiles(scene, plane_z_mm=0.65).forward(noise(scene.object_grid))
 
 
 def test_too_wide_tiles_are_told_or_refused(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens)
     u = noise(scene.object_grid)
     with pytest.warns(SamplingWarning, match=r"tile_width_mm = 0\.07: .*0\.0"):
-        EikonalTiles(scene, tile_width_mm=0.07, quadratic="mean", error=0.015).forward(u)
+        FlatTiles(scene, tile_width_mm=0.07, quadratic="mean", error=0.015).forward(u)
     with pytest.raises(SamplingError, match=r"tile_width_mm = 0.07.*allowed: 0\.001"):
-        EikonalTiles(scene, tile_width_mm=0.07, quadratic="mean", error=1e-3).forward(u)
+        FlatTiles(scene, tile_width_mm=0.07, quadratic="mean", error=1e-3).forward(u)
 
 
 @pytest.mark.parametrize(
@@ -253,7 +254,7 @@ def test_too_wide_tiles_are_told_or_refused(paper_lens: Lens) -> None:
 def test_neglected_path_of_a_tile(paper_lens: Lens, width_mm: float, rms: float, largest: float) -> None:
     count = round(width_mm / 1e-3)
     scene = Scene(paper_lens, Grid((count, count), 1e-3, -13.5), Grid((20, 20), 0.1, 12.7), WAVELENGTH_UM)
-    engine = EikonalTiles(scene, tile_width_mm=1.0, quadratic="mean", error=0.5)
+    engine = FlatTiles(scene, tile_width_mm=1.0, quadratic="mean", error=0.5)
     assert engine.probe.neglected_waves == pytest.approx((rms, largest), rel=0.06)
     assert any(
         "waves rms" in part.description and part.relative_error > 0.005 for part in engine.error_terms()
@@ -263,7 +264,7 @@ def test_neglected_path_of_a_tile(paper_lens: Lens, width_mm: float, rms: float,
 def test_narrow_tiles_keep_sharp_edges_where_rays_behind_the_rim_are_too_rough() -> None:
     """As of a sphere: its middle's rays can be followed into the shadow, its corners' cannot."""
     case = analytic_case("sphere", radius_mm=0.15)
-    wide, narrow = (EikonalTiles(case.scene, error=error) for error in (0.03, 3e-3))
+    wide, narrow = (FlatTiles(case.scene, error=error) for error in (0.03, 3e-3))
     errors = [relative_error(e.forward(case.object_field).values, case.exact.values) for e in (wide, narrow)]
     assert [len(e.probe.tiles) for e in (wide, narrow)] == [1, 9]
     assert wide.error_terms()[1].description.endswith("beyond Fresnel's")
@@ -289,12 +290,12 @@ def test_peak_bytes(paper_lens: Lens, kind: str, single: bool) -> None:
         if kind == "line":
             scene = replace(scene, exit_grid=Grid((20000,), 1e-3, 12.7))
         case = replace(case, scene=scene, object_field=noise(scene.object_grid))
-    cost = EikonalTiles(case.scene).cost()
+    cost = FlatTiles(case.scene).cost()
     predicted = cost.peak_bytes_in_single if single else cost.peak_bytes
     if single:
         values = case.object_field.values.astype(np.complex64)
         case = replace(case, object_field=case.object_field.with_values(values))
-    result = EikonalTiles(case.scene).forward(case.object_field)
+    result = FlatTiles(case.scene).forward(case.object_field)
     assert predicted + result.values.nbytes == pytest.approx(peak_bytes("eikonal", case, {}), rel=0.3)
 
 
@@ -309,10 +310,45 @@ def test_peak_bytes(paper_lens: Lens, kind: str, single: bool) -> None:
 )
 def test_unusable_settings_are_refused(paper_lens: Lens, settings: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        EikonalTiles(line_scene(paper_lens), **settings)
+        FlatTiles(line_scene(paper_lens), **settings)
 
 
 def test_field_that_is_not_finite_is_refused(paper_lens: Lens) -> None:
     scene = line_scene(paper_lens)
     with pytest.raises(InputError, match="not finite"):
-        EikonalTiles(scene).forward(Field(scene.object_grid, np.full(200, np.nan), WAVELENGTH_UM))
+        FlatTiles(scene).forward(Field(scene.object_grid, np.full(200, np.nan), WAVELENGTH_UM))
+
+
+def test_many_tiles_form_a_hierarchy_unless_settings_say_otherwise(paper_lens: Lens) -> None:
+    patch, field = (patch_scene(paper_lens, width_mm) for width_mm in (0.1, 3.0))
+    for scene, settings, kind in (
+        (patch, {}, FlatTiles),
+        (field, {}, HierarchicalTiles),
+        (field, {"plane_z_mm": 12.7}, FlatTiles),
+        (field, {"quadratic": "mean"}, FlatTiles),
+        (field, {"hierarchical": False}, FlatTiles),
+        (patch, {"hierarchical": True}, HierarchicalTiles),
+        (patch, {"tiles_across": 2}, HierarchicalTiles),
+    ):
+        engine = EikonalEngine(scene, **settings)
+        assert type(engine) is type(engine_for(scene, "eikonal", **settings)) is kind
+        assert type(copy(engine)) is type(engine.at_wavelength(scene.wavelength_um)) is kind
+    line = patch_scene(paper_lens, 3.0, meridional=True)
+    assert type(EikonalEngine(line)) is FlatTiles
+
+
+def test_settings_that_contradict_the_kind_of_tiles_are_refused(paper_lens: Lens) -> None:
+    scene = patch_scene(paper_lens, 0.1)
+    for settings in ({"hierarchical": False}, {"plane_z_mm": 12.7}, {"quadratic": "mean"}):
+        with pytest.raises(InputError, match=f"{next(iter(settings))} = .*engine hierarchical"):
+            engine_for(scene, "hierarchical", **settings)
+
+
+def test_an_engine_on_another_scene_keeps_its_kind_of_tiles(paper_lens: Lens) -> None:
+    """Settings that are in use name what is needed to make the same kind again."""
+    twin = scaled(paper_lens, 1 / 16)
+    scene = patch_scene(twin, 0.02, plane_distance_mm=0.125)
+    for hierarchical in (False, True):
+        engine = EikonalEngine(scene, error=0.1, hierarchical=hierarchical)
+        other = patch_scene(twin, 0.021, plane_distance_mm=0.125)
+        assert type(engine_on(engine, other)) is type(engine)

@@ -17,6 +17,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.eikonal import on_cluster as cluster_tiles
 from wavesim.engines.eikonal.carrier_interpolation import CarrierInterpolation
+from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.engines.eikonal.on_cluster import (
     ClusterExecutor,
     ScenePacket,
@@ -27,7 +28,6 @@ from wavesim.engines.eikonal.on_cluster import (
     tiles_in,
     validate_tiled,
 )
-from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -53,8 +53,8 @@ def noise(grid: Grid, seed: int = 1) -> Field:
     return Field(grid, (rng.normal(size=grid.shape) + 0.5j).astype(np.complex64), 0.532)
 
 
-def engine_on(scene: Scene) -> WholeFieldEngine:
-    return WholeFieldEngine(scene, error=3e-2, tiles_across=2)
+def engine_on(scene: Scene) -> HierarchicalTiles:
+    return HierarchicalTiles(scene, error=3e-2, tiles_across=2)
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from lensdesign import Lens, scaled
-from wavesim.engines.eikonal.engine import EikonalTiles
-from wavesim.engines.eikonal.soft_edge import SOFT, missed
-from wavesim.engines.eikonal.whole_field import WholeFieldEngine
+from wavesim.engines.eikonal.edge import SOFT, missed
+from wavesim.engines.eikonal.engine import FlatTiles, HierarchicalTiles
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -30,11 +29,11 @@ def test_points_of_a_tile_err_by_what_is_told(paper_lens: Lens) -> None:
     # Fine enough for light of all directions that the lens takes, and beyond.
     start = Grid((105, 105), 0.3e-3, lens.object_z_mm)
     scene = Scene(lens, start, Grid((280, 280), 4.4e-3, lens.exit_vertex_z_mm + 2 / 16), 0.532)
-    engine = WholeFieldEngine(scene)
+    engine = HierarchicalTiles(scene)
     errors = []
     for place in ((52, 52), (75, 33), (8, 83)):
         own = Grid((3, 3), start.pitch_mm, start.z_mm, (start.x_mm[place[1]], start.y_mm[place[0]]))
-        alone = EikonalTiles(replace(scene, object_grid=own), tile_width_mm=start.pitch_mm)
+        alone = FlatTiles(replace(scene, object_grid=own), tile_width_mm=start.pitch_mm)
         values = np.zeros(start.shape, complex)
         values[place] = 1.0
         middle = np.zeros(own.shape, complex)

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
-from wavesim.engines.eikonal import executors, ray_maps, whole_field_cost
-from wavesim.engines.eikonal.engine import EikonalTiles
+from wavesim.engines.eikonal import cost, executors, ray_maps
+from wavesim.engines.eikonal.engine import FlatTiles, HierarchicalTiles
 from wavesim.engines.eikonal.ray_maps import maps_over_object, region_of_object
 from wavesim.engines.eikonal.super_tiles import tile_frame
-from wavesim.engines.eikonal.whole_field import WholeFieldEngine
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
@@ -46,23 +45,23 @@ def noise(grid: Grid, seed: int = 1) -> Field:
 def two_threads() -> Iterator[None]:
     """Whatever number of cores there is."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (whole_field_cost, executors):
+        for module in (cost, executors):
             patch.setattr(module, "THREADS", 2)
         yield
 
 
 @pytest.fixture(scope="module")
-def displaced(paper_lens: Lens) -> WholeFieldEngine:
+def displaced(paper_lens: Lens) -> HierarchicalTiles:
     """Through a lens that is displaced, perturbed and bare."""
     changes = {1: SurfacePerturbation(tilt_x_deg=0.2, radius_mm=0.05)}
     scene = plane_scene(paper_lens, (-0.4, 0.3), pose=POSE, coating="bare", surface_perturbations=changes)
-    return WholeFieldEngine(scene, error=1e-2, tiles_across=2, tile_width_mm=0.03)
+    return HierarchicalTiles(scene, error=1e-2, tiles_across=2, tile_width_mm=0.03)
 
 
-def assert_agrees_with_one_level(engine: WholeFieldEngine, error: float) -> None:
+def assert_agrees_with_one_level(engine: HierarchicalTiles, error: float) -> None:
     scene = engine.scene
     field = noise(scene.object_grid)
-    one = EikonalTiles(scene, error=1e-3, tile_width_mm=0.06).forward(
+    one = FlatTiles(scene, error=1e-3, tile_width_mm=0.06).forward(
         Field(scene.object_grid, field.values.astype(complex), WAVELENGTH_UM)
     )
     # The rim, drawn soft in one and sharp in the other, is left out.
@@ -80,15 +79,15 @@ def assert_agrees_with_one_level(engine: WholeFieldEngine, error: float) -> None
 def test_two_levels_give_what_one_level_gives(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens, (0.2, 1.2), samples=140)
     assert_agrees_with_one_level(
-        WholeFieldEngine(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3
+        HierarchicalTiles(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3
     )
 
 
-def test_displaced_and_perturbed_lenses_are_followed(displaced: WholeFieldEngine) -> None:
+def test_displaced_and_perturbed_lenses_are_followed(displaced: HierarchicalTiles) -> None:
     assert_agrees_with_one_level(displaced, 1e-2)
 
 
-def test_adjoint_is_the_conjugate_transpose(displaced: WholeFieldEngine) -> None:
+def test_adjoint_is_the_conjugate_transpose(displaced: HierarchicalTiles) -> None:
     scene = displaced.scene
     here, there = noise(scene.object_grid, 1), noise(scene.exit_grid, 2)
     out = displaced.forward(here).values.astype(complex)
@@ -100,16 +99,16 @@ def test_adjoint_is_the_conjugate_transpose(displaced: WholeFieldEngine) -> None
 
 
 @pytest.fixture(scope="module")
-def small_field(paper_lens: Lens) -> WholeFieldEngine:
+def small_field(paper_lens: Lens) -> HierarchicalTiles:
     """All of the field of a twin, and corners beyond it."""
     twin = scaled(paper_lens, 1.0 / 16.0)
     grid = Grid((400, 400), 0.5e-3, twin.object_z_mm)
-    return WholeFieldEngine(
+    return HierarchicalTiles(
         Scene(twin, grid, Grid((500, 500), 3.0e-3, twin.sensor_z_mm[0]), WAVELENGTH_UM), error=3e-2
     )
 
 
-def test_light_beyond_the_field_is_left_out(small_field: WholeFieldEngine) -> None:
+def test_light_beyond_the_field_is_left_out(small_field: HierarchicalTiles) -> None:
     grid, radius = small_field.scene.object_grid, small_field.scene.lens.half_field_mm
     outside = grid.radius_squared_mm2() > radius**2
     field = noise(grid)
@@ -121,7 +120,7 @@ def test_light_beyond_the_field_is_left_out(small_field: WholeFieldEngine) -> No
     assert np.all(back[~outside] != 0.0)
 
 
-def test_a_field_in_focus_comes_back(small_field: WholeFieldEngine) -> None:
+def test_a_field_in_focus_comes_back(small_field: HierarchicalTiles) -> None:
     """Nearly unitary: what the aperture takes in comes back."""
     grid = small_field.scene.object_grid
     radius = np.sqrt(grid.radius_squared_mm2())
@@ -130,7 +129,7 @@ def test_a_field_in_focus_comes_back(small_field: WholeFieldEngine) -> None:
     assert relative_error(back.values, smooth) < 0.05
 
 
-def test_progress_is_told(small_field: WholeFieldEngine) -> None:
+def test_progress_is_told(small_field: HierarchicalTiles) -> None:
     calls: list[tuple[int, int]] = []
     small_field.progress = lambda done, count: calls.append((done, count))
     small_field.forward(noise(small_field.scene.object_grid))
@@ -140,7 +139,7 @@ def test_progress_is_told(small_field: WholeFieldEngine) -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 77, 10_000])
-def test_bands_make_the_plane(small_field: WholeFieldEngine, rows: int) -> None:
+def test_bands_make_the_plane(small_field: HierarchicalTiles, rows: int) -> None:
     field = noise(small_field.scene.object_grid)
     whole = small_field.forward(field).values
     sums: dict[int, NDArray[Any]] = {}
@@ -150,7 +149,7 @@ def test_bands_make_the_plane(small_field: WholeFieldEngine, rows: int) -> None:
     assert sorted(sums) == list(range(len(small_field.groups)))
 
 
-def test_sums_that_are_there_are_not_made_again(small_field: WholeFieldEngine) -> None:
+def test_sums_that_are_there_are_not_made_again(small_field: HierarchicalTiles) -> None:
     field = noise(small_field.scene.object_grid)
     sums: dict[int, NDArray[Any]] = {}
     whole = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
@@ -165,7 +164,7 @@ def test_sums_that_are_there_are_not_made_again(small_field: WholeFieldEngine) -
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_memory_is_what_was_predicted(small_field: WholeFieldEngine, back: bool) -> None:
+def test_memory_is_what_was_predicted(small_field: HierarchicalTiles, back: bool) -> None:
     scene = small_field.scene
     field = noise(scene.exit_grid if back else scene.object_grid)
     used = engine_peak_bytes(small_field, field, "adjoint" if back else "forward")
@@ -176,22 +175,22 @@ def test_settings_that_cannot_be_are_refused(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens)
     for wrong in ({"tile_width_mm": math.nan}, {"tiles_across": 0}, {"error": 1e-6}):
         with pytest.raises(InputError, match=next(iter(wrong))):
-            WholeFieldEngine(scene, **wrong)  # type: ignore[arg-type]
+            HierarchicalTiles(scene, **wrong)  # type: ignore[arg-type]
     line = Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), WAVELENGTH_UM)
     with pytest.raises(InputError, match="use engine eikonal"):
-        WholeFieldEngine(line)
+        HierarchicalTiles(line)
 
 
 def test_tiles_too_wide_are_refused_by_name(paper_lens: Lens) -> None:
     with pytest.raises(RayMapError, match="make tiles narrower"):
-        WholeFieldEngine(plane_scene(paper_lens, samples=1600), tile_width_mm=0.8).groups  # noqa: B018
+        HierarchicalTiles(plane_scene(paper_lens, samples=1600), tile_width_mm=0.8).groups  # noqa: B018
 
 
 def test_a_fold_on_the_plane_is_refused(paper_lens: Lens) -> None:
     lens = paper_lens.with_surface(1, radius_mm=-6.0, semi_diameter_mm=7.5)
     grids = Grid((100, 100), 0.5e-3, -13.5), Grid((50, 50), 0.1, 20.0)
     with pytest.raises(FoldError, match=r"fold.*z = 20 mm"):
-        WholeFieldEngine(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
+        HierarchicalTiles(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
 
 
 def test_maps_follow_rays_that_they_have_not_seen(paper_lens: Lens) -> None:
@@ -225,7 +224,7 @@ def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) ->
     """Here some grids have one sample more than others of as many fine samples, by rounding."""
     twin = scaled(paper_lens, 1.0 / 32.0)
     before, behind = Grid((120, 120), 0.4256e-3, twin.object_z_mm), Grid((432, 432), 1.6e-3, 0.994625)
-    engine = WholeFieldEngine(Scene(twin, before, behind, WAVELENGTH_UM), error=0.03, tile_width_mm=0.006)
+    engine = HierarchicalTiles(Scene(twin, before, behind, WAVELENGTH_UM), error=0.03, tile_width_mm=0.006)
     for group in engine.groups:
         cache: dict[Any, Any] = {}
         for tile in group.tiles:
