@@ -24,7 +24,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.engines.eikonal.engine import FlatTiles
-from wavesim.engines.eikonal.flat_tiles import TileOperator, add_tiles, add_tiles_adjoint
+from wavesim.engines.eikonal.flat_tiles import TileOperator
 from wavesim.engines.eikonal.plan import Tile
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
@@ -106,7 +106,7 @@ def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPos
     return in_sensor_frame[:, ::-1], rays.path_mm + index * length
 
 
-class PerturbedTiles(Engine):
+class PerturbedTiles(FlatTiles):
     """Tiles that differ slightly from those of another engine.
 
     A calibration makes them; they are not among the engines that can be chosen. Cost and error terms are
@@ -138,16 +138,6 @@ class PerturbedTiles(Engine):
                 "before it"
             )
         self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
-        self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
-
-    def _perturbed_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
-        if dtype not in self._operators:
-            wavenumber = self.scene.wavenumber_per_mm
-            self._operators[dtype] = tuple(
-                operator.perturbed(ray_map, self.changes(tile, ray_map), wavenumber)
-                for tile, ray_map, operator in self.reference.tile_operators(dtype)
-            )
-        return self._operators[dtype]
 
     def changes(self, tile: Tile, ray_map: RayMap) -> SmoothMap:
         """Return how the rays of a tile differ from those of the reference, see :func:`ray_changes`."""
@@ -156,23 +146,16 @@ class PerturbedTiles(Engine):
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
         """Yield each tile, its original rays, and its operator for fields of a data type."""
         for (tile, ray_map, _), operator in zip(
-            self.reference.tile_operators(dtype), self._perturbed_operators(dtype), strict=True
+            self.reference.tile_operators(dtype), self._prepared(dtype), strict=True
         ):
             yield tile, ray_map, operator
 
-    def _forward(self, values: Any) -> Any:
-        scaled = values * values.real.dtype.type(self.scene.object_grid.cell)
-        result = np.zeros(self.plane.grid.shape, scaled.dtype)
-        add_tiles(self._perturbed_operators(scaled.dtype), scaled, result)
-        beyond = self.plane.beyond
-        return result if beyond is None else beyond.forward(result.astype(complex)).astype(scaled.dtype)
-
-    def _adjoint(self, values: Any) -> Any:
-        dtype, beyond = values.dtype, self.plane.beyond
-        field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
-        result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_adjoint(self._perturbed_operators(dtype), field, result)
-        return result * result.real.dtype.type(self.plane.grid.cell)
+    def _build_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+        wavenumber = self.scene.wavenumber_per_mm
+        return tuple(
+            operator.perturbed(ray_map, self.changes(tile, ray_map), wavenumber)
+            for tile, ray_map, operator in self.reference.tile_operators(dtype)
+        )
 
     def cost(self) -> Cost:
         return self.reference.cost()
@@ -199,7 +182,7 @@ class PerturbedScene(NamedTuple):
 
 
 def path_derivatives(
-    engine: FlatTiles | PerturbedTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
+    engine: FlatTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
 ) -> PathDerivatives:
     """Return the derivatives of paths and directions of each tile's rays with respect to each parameter.
 
@@ -240,7 +223,7 @@ def path_derivatives(
 
 
 def exit_field_changes_by_rays(
-    engine: FlatTiles | PerturbedTiles, lit: Field, derivatives: PathDerivatives
+    engine: FlatTiles, lit: Field, derivatives: PathDerivatives
 ) -> list[ComplexArray]:
     """Return the change of the exit field per unit of each parameter, from path derivatives.
 
@@ -283,9 +266,7 @@ def exit_field_changes_by_engines(
     ]
 
 
-def _tile_moments(
-    engine: FlatTiles | PerturbedTiles, field: Field
-) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
+def _tile_moments(engine: FlatTiles, field: Field) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
     """Yield each tile, its rays, and its fields on the plane where tiles are summed, shape (3, ny, nx).
 
     The three fields are those of the object, and of the object times y and times x from the tile's center in

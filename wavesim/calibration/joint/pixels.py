@@ -210,7 +210,7 @@ class DensePixels(CalibrationPixels):
     def ray_derivatives(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
     ) -> RayDerivatives | None:
-        if not isinstance(engine, FlatTiles | PerturbedTiles):
+        if not isinstance(engine, FlatTiles):
             return None
         carried = [p for p in parameters if self._acts_on_rays(p)]
         derivatives = path_derivatives(
@@ -226,7 +226,7 @@ class DensePixels(CalibrationPixels):
         derivatives: RayDerivatives | None,
     ) -> Iterable[ComplexArray]:
         engine = linear.model.engine
-        if derivatives is None or not isinstance(engine, FlatTiles | PerturbedTiles):
+        if derivatives is None or not isinstance(engine, FlatTiles):
             return exit_field_changes_by_engines(
                 engine, linear.lit, self._perturbed_scenes(unknowns, parameters), self.make
             )

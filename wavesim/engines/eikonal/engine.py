@@ -326,11 +326,11 @@ class FlatTiles(EikonalEngine):
     def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:
             with one_blas_thread():
-                self._operators[dtype] = self._tile_operators(precision_for(dtype, self._error))
+                self._operators[dtype] = self._build_operators(dtype)
         return self._operators[dtype]
 
-    def _tile_operators(self, precision: Precision) -> tuple[TileOperator, ...]:
-        grid = self.plane.grid
+    def _build_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+        precision, grid = precision_for(dtype, self._error), self.plane.grid
         axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
         tiles = self.tiles
         expansions = self._expansions()

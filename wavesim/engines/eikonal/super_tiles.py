@@ -8,7 +8,7 @@ the difference of both carriers; a super-tile is interpolated to the plane with 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.engines.eikonal.carrier_interpolation import (
     CarrierInterpolation,
-    InterpolationWeights,
     interpolation_weights,
 )
 from wavesim.engines.eikonal.plan import Tile, coarse_step_mm
@@ -182,44 +181,8 @@ def _smooth_axis(fine: Array, shared: SharedTileData) -> Array:
     return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
 
 
-@dataclass(frozen=True, eq=False)
-class TileFrame:
-    """Prepared data of a tile; small arrays only.
-
-    Attributes
-    ----------
-    group : SuperTile
-    tile : Tile
-    window : (slice, slice)
-        Window of the super-tile's grid.
-    weights : InterpolationWeights
-        Interpolation from the tile's own grid.
-    rays, group_path : MapOnAxes
-        Maps on its own grid: path and cosines p along y and x; the path of the super-tile's carrier.
-    light, factors : MapOnAxes
-        Maps in float32: amplitude and edge; real and imaginary part of each sensor factor.
-    tile_factors : ndarray of complex64
-    rise : float
-        Width of the edge in squared relative distance.
-    reach : float
-        Distance outside the edge that interpolation uses, in the same measure.
-    """
-
-    group: SuperTile
-    tile: Tile
-    window: tuple[slice, slice]
-    weights: InterpolationWeights
-    rays: MapOnAxes
-    group_path: MapOnAxes
-    light: MapOnAxes
-    factors: MapOnAxes
-    tile_factors: NDArray[np.complex64]
-    rise: float
-    reach: float
-
-
-def tile_frame(group: SuperTile, tile: Tile, cache: dict[Any, Any]) -> TileFrame:
-    """Prepare a tile.
+class ObjectTile:
+    """Propagation of one tile to its super-tile's grid.
 
     Parameters
     ----------
@@ -228,104 +191,76 @@ def tile_frame(group: SuperTile, tile: Tile, cache: dict[Any, Any]) -> TileFrame
     tile
         One of its tiles.
     cache
-        Cache of data that tiles of the same size share; extended by this function.
-    """
-    shared = group.shared
-    centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), shared.half_width_mm
-    carrier = shared.maps.carriers.at(centre)
-    window = window_between(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
-    fine = group.axes[0][window[0]], group.axes[1][window[1]]
-    steps = group.tile_steps_mm
-    y, x = (coarse_axis(f, float(h), shared.kernel) for f, h in zip(fine, steps, strict=True))
-    # Coarse axes are centred on fine ones, so that their relative position follows from the numbers of
-    # samples. The number of coarse samples can differ by one for equal numbers of fine ones, by rounding.
-    lengths = len(fine[0]), len(fine[1]), len(y), len(x)
-    if lengths not in cache:
-        cache[lengths] = interpolation_weights((y, x), (y, x), fine, shared.kernel)
-    expansion, offsets = shared.factors.at(centre), list(tile.offsets_mm)
-    size = tuple((len(o), round(1e9 * float(o[0]))) for o in offsets)
-    if size not in cache:
-        cache[size] = expansion.own_tile_factors(offsets).astype(np.complex64)
-    assert expansion.sensor_factors is not None
-    path, amplitude, *cosines, edge = carrier.coefficients
-    factors = expansion.sensor_factors.coefficients
-    parts = np.stack([factors.real, factors.imag], axis=1).reshape(-1, *factors.shape[1:])
-    own = _terms(carrier, (y, x))
-    # The squared relative distance changes by 2 over half a footprint.
-    per_mm = 2.0 / float(np.max(half_mm))
-    return TileFrame(
-        group,
-        tile,
-        window,
-        cache[lengths],
-        MapOnAxes(np.stack([path, *cosines]), own),
-        MapOnAxes(group.carrier.coefficients[:1], _terms(group.carrier, (y, x))),
-        MapOnAxes(np.stack([amplitude, edge]), own).single(),
-        MapOnAxes(parts, _terms(expansion.sensor_factors, (y, x))).single(),
-        _exponential(expansion.shared_logarithm(offsets)) * cache[size],
-        shared.rise_over(group.steps_mm),
-        per_mm * 0.5 * shared.kernel.taps * float(np.max(steps)),
-    )
-
-
-def _terms(smooth: SmoothMap, axes: tuple[Array, Array]) -> tuple[NDArray, ...]:
-    """Return the terms of a map along two axes, C-contiguous for fast matrix products."""
-    return tuple(map(np.ascontiguousarray, smooth.along(axes).terms))
-
-
-def _exponential(logarithm: NDArray[np.complex128]) -> NDArray[np.complex64]:
-    """Return the exponential of a logarithm, from its parts: four times as fast as NumPy's complex one."""
-    size = np.exp(logarithm.real.astype(np.float32))
-    return np.asarray(phasor_of(logarithm.imag, np.complex64) * size)
-
-
-class ObjectTile:
-    """Propagation of one tile to its super-tile's grid.
-
-    Parameters
-    ----------
-    frame
-        Prepared data of the tile.
-    plans
-        Cache of transforms of tiles of the same shape; extended by the object.
+        Cache of transforms and weights that tiles of the same size share; extended by the object.
     """
 
-    def __init__(self, frame: TileFrame, plans: dict[tuple[int, ...], Any]) -> None:
-        self._plans = plans
-        shared, scene = frame.group.shared, frame.group.shared.scene
-        wavelength_mm = 1e-3 * scene.wavelength_um
-        path, py, px = frame.rays.each()
-        phase_waves = (path - next(frame.group_path.each())) / wavelength_mm
-        phase_waves += -0.25 - 0.25 * shared.maps.caustics
-        amplitude, edge = frame.light.each()
-        self._interpolation = CarrierInterpolation(
-            frame.weights, phase_waves, 0.5 + (1.0 - edge) / frame.rise, frame.window
+    def __init__(self, group: SuperTile, tile: Tile, cache: dict[tuple[Any, ...], Any]) -> None:
+        self._cache, shared = cache, group.shared
+        centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), shared.half_width_mm
+        carrier = shared.maps.carriers.at(centre)
+        window = window_between(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
+        fine = group.axes[0][window[0]], group.axes[1][window[1]]
+        y, x = (
+            coarse_axis(f, float(h), shared.kernel) for f, h in zip(fine, group.tile_steps_mm, strict=True)
         )
-        most = 0.5 * wavelength_mm / frame.tile.pitch_mm
-        needed = edge < 1.0 + 0.5 * frame.rise + frame.reach
-        needed &= (abs(py) <= most) & (abs(px) <= most)
+        own = _terms(carrier, (y, x))
+        path, amplitude, *cosines, edge = carrier.coefficients
+        wavelength_mm = 1e-3 * shared.scene.wavelength_um
+        path, py, px = MapOnAxes(np.stack([path, *cosines]), own).each()
+        group_path = MapOnAxes(group.carrier.coefficients[:1], _terms(group.carrier, (y, x)))
+        phase_waves = (path - next(group_path.each())) / wavelength_mm
+        phase_waves += -0.25 - 0.25 * shared.maps.caustics
+        amplitude, edge = MapOnAxes(np.stack([amplitude, edge]), own).single().each()
+        rise = shared.rise_over(group.steps_mm)
+        # Coarse axes are centred on fine ones, so that their relative position follows from the numbers of
+        # samples. The number of coarse samples can differ by one for equal numbers of fine ones, by rounding.
+        self._interpolation = CarrierInterpolation(
+            self._cached(
+                ("weights", len(fine[0]), len(fine[1]), len(y), len(x)),
+                lambda: interpolation_weights((y, x), (y, x), fine, shared.kernel),
+            ),
+            phase_waves,
+            0.5 + (1.0 - edge) / rise,
+            window,
+        )
+        # Distance outside the edge that interpolation uses, in squared relative distance, which changes by 2
+        # over half a footprint.
+        reach = shared.kernel.taps * float(np.max(group.tile_steps_mm)) / float(np.max(half_mm))
+        most = 0.5 * wavelength_mm / tile.pitch_mm
+        needed = (edge < 1.0 + 0.5 * rise + reach) & (abs(py) <= most) & (abs(px) <= most)
         self._shape, self._places = needed.shape, np.flatnonzero(needed)
-        self._tile_factors = np.ascontiguousarray(frame.tile_factors)
+        expansion, offsets = shared.factors.at(centre), list(tile.offsets_mm)
+        self._tile_factors = _exponential(expansion.shared_logarithm(offsets)) * self._cached(
+            ("factors", *((len(o), round(1e9 * float(o[0]))) for o in offsets)),
+            lambda: expansion.own_tile_factors(offsets).astype(np.complex64),
+        )
+        assert expansion.sensor_factors is not None
+        factors = expansion.sensor_factors.coefficients
+        parts = np.stack([factors.real, factors.imag], axis=1).reshape(-1, *factors.shape[1:])
+        each = MapOnAxes(parts, _terms(expansion.sensor_factors, (y, x))).single().each()
         scale = self._needed(amplitude) * np.float32(1.0 / wavelength_mm)
-        self._weights = np.empty((len(frame.tile_factors), len(scale)), dtype=np.complex64)
-        parts = frame.factors.each()
+        self._weights = np.empty((len(factors), len(scale)), dtype=np.complex64)
         for weight in self._weights:
-            weight.real = scale * self._needed(next(parts))
-            weight.imag = scale * self._needed(next(parts))
+            weight.real = scale * self._needed(next(each))
+            weight.imag = scale * self._needed(next(each))
         self._precision = shared.precision
-        per_mm, half = scene.wavenumber_per_mm * frame.tile.pitch_mm, np.float32(math.pi)
+        per_mm, half = shared.scene.wavenumber_per_mm * tile.pitch_mm, np.float32(math.pi)
         angles = [(per_mm * self._needed(p)).astype(np.float32) for p in (py, px)]
         self._angles = [np.clip(angle, -half, half) for angle in angles]  # rounding may exceed half a turn
+
+    def _cached(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        if key not in self._cache:
+            self._cache[key] = make()
+        return self._cache[key]
 
     def _needed(self, values: Any) -> Any:
         return values.ravel().take(self._places)
 
     def _plan(self, kind: int) -> Any:
-        key = (kind, *self._tile_factors.shape)
-        if key not in self._plans:
-            self._plans[key] = plan_of_terms(kind, self._tile_factors.shape, self._precision)
-        self._plans[key].setpts(*self._angles)
-        return self._plans[key]
+        shape = self._tile_factors.shape
+        plan = self._cached((kind, *shape), lambda: plan_of_terms(kind, shape, self._precision))
+        plan.setpts(*self._angles)
+        return plan
 
     def add(self, values: Any, result: Any) -> None:
         """Add the field of the tile's part of the object to the super-tile's grid."""
@@ -342,6 +277,17 @@ class ObjectTile:
             return np.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
         strength = self._needed(self._interpolation.collect(values))
         return adjoint_of_terms(self._plan(1), strength, self._tile_factors, self._weights)
+
+
+def _terms(smooth: SmoothMap, axes: tuple[Array, Array]) -> tuple[NDArray, ...]:
+    """Return the terms of a map along two axes, C-contiguous for fast matrix products."""
+    return tuple(map(np.ascontiguousarray, smooth.along(axes).terms))
+
+
+def _exponential(logarithm: NDArray[np.complex128]) -> NDArray[np.complex64]:
+    """Return the exponential of a logarithm, from its parts: four times as fast as NumPy's complex one."""
+    size = np.exp(logarithm.real.astype(np.float32))
+    return np.asarray(phasor_of(logarithm.imag, np.complex64) * size)
 
 
 def propagate_tiles(
@@ -371,10 +317,9 @@ def propagate_tiles(
     def one_thread(thread: int) -> NDArray[np.complex64]:
         # The fields of tiles overlap in the forward direction; their parts of the object do not.
         result = np.zeros(shape, np.complex64) if direction == "forward" else parts
-        cache: dict[Any, Any] = {}
-        plans: dict[tuple[int, ...], Any] = {}
+        cache: dict[tuple[Any, ...], Any] = {}
         for one in group.tiles[thread::threads]:
-            tile, position = ObjectTile(tile_frame(group, one, cache), plans), group.within(one)
+            tile, position = ObjectTile(group, one, cache), group.within(one)
             if direction == "forward":
                 tile.add(values[position], result)
             else:

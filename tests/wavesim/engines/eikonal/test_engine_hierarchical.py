@@ -17,7 +17,7 @@ from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.eikonal import cost, executors, ray_maps
 from wavesim.engines.eikonal.engine import FlatTiles, HierarchicalTiles
 from wavesim.engines.eikonal.ray_maps import maps_over_object, region_of_object
-from wavesim.engines.eikonal.super_tiles import tile_frame
+from wavesim.engines.eikonal.super_tiles import ObjectTile
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
@@ -228,7 +228,7 @@ def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) ->
     for group in engine.groups:
         cache: dict[Any, Any] = {}
         for tile in group.tiles:
-            shared, own = tile_frame(group, tile, cache), tile_frame(group, tile, {})
+            shared, own = (ObjectTile(group, tile, kept)._interpolation for kept in (cache, {}))
             for one, other in zip(shared.weights.field, own.weights.field, strict=True):
                 # Where a fine sample lies on a coarse one, rounding says which of them is its first.
                 np.testing.assert_allclose(
