@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from wavesim.engines.eikonal.ray_maps import Region, object_terms, solve
+from wavesim.engines.eikonal.ray_maps import Region
 from wavesim.fields.field import Field, Grid
-from wavesim.rays.maps import inside_border
+from wavesim.rays.maps import inside_border, solve, total_order_terms
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.engine import Engine
@@ -58,7 +58,7 @@ class TransmittedDirections:
 
     def border(self, point_mm: Array) -> Array:
         """Return cosines (y, x) along the border for an object point (y, x) in mm, shape (ARMS, 2)."""
-        terms = object_terms(self.region.scaled(point_mm[None]), ORDER)[0]
+        terms = total_order_terms(self.region.scaled(point_mm[None]), ORDER)[0]
         return np.asarray(np.tensordot(terms, self.coefficients, axes=1))
 
 
@@ -98,7 +98,7 @@ def transmitted_directions(scene: Scene, about: Grid | None = None) -> Transmitt
             continue
         seen.append(node)
         borders.append(trace_bundle(scene, node[::-1], pupil.rim, z_mm).cosines)
-    terms = object_terms(region.scaled(np.array(seen).reshape(-1, 2)), ORDER)
+    terms = total_order_terms(region.scaled(np.array(seen).reshape(-1, 2)), ORDER)
     if len(terms) < terms.shape[1]:
         raise InputError(
             f"transmitted band: light of only {len(seen)} of {len(nodes)} object points passes the lens"

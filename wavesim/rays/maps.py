@@ -109,15 +109,35 @@ def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:
     middle, half_width = 0.5 * (low + high), 0.5 * (high - low)
     scaled = (points - middle) / half_width
     if points.shape[1] == 1:
-        basis = chebyshev.chebvander(scaled[:, 0], order)
-        solution = lstsq(basis, values.T, lapack_driver="gelsy", check_finite=False)[0]
-        return SmoothMap(middle, half_width, np.asarray(solution.T))
-    first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
-    y, x = (chebyshev.chebvander(column, order) for column in scaled.T)
-    solution = lstsq(y[:, first] * x[:, second], values.T, lapack_driver="gelsy", check_finite=False)[0]
-    coefficients = np.zeros((len(values), order + 1, order + 1), solution.dtype)
-    coefficients[:, first, second] = solution.T
+        return SmoothMap(middle, half_width, solve(chebyshev.chebvander(scaled[:, 0], order), values.T).T)
+    coefficients = on_square(solve(total_order_terms(scaled, order), values.T).T, order)
     return SmoothMap(middle, half_width, coefficients)
+
+
+def total_order_terms(unit: Array, order: int) -> Array:
+    """Return the Chebyshev products of a total order at points (n, 2) in the unit square, (n, terms)."""
+    first, second = _orders(order)
+    y, x = (chebyshev.chebvander(column, order) for column in unit.T)
+    return np.asarray(y[:, first] * x[:, second])
+
+
+def on_square(coefficients: NDArray, order: int) -> NDArray:
+    """Return coefficients (..., terms) of a total order as those of a :class:`SmoothMap`, (..., n, n)."""
+    result = np.zeros((*coefficients.shape[:-1], order + 1, order + 1), coefficients.dtype)
+    first, second = _orders(order)
+    result[..., first, second] = coefficients
+    return result
+
+
+def _orders(order: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the orders in both variables of the terms of a total order."""
+    first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
+    return first, second
+
+
+def solve(basis: Array, values: NDArray) -> NDArray:
+    """Return the least-squares solution of basis @ x = values."""
+    return np.asarray(lstsq(basis, values, lapack_driver="gelsy", check_finite=False)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,7 +197,7 @@ class DensePixels(CalibrationPixels):
         state = unknowns.state
         scene = placed_scene(self.scene, state)
         return ForwardModel(
-            PerturbedTiles(reference, scene) if isinstance(reference, FlatTiles) else self.make(scene),
+            PerturbedTiles(reference, scene) if type(reference) is FlatTiles else self.make(scene),
             placed_light(self.illumination, state),
             placed_planes(self.recorded, state),
             self.scale,

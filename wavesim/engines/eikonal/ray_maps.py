@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
-from scipy.linalg import lstsq
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.maps import RayMapError, SmoothMap, check_no_fold
+from wavesim.rays.maps import RayMapError, SmoothMap, check_no_fold, on_square, solve, total_order_terms
 from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
 
@@ -106,7 +104,7 @@ class OverObject:
     def at(self, point_mm: tuple[float, float]) -> SmoothMap:
         """Return the map of one object point (y, x)."""
         unit = self.region.scaled(np.array([point_mm]))
-        weights = object_terms(unit, self.order)[0]
+        weights = total_order_terms(unit, self.order)[0]
         values = np.tensordot(weights, self.coefficients, axes=1)
         return SmoothMap(box_middles(self.middles, unit)[0], self.half_width, values)
 
@@ -114,17 +112,6 @@ class OverObject:
 def box_middles(middles: Array, unit: Array) -> Array:
     """Return the centres of the sensor boxes of object points in units of the region, shape (n, 2)."""
     return np.asarray(middles[0] + unit @ middles[1:])
-
-
-def object_terms(unit: Array, order: int) -> Array:
-    """Return the Chebyshev products of a total order in two variables, shape (n, terms)."""
-    first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
-    y, x = (chebyshev.chebvander(column, order) for column in unit.T)
-    return np.asarray(y[:, first] * x[:, second])
-
-
-def solve(basis: Array, values: NDArray) -> NDArray:
-    return np.asarray(lstsq(basis, values, lapack_driver="gelsy", check_finite=False)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +170,7 @@ class MapsOverObject:
 
     def slopes_per_mm(self, points_mm: Array) -> Array:
         """Return the largest |dp_i / ds_j| over the footprints of object points, in the order (y, x)."""
-        terms = object_terms(self.carriers.region.scaled(points_mm), SLOPE_ORDER)
+        terms = total_order_terms(self.carriers.region.scaled(points_mm), SLOPE_ORDER)
         return np.asarray(np.max(np.tensordot(terms, self.slopes, axes=1), axis=0))
 
 
@@ -282,17 +269,13 @@ def fit_over_object(
     plane = np.column_stack([np.ones(len(unit)), unit])
     middles = solve(plane, spans.mean(axis=1))
     half_width = np.max(np.abs(spans - (plane @ middles)[:, None]), axis=(0, 1))
-    n = sensor_order + 1
-    first, second = np.nonzero(np.add.outer(np.arange(n), np.arange(n)) <= sensor_order)
-    solutions = [
-        solve(object_terms((at - box_middles(middles, place[None])) / half_width, sensor_order), carried.T)
-        for at, carried, place in zip(sensor_mm, values, unit, strict=True)
-    ]
-    over = solve(object_terms(unit, object_order), np.stack(solutions).reshape(len(unit), -1))
-    over = over.reshape(len(over), len(first), -1)
-    coefficients = np.zeros((len(over), over.shape[2], n, n), over.dtype)
-    coefficients[:, :, first, second] = np.moveaxis(over, 2, 1)
-    return OverObject(region, object_order, middles, half_width, coefficients)
+    solutions = []
+    for at, carried, place in zip(sensor_mm, values, unit, strict=True):
+        relative = (at - box_middles(middles, place[None])) / half_width
+        solutions.append(solve(total_order_terms(relative, sensor_order), carried.T))
+    over = solve(total_order_terms(unit, object_order), np.stack(solutions).reshape(len(unit), -1))
+    over = np.moveaxis(over.reshape(len(over), len(solutions[0]), -1), 2, 1)
+    return OverObject(region, object_order, middles, half_width, on_square(over, sensor_order))
 
 
 def _errors(
@@ -325,7 +308,7 @@ def _slopes(region: Region, nodes: list[_Node]) -> Array:
         inside = b.ok & (node.edge <= 1.0)
         slopes = np.abs(b.cosine_jacobian[inside] @ np.linalg.inv(b.jacobian[inside]))
         largest.append(slopes.max(axis=0).ravel())
-    terms = object_terms(region.scaled(np.array([node.point_mm for node in nodes])), SLOPE_ORDER)
+    terms = total_order_terms(region.scaled(np.array([node.point_mm for node in nodes])), SLOPE_ORDER)
     over = solve(terms, np.array(largest))
     over[0] += np.max(largest - terms @ over, axis=0)
     return over.reshape(-1, 2, 2)

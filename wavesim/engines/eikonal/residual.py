@@ -21,8 +21,16 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.eikonal.ray_maps import OverObject, Region, fit_over_object, object_terms, solve
-from wavesim.rays.maps import RayMap, RayMapError, SmoothMap, fit_map, sample_points
+from wavesim.engines.eikonal.ray_maps import OverObject, Region, fit_over_object
+from wavesim.rays.maps import (
+    RayMap,
+    RayMapError,
+    SmoothMap,
+    fit_map,
+    sample_points,
+    solve,
+    total_order_terms,
+)
 from wavesim.rays.ray_bundles import inverses, shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
@@ -284,7 +292,7 @@ class FactorsOverObject:
     def at(self, point_mm: tuple[float, float]) -> Separable:
         """Return the expansion of the tile about an object point (y, x)."""
         unit = self.sensor.region.scaled(np.array([point_mm]))
-        shared = np.tensordot(object_terms(unit, self.sensor.order)[0], self.logarithm, axes=1)
+        shared = np.tensordot(total_order_terms(unit, self.sensor.order)[0], self.logarithm, axes=1)
         return Separable(
             self.sensor.at(point_mm), shared, self.tile_nodes, self.spans_mm, self.relative_error
         )
@@ -351,7 +359,7 @@ def _factors_of_order(
     sensor_order = 12
     sensor = fit_over_object(region, (order, sensor_order), points, [r.sensor_mm for r in residuals], factors)
     means = np.stack([r.mean for r in residuals])
-    logarithm = solve(object_terms(region.scaled(points), order), means.reshape(len(points), -1))
+    logarithm = solve(total_order_terms(region.scaled(points), order), means.reshape(len(points), -1))
     largest_error = 0.0
     for residual, value, (x, y) in zip(residuals, values, centres, strict=True):
         missed = value - sensor.at((y, x)).at(residual.sensor_mm).T @ tile
