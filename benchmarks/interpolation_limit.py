@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from benchmarks.timing import Row, interleaved, print_table
-from wavesim.engines.eikonal.carrier_interpolation import CarrierInterpolation, interpolation_weights
+from wavesim.fields.carrier_interpolation import CarrierInterpolation, interpolation_weights
 from wavesim.fields.resampling import coarse_axis, kernel_for
 
 SIDE, STEP, SMOOTH, ERROR = 6144, 4.0, 300, 1e-3

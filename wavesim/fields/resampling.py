@@ -138,6 +138,7 @@ def add_interpolated(
         (y.first, y.weight),
         (x.first, x.weight),
         carrier.view(real),
+        None,
         plane.view(real),
         origin,
     )
@@ -153,7 +154,7 @@ def gathered(
 ) -> NDArray:
     """Return the conjugate transpose of :func:`add_interpolated` applied to a plane: a coarse field."""
     (y, x), real = weights, carrier.real.dtype
-    fixed = (plane.view(real), origin, carrier.view(real), y.adjoint, x.adjoint)
+    fixed = (plane.view(real), origin, carrier.view(real), None, y.adjoint, x.adjoint)
 
     return onto_coarse(partial(collect, *fixed), weights, carrier.dtype, threads)
 

@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import math
 
-from numpy import empty, int64
+from numpy import empty, full, int64
 from numpy.typing import NDArray
 
 from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
+from wavesim.fields import carrier_kernel
+from wavesim.fields.carrier_kernel import DARK, OPEN, carrier_buffers, make_waves
 from wavesim.runtime.fourier import lanes
 from wavesim.runtime.fourier.lanes import (
     LANES,
@@ -26,6 +28,7 @@ from wavesim.runtime.fourier.lanes import (
     lines_for,
     load,
     more_pairs,
+    moved_up,
     odds,
     pairs,
     store,
@@ -130,16 +133,18 @@ def sums_of_lines(
 
 @_jit
 def add_modulated(
-    lines: NDArray, waves: NDArray, plane: NDArray, at: int, step: int, width: int, first: int, stop: int
+    lines: NDArray, waves: NDArray, light: NDArray, plane: NDArray, at: int, step: int, width: int, count: int
 ) -> None:
-    """Add lines times complex factors to rows of `width` samples, for rows from `first` to one before `stop`.
+    """Add `count` lines times complex factors to rows of `width` samples, except for dark lines.
 
     The first line goes to the row that begins at `at` of a flat plane, whose rows are `step` apart. Lines and
     factors hold real parts before imaginary ones, in whole vectors; the plane's rows interleave them.
     """
     half, across, some = whole(width), lines.shape[1], empty(2 * LANES, plane.dtype)
     line, wave = lines.reshape(-1), waves.reshape(-1)
-    for row in range(first, stop):
+    for row in range(count):
+        if light[row] == DARK:
+            continue
         here = row * across
         for j in range(0, width, LANES):
             cosine, sine = load(wave, here + j), load(wave, here + half + j)
@@ -164,18 +169,21 @@ def take_modulated(
     at: int,
     step: int,
     waves: NDArray,
+    light: NDArray,
     width: int,
     lines: NDArray,
-    first: int,
     to: int,
     count: int,
 ) -> None:
-    """Transpose of :func:`add_modulated`, for `count` rows, onto lines from `to` on."""
+    """Transpose of :func:`add_modulated`, onto lines from `to` on; dark lines become 0."""
     half, across, some = whole(width), lines.shape[1], empty(2 * LANES, plane.dtype)
     line, wave = lines.reshape(-1), waves.reshape(-1)
     some[:] = 0.0
     for row in range(count):
-        here, target = (first + row) * waves.shape[1], (to + row) * across
+        if light[row] == DARK:
+            lines[to + row] = 0.0
+            continue
+        here, target = row * waves.shape[1], (to + row) * across
         for j in range(0, width, LANES):
             start = at + row * step + 2 * j
             if j + LANES <= width:
@@ -249,13 +257,6 @@ def make_rows(
 
 
 @_jit
-def moved_up(lines: NDArray, first: int, made: int, top: int) -> None:
-    """Move lines from `first` to `made` to the start of the buffer, which now begins at line `top`."""
-    for i in range(first, made):
-        lines[i - first] = lines[i - top]
-
-
-@_jit
 def rows_from(
     coarse: NDArray,
     fours_x: tuple[NDArray, NDArray, NDArray],
@@ -317,7 +318,8 @@ def expand(
     coarse: NDArray,
     along_y: tuple[NDArray, NDArray],
     along_x: tuple[NDArray, NDArray],
-    carrier: NDArray,
+    carrier: NDArray | None,
+    smooth_carrier: tuple[NDArray, ...] | None,
     plane: NDArray,
     origin: tuple[int, int],
     begin: int,
@@ -325,33 +327,58 @@ def expand(
 ) -> None:
     """Add columns of a coarse field, interpolated and times a carrier, to those of a fine plane.
 
-    `along_y` and `along_x` are the first coarse sample and its weights for each fine one. Fields and carrier
-    are given as their float views; `origin` is the row and column of the plane at which the fine field
-    begins.
+    Fields and the carrier are given as their float views. One of both carriers is None, and Numba compiles a
+    loop without it.
+
+    Parameters
+    ----------
+    coarse
+        Coarse field.
+    along_y, along_x
+        First coarse sample and its weights for each fine one.
+    carrier
+        Carrier at each fine sample; None if it is smooth.
+    smooth_carrier
+        Arrays of :mod:`wavesim.fields.carrier_kernel`; None if the carrier is stored.
+    plane
+        Fine plane.
+    origin
+        Row and column of the plane at which the fine field begins.
+    begin, end
+        Columns of the fine field.
     """
     first_y, weight_y = along_y
     width, half, last_y = end - begin, whole(end - begin), first_y + weight_y.shape[1]
     most = most_of_four(first_y, last_y)
     rows, lines = lines_for(2 * (most + BAND), 2 * half, plane), lines_for(FOUR, 2 * half, plane)
     buffer, waves = empty((FOUR, most), plane.dtype), lines_for(FOUR, 2 * half, plane)
-    onto, step = plane.reshape(-1), plane.shape[1]
+    onto, step, light, some = plane.reshape(-1), plane.shape[1], full(FOUR, OPEN), True
+    if smooth_carrier is not None:
+        kept = carrier_buffers(width)
     first_x, weight_x = along_x[0][begin:end], along_x[1][begin:end]
     fours_x = all_fours(first_x, first_x + weight_x.shape[1], weight_x, 0, coarse.shape[1] // 2)
     top = made = 0
     for four in range(0, len(first_y), FOUR):
+        stop = min(four + FOUR, len(first_y))
+        if carrier is not None:
+            take_parts(carrier, begin, end, four, stop - four, waves)
+        if smooth_carrier is not None:
+            some = make_waves(smooth_carrier, four, stop, begin, end, kept, waves, light)
+        if not some:
+            continue
         first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], buffer)
         top, made = rows_from(coarse, fours_x, width, first, first + count, rows, (top, made))
         sums_of_lines(rows, first - top, count, buffer, 2 * half, lines)
-        several, at = min(FOUR, len(first_y) - four), (origin[0] + four) * step + 2 * (origin[1] + begin)
-        take_parts(carrier, begin, end, four, several, waves)
-        add_modulated(lines, waves, onto, at, step, width, 0, several)
+        at = (origin[0] + four) * step + 2 * (origin[1] + begin)
+        add_modulated(lines, waves, light, onto, at, step, width, stop - four)
 
 
 @_jit
 def collect(
     plane: NDArray,
     origin: tuple[int, int],
-    carrier: NDArray,
+    carrier: NDArray | None,
+    smooth_carrier: tuple[NDArray, ...] | None,
     adjoint_y: tuple[NDArray, NDArray, NDArray],
     adjoint_x: tuple[NDArray, NDArray, NDArray],
     first_column: int,
@@ -368,11 +395,12 @@ def collect(
     count, most = len(first_y), most_of_four(first_y, last_y)
     width, half = end - begin, whole(end - begin)
     fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
-    buffer, result = (
-        empty((FOUR, most), plane.dtype),
-        empty((count, 2 * (past_column - first_column)), plane.dtype),
-    )
+    buffer = empty((FOUR, most), plane.dtype)
+    result = empty((count, 2 * (past_column - first_column)), plane.dtype)
     waves, source, step = lines_for(FOUR, 2 * half, plane), plane.reshape(-1), plane.shape[1]
+    light = full(FOUR, OPEN)
+    if smooth_carrier is not None:
+        kept = carrier_buffers(width)
     lines[:] = 0.0
     fours_x = all_fours(
         adjoint_x[0][first_column:past_column],
@@ -381,23 +409,30 @@ def collect(
         begin,
         end,
     )
-    top = made = 0
+    top = made = bright = dark = 0  # range of rows with light
     for four in range(0, count, FOUR):
-        first, several = weights_for_four(four, first_y, last_y, weight_y, 0, carrier.shape[0], buffer)
-        if first + several - top > fine.shape[0]:
+        first, last = first_y[four], last_y[min(four + FOUR, count) - 1]
+        if last - top > fine.shape[0]:
             moved_up(fine, first, made, top)
             top, made = first, max(made, first)
-        while made < first + several:
-            more = min(FOUR, first + several - made)
-            take_parts(carrier, begin, end, made, more, waves)
-            start = (origin[0] + made) * step + 2 * (origin[1] + begin)
-            take_modulated(source, start, step, waves, width, fine, 0, made - top, more)
-            made += more
+        while made < last:
+            stop = min(made + FOUR, last)
+            if carrier is not None:
+                take_parts(carrier, begin, end, made, stop - made, waves)
+            if smooth_carrier is not None:
+                make_waves(smooth_carrier, made, stop, begin, end, kept, waves, light)
+            at = (origin[0] + made) * step + 2 * (origin[1] + begin)
+            take_modulated(source, at, step, waves, light, width, fine, made - top, stop - made)
+            for i in range(made, stop):
+                if light[i - made] != DARK:
+                    bright, dark = bright if dark else i, i + 1
+            made = stop
+        start, several = weights_for_four(four, first_y, last_y, weight_y, bright, dark, buffer)
         at = four % BAND
-        sums_of_lines(fine, first - top, several, buffer, 2 * half, lines[at : at + FOUR])
+        sums_of_lines(fine, start - top, several, buffer, 2 * half, lines[at : at + FOUR])
         if at + FOUR == BAND or four + FOUR >= count:
             put_band(lines, four - at, min(BAND, count - four + at), fours_x, begin, width, result)
     return result
 
 
-drop_outdated(expand, {__name__, lanes.__name__})
+drop_outdated(expand, {__name__, carrier_kernel.__name__, lanes.__name__})

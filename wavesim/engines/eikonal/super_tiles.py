@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.eikonal.carrier_interpolation import (
-    CarrierInterpolation,
-    interpolation_weights,
-)
 from wavesim.engines.eikonal.plan import Tile, coarse_step_mm
 from wavesim.engines.eikonal.ray_maps import REACH, MapsOverObject
 from wavesim.engines.eikonal.residual import FactorsOverObject
+from wavesim.fields.carrier_interpolation import (
+    CarrierInterpolation,
+    interpolation_weights,
+)
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap

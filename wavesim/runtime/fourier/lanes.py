@@ -229,3 +229,10 @@ def lines_for(count: int, numbers: int, like: NDArray) -> NDArray:
     room = empty(count * wide + CACHE_LINE // like.itemsize, like.dtype)
     start = -room.ctypes.data % CACHE_LINE // like.itemsize
     return room[start : start + count * wide].reshape(count, wide)
+
+
+@cached_njit(nogil=True)
+def moved_up(lines: NDArray, first: int, made: int, top: int) -> None:
+    """Move lines from `first` to `made` to the start of the buffer, which now begins at line `top`."""
+    for i in range(first, made):
+        lines[i - first] = lines[i - top]

@@ -16,7 +16,6 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.eikonal import on_cluster as cluster_tiles
-from wavesim.engines.eikonal.carrier_interpolation import CarrierInterpolation
 from wavesim.engines.eikonal.engine import HierarchicalTiles
 from wavesim.engines.eikonal.on_cluster import (
     ClusterExecutor,
@@ -28,6 +27,7 @@ from wavesim.engines.eikonal.on_cluster import (
     tiles_in,
     validate_tiled,
 )
+from wavesim.fields.carrier_interpolation import CarrierInterpolation
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wavesim.engines.eikonal.carrier_interpolation import CarrierInterpolation, interpolation_weights
+from wavesim.fields.carrier_interpolation import CarrierInterpolation, interpolation_weights
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.fields.resampling_kernel import BLOCK
 

@@ -1,11 +1,10 @@
-"""Compiled loops that interpolate a field from a coarse plane to a fine one, times a carrier, and the
-adjoint.
+"""Compiled loops that compute carriers of a fine plane from their phase on a coarse grid.
 
 Carriers exp(2 pi i phase) of a whole field are too large to be stored. Their phase, in turns, and the edge of
 the aperture are smooth. Both are given on coarse grids of their own, from which four samples along each axis
 interpolate the values in between. Between four rows, the phase is that of one row, reduced in float64, plus
-weighted differences to the other rows, a few turns, in float32. Fields are interpolated as in
-:mod:`wavesim.fields.resampling_kernel`.
+weighted differences to the other rows, a few turns, in float32. The loops of
+:mod:`wavesim.fields.resampling_kernel` use some rows of the carrier at a time.
 """
 
 # mypy: disable-error-code="misc, operator"
@@ -20,22 +19,18 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
-from wavesim.fields import resampling_kernel
-from wavesim.fields.resampling_kernel import (
-    BAND,
-    FOUR,
-    add_modulated,
-    all_fours,
-    most_of_four,
-    moved_up,
-    put_band,
-    rows_from,
-    sums_of_lines,
-    take_modulated,
-    weights_for_four,
-)
 from wavesim.runtime.fourier import lanes
-from wavesim.runtime.fourier.lanes import LANES, alike, larger, lines_for, load, smaller, store, whole
+from wavesim.runtime.fourier.lanes import (
+    LANES,
+    alike,
+    larger,
+    lines_for,
+    load,
+    moved_up,
+    smaller,
+    store,
+    whole,
+)
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy")
@@ -44,10 +39,13 @@ _inlined = cached_njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="
 _SMOOTH = 4
 """Rows, and columns, of the cubic interpolation of phase and edge."""
 
-_KEPT = 2 * BAND
+_BAND = 2 * LANES
+"""Rows of phase and edge that are computed at a time."""
+
+_KEPT = 2 * _BAND
 """Rows of phase and edge that the buffer holds."""
 
-_DARK, _PARTLY, _OPEN = 0, 1, 2
+DARK, _PARTLY, OPEN = 0, 1, 2
 """Light of a row: none, partly stopped, or all."""
 
 _ROUNDER = float32(1.5 * 2**23)
@@ -110,7 +108,7 @@ def _differences(phase_waves: NDArray, at: int, width: int, parts: NDArray) -> N
 
 
 @_jit
-def _carrier_buffers(width: int) -> tuple[Any, ...]:
+def carrier_buffers(width: int) -> tuple[Any, ...]:
     """Return the buffers for the carrier of a block.
 
     They hold rows of phase and edge, the least and largest edge of each row, the split phases of four rows,
@@ -134,13 +132,13 @@ def _more_rows(
     turns, rim, ends, ___, rows = buffers
     if rows[1] < first:
         rows[:2] = first
-    if rows[1] + BAND - rows[0] > _KEPT:
+    if rows[1] + _BAND - rows[0] > _KEPT:
         moved_up(turns, first, rows[1], rows[0])
         moved_up(rim, first, rows[1], rows[0])
         for k in range(first, rows[1]):
             ends[:, k - first] = ends[:, k - rows[0]]
         rows[0] = first
-    low, high, at = rows[1], min(rows[1] + BAND, phase.shape[0]), rows[1] - rows[0]
+    low, high, at = rows[1], min(rows[1] + _BAND, phase.shape[0]), rows[1] - rows[0]
     _smooth_rows(phase, low, high, (first_x, weight_of_x), begin, end, turns, at)
     _smooth_rows(edge, low, high, (first_x, single_x), begin, end, rim, at)
     for k in range(at, at + high - low):
@@ -156,13 +154,13 @@ def _light_between(ends: NDArray, at: int, weights: NDArray) -> int:
         least, most = min(least, ends[0, at + k]), max(most, ends[1, at + k])
         negative -= min(weights[k], 0.0)
     if most <= _ZERO:
-        return _DARK
+        return DARK
     # This is a lower bound of the values between four rows.
-    return _OPEN if least - negative * (most - least) >= _FULL else _PARTLY
+    return OPEN if least - negative * (most - least) >= _FULL else _PARTLY
 
 
 @_jit
-def _make_waves(
+def make_waves(
     carrier: tuple[NDArray, ...],
     row: int,
     stop: int,
@@ -185,7 +183,7 @@ def _make_waves(
             _more_rows(carrier, begin, end, first, buffers)
         at, number = first - rows[0], i - row
         light[number] = _light_between(ends, at, weight_of_y[i])
-        if light[number] == _DARK:
+        if light[number] == DARK:
             continue
         if rows[2] != first:
             _differences(turns, at, end - begin, parts)
@@ -238,7 +236,7 @@ def _fill(
         alike(float32(weights[2])),
         alike(float32(weights[3])),
     )
-    if light == _OPEN:
+    if light == OPEN:
         for j in range(0, width, LANES):
             cosine, sine = _wave(part, step, j, a, c, d)
             store(line, here + j, cosine)
@@ -251,111 +249,4 @@ def _fill(
         store(line, here + half + j, passed * sine)
 
 
-@_jit
-def expand(
-    coarse: NDArray,
-    along_y: tuple[NDArray, NDArray],
-    along_x: tuple[NDArray, NDArray],
-    carrier: tuple[NDArray, ...],
-    plane: NDArray,
-    origin: tuple[int, int],
-    begin: int,
-    end: int,
-) -> None:
-    """Add columns of a coarse field, interpolated and times its carrier, to those of a fine plane.
-
-    Parameters
-    ----------
-    coarse
-        Float view of the coarse field.
-    along_y, along_x
-        First coarse sample and its weights for each fine one.
-    carrier
-        Phase and edge on their grid; first row and weights, first column and weights, and these in float32.
-    plane
-        Float view of the fine plane.
-    origin
-        Row and column of the plane at which the fine field begins.
-    begin, end
-        Columns of the fine field.
-    """
-    first_y, weight_y = along_y
-    width, half, last_y = end - begin, whole(end - begin), first_y + weight_y.shape[1]
-    most = most_of_four(first_y, last_y)
-    rows, lines = lines_for(2 * (most + BAND), 2 * half, plane), lines_for(FOUR, 2 * half, plane)
-    buffers, waves, light = empty((FOUR, most), float32), lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64)
-    kept, onto, step = _carrier_buffers(width), plane.reshape(-1), plane.shape[1]
-    first_x, weight_x = along_x[0][begin:end], along_x[1][begin:end]
-    fours_x = all_fours(first_x, first_x + weight_x.shape[1], weight_x, 0, coarse.shape[1] // 2)
-    top = made = 0
-    for four in range(0, len(first_y), FOUR):
-        stop = min(four + FOUR, len(first_y))
-        if not _make_waves(carrier, four, stop, begin, end, kept, waves, light):
-            continue
-        first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], buffers)
-        top, made = rows_from(coarse, fours_x, width, first, first + count, rows, (top, made))
-        sums_of_lines(rows, first - top, count, buffers, 2 * half, lines)
-        at = (origin[0] + four) * step + 2 * (origin[1] + begin)
-        for line in range(stop - four):
-            if light[line] != _DARK:
-                add_modulated(lines, waves, onto, at, step, width, line, line + 1)
-
-
-@_jit
-def collect(
-    plane: NDArray,
-    origin: tuple[int, int],
-    adjoint_y: tuple[NDArray, NDArray, NDArray],
-    adjoint_x: tuple[NDArray, NDArray, NDArray],
-    carrier: tuple[NDArray, ...],
-    first_column: int,
-    past_column: int,
-    begin: int,
-    end: int,
-) -> NDArray:
-    """Apply the transpose of `expand`: return the contribution of columns to a range of coarse ones.
-
-    `adjoint_y` and `adjoint_x` are the transposed weights: for each coarse sample the first fine one that
-    contributes, one past the last, and weights. The result is a float view.
-    """
-    first_y, last_y, weight_y = adjoint_y
-    count, most = len(first_y), most_of_four(first_y, last_y)
-    width, half = end - begin, whole(end - begin)
-    fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
-    buffers, result = empty((FOUR, most), float32), empty((count, 2 * (past_column - first_column)), float32)
-    waves, light, kept = lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64), _carrier_buffers(width)
-    source, step = plane.reshape(-1), plane.shape[1]
-    lines[:] = 0.0
-    fours_x = all_fours(
-        adjoint_x[0][first_column:past_column],
-        adjoint_x[1][first_column:past_column],
-        adjoint_x[2][first_column:past_column],
-        begin,
-        end,
-    )
-    top = made = bright = dark = 0  # range of rows with light
-    for four in range(0, count, FOUR):
-        first, last = first_y[four], last_y[min(four + FOUR, count) - 1]
-        if last - top > fine.shape[0]:
-            moved_up(fine, first, made, top)
-            top, made = first, max(made, first)
-        while made < last:
-            stop = min(made + FOUR, last)
-            _make_waves(carrier, made, stop, begin, end, kept, waves, light)
-            for i in range(made, stop):
-                if light[i - made] == _DARK:
-                    fine[i - top] = 0.0
-                    continue
-                bright, dark = bright if dark else i, i + 1
-                at = (origin[0] + i) * step + 2 * (origin[1] + begin)
-                take_modulated(source, at, step, waves, width, fine, i - made, i - top, 1)
-            made = stop
-        start, several = weights_for_four(four, first_y, last_y, weight_y, bright, dark, buffers)
-        at = four % BAND
-        sums_of_lines(fine, start - top, several, buffers, 2 * half, lines[at : at + FOUR])
-        if at + FOUR == BAND or four + FOUR >= count:
-            put_band(lines, four - at, min(BAND, count - four + at), fours_x, begin, width, result)
-    return result
-
-
-drop_outdated(expand, {__name__, resampling_kernel.__name__, lanes.__name__})
+drop_outdated(make_waves, {__name__, lanes.__name__})

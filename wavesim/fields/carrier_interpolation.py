@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.eikonal.kernel import collect, expand
 from wavesim.fields.resampling import Kernel, Weights, for_column_blocks, interpolation, onto_coarse
+from wavesim.fields.resampling_kernel import collect, expand
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class CarrierInterpolation:
         band, needed = self.onto_rows(first_row, first_row + fine.shape[0])
         (y, x), origin = band.weights.field, (band.window[0].start - first_row, band.window[1].start)
         along = (y.first, y.weight), (x.first, x.weight)
-        fixed = (coarse[needed].view(np.float32), *along, band._carrier(), fine.view(np.float32), origin)
+        fixed = coarse[needed].view(np.float32), *along, None, band._carrier(), fine.view(np.float32), origin
         for_column_blocks(partial(expand, *fixed), len(x.first), threads)
 
     def onto_rows(self, start: int, stop: int) -> tuple[CarrierInterpolation, slice]:
@@ -108,7 +108,7 @@ class CarrierInterpolation:
         """Apply the conjugate transpose to a C-contiguous fine field."""
         weights, origin = self.weights, (self.window[0].start, self.window[1].start)
         (y, x), carrier = weights.field, self._carrier()
-        fixed = (fine.view(np.float32), origin, y.adjoint, x.adjoint, carrier)
+        fixed = fine.view(np.float32), origin, None, carrier, y.adjoint, x.adjoint
         return onto_coarse(partial(collect, *fixed), weights.field, np.complex64, threads)
 
     def _carrier(self) -> tuple[NDArray, ...]:
