@@ -41,7 +41,8 @@ class WithGhost(Engine):
             raise InputError(f"ghost = {reflectance!r}: must be a fraction of the light, from 0 to 1")
         if isinstance(straight, Tiled):
             raise SettingError(
-                f"{{ghost}}: engine {straight.name} does not support a ghost; use engine eikonal, or no ghost"
+                f"{{ghost}}: engine {straight.name} does not support a ghost; use engine eikonal with "
+                "hierarchical = False, or no ghost"
             )
         self.straight, self.reflectance = straight, reflectance
 

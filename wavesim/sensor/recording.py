@@ -145,7 +145,8 @@ def image_patch(
         )
     if isinstance(engine, Tiled) and any(recording.state.sensor_tilt_deg):
         raise InputError(
-            f"sensor_tilt_deg: must be 0 with engine {engine.name}; use another engine for a tilted sensor"
+            f"sensor_tilt_deg: must be 0 with engine {engine.name}; for a tilted sensor use another engine, "
+            "such as eikonal with hierarchical = False"
         )
     report_progress = progress or (lambda stage, completed, total: None)
 

@@ -80,9 +80,9 @@ NARROWEST, NARROWEST_DRAWN = 8, 2
 class EikonalEngine(Engine):
     """Eikonal tiles, flat or in a hierarchy.
 
-    The engine chooses a hierarchy where the object needs more than 16 tiles along a side. A line,
-    `plane_z_mm` and `quadratic` need flat tiles. An instance is of class :class:`FlatTiles` or
-    :class:`HierarchicalTiles`.
+    The engine chooses a hierarchy where the object needs more than 16 tiles along a side, or where flat tiles
+    would need more than 20 GB. A line, `plane_z_mm` and `quadratic` need flat tiles. An instance is of class
+    :class:`FlatTiles` or :class:`HierarchicalTiles`.
 
     Parameters
     ----------

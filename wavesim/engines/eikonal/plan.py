@@ -24,6 +24,7 @@ from wavesim.fields.field import Grid
 from wavesim.fields.resampling import OVERSAMPLING
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError
+from wavesim.runtime.memory import COMPLEX128
 from wavesim.runtime.threads import at_once
 from wavesim.scene.scene import Scene
 
@@ -97,14 +98,19 @@ def shared_tile_width_mm(scene: Scene) -> float:
 
 
 def hierarchy_is_cheaper(scene: Scene) -> bool:
-    """Return whether so many tiles are needed that their hierarchy is worth its set-up.
+    """Return whether a hierarchy needs less time or memory than flat tiles, by their estimated number.
 
     A hierarchy is for planes only.
     """
-    grid = scene.object_grid
-    # Number of tiles along the longer side of the object.
+    grid, width_mm = scene.object_grid, shared_tile_width_mm(scene)
+    if grid.is_line:
+        return False
+    # Number of tiles along the longer side of the object from which the hierarchy is worth its set-up.
     many_tiles = 16
-    return not grid.is_line and max(grid.shape) * grid.pitch_mm > many_tiles * shared_tile_width_mm(scene)
+    # Largest memory of the carriers that flat tiles keep, in complex128 on a round footprint.
+    most_bytes = 20e9
+    count, lit = math.prod(counts_for(grid, width_mm)), 0.25 * math.pi * scene.exit_grid.size
+    return max(grid.shape) * grid.pitch_mm > many_tiles * width_mm or COMPLEX128 * count * lit > most_bytes
 
 
 def coarse_step_mm(band_per_mm: Array) -> Array:
