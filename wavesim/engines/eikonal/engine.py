@@ -211,6 +211,11 @@ def _check_hierarchy_is_possible(scene: Scene, *, quadratic: Quadratic, plane_z_
             )
 
 
+def _kept_flat(scene: Scene) -> dict[str, Any]:
+    """Return the setting that keeps tiles flat, if the engine would choose a hierarchy for a scene."""
+    return {"hierarchical": False} if hierarchy_is_cheaper(scene) else {}
+
+
 class FlatTiles(EikonalEngine):
     """Eikonal tiles that are propagated to the plane one by one; settings are those of `EikonalEngine`."""
 
@@ -219,11 +224,11 @@ class FlatTiles(EikonalEngine):
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         """Yield the widest tiles, then narrower ones."""
-        tile_error = cls._tile_error(error)
-        yield {"error": tile_error}
-        width = 0.5 * cls(scene, error=tile_error).settings()["tile_width_mm"]
+        own = {"error": cls._tile_error(error), **_kept_flat(scene)}
+        yield own
+        width = 0.5 * cls(scene, **own).settings()["tile_width_mm"]
         while width > 0.5 * NARROWEST * scene.object_grid.pitch_mm:
-            yield {"error": tile_error, "tile_width_mm": width}
+            yield {**own, "tile_width_mm": width}
             width *= 0.5
 
     @classmethod
@@ -239,7 +244,9 @@ class FlatTiles(EikonalEngine):
             2, math.floor(math.log2(max(grid.shape) / NARROWEST_DRAWN)) + 1, 2 if grid.is_line else 1
         )
         side = (1.0 + 1e-9) * max(grid.shape) * grid.pitch_mm
-        curves["eikonal, narrow tiles"] = [{"error": 1e-3, "tile_width_mm": side / 2**n} for n in finer]
+        curves["eikonal, narrow tiles"] = [
+            {"error": 1e-3, "tile_width_mm": side / 2**n, **_kept_flat(scene)} for n in finer
+        ]
         return curves
 
     @cached_property

@@ -352,3 +352,11 @@ def test_an_engine_on_another_scene_keeps_its_kind_of_tiles(paper_lens: Lens) ->
         engine = EikonalEngine(scene, error=0.1, hierarchical=hierarchical)
         other = patch_scene(twin, 0.021, plane_distance_mm=0.125)
         assert type(engine_on(engine, other)) is type(engine)
+
+
+def test_candidates_make_the_kind_of_tiles_that_was_predicted(paper_lens: Lens) -> None:
+    grids = Grid((840, 840), 2.5e-3, -13.5), Grid((300, 300), 0.07, 12.7)
+    scene = Scene(paper_lens, *grids, WAVELENGTH_UM)
+    for implementation in EikonalEngine.implementations():
+        settings = next(iter(implementation.candidates(scene, 0.1)))
+        assert type(engine_for(scene, implementation.name, **settings)) is implementation
