@@ -42,8 +42,7 @@ PLACEHOLDERS = {
 SHORTER = {
     # A whole field of the one-eighth twin (minutes): a smaller twin, few iterations, few mountings tried.
     r"0\.(125|03125) -o twin\.toml": "0.02 -o twin.toml",
-    r"--patch-mm 0\.(38|09)": "--patch-mm 0.04",
-    r"--patch-mm 0\.4\b": "--patch-mm 0.024",
+    r"--patch-mm 0\.(38|09|4|06)\b": "--patch-mm 0.024",
     r"--object usaf": "--object star",
     r" --usaf bright": "",
     # A scale of distances is sought by hundreds of iterations.
