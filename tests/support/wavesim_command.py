@@ -21,7 +21,7 @@ from wavesim.sensor.recording import Recording, image_patch
 from wavesim.sensor.windows import exit_scene, sensor_window
 from wavesim.targets.patch import make_illumination, make_target, object_patch
 
-PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 216
+PATCH_MM, PLANES_MM, PIXELS = 0.045, (0.0625, 0.6875), 176
 
 ENDED = (0, 1)
 """Statuses of a reconstruction that ended: a few iterations need not explain the frames."""

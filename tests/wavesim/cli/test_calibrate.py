@@ -79,6 +79,7 @@ def test_an_interrupted_search_goes_on(
 ) -> None:
     """The second run begins after the steps that the first one has made, and comes to the same."""
     command = (*frames_and_design(data), "--parameters", "rigid", "--iterations", 3, "--scale", 1)
+    command = (*command, "--most-mountings", 4)  # later steps are saved like the first ones
     whole, began = JointSearch.run, []
 
     def cut_off(search: JointSearch, state: SearchState) -> FitResult:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from programs import Command
-from wavesim_command import ENDED, PLANES_MM, frames_and_design
+from wavesim_command import ENDED, PIXELS, PLANES_MM, frames_and_design
 
 from wavesim.forward import forward_model
 from wavesim.reconstruction import object_solver as reconstruction
@@ -115,7 +115,7 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
     frame, path = read_frame(data / "frame_2.tif"), folder / "bad.tif"
     counts = frame.counts.copy()
     if fault == "size":
-        return changed(frame, path, counts[:200, :200].copy())
+        return changed(frame, path, counts[:160, :160].copy())
     if fault == "saturated":
         counts[50:120, 50:120] = frame.settings.clipped_counts
         return changed(frame, path, counts)
@@ -136,7 +136,7 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("size", "bad.tif: 200 x 200 pixels"),
+        ("size", "bad.tif: 160 x 160 pixels"),
         ("saturated", "of the pixels are saturated"),
         ("empty", "bad.tif: contains no light"),
         ("pitch", "bad.tif: pixel_pitch_um = 3.3"),
@@ -290,7 +290,7 @@ def test_a_map_of_another_size_is_refused(wavesim: Command, data: Path, tmp_path
         "reconstruct", *usual(data), f"--{option}", tmp_path / "map.npy", "-o", tmp_path / "out"
     )
     assert code == 2
-    assert "4 x 3 pixels; the frames have 216 x 216" in " ".join(err.split())
+    assert f"4 x 3 pixels; the frames have {PIXELS} x {PIXELS}" in " ".join(err.split())
     assert not (tmp_path / "out").exists()
 
 
@@ -305,7 +305,7 @@ def test_a_map_of_another_size_is_refused(wavesim: Command, data: Path, tmp_path
 def test_a_map_that_cannot_be_is_refused_and_nothing_overwritten(
     wavesim: Command, data: Path, tmp_path: Path, option: str, value: float, message: str
 ) -> None:
-    np.save(tmp_path / "map.npy", np.full((216, 216), value))
+    np.save(tmp_path / "map.npy", np.full((PIXELS, PIXELS), value))
     out = tmp_path / "out"
     out.mkdir()
     (out / "reconstruction.json").write_text("kept")

@@ -90,7 +90,7 @@ def test_the_paper_s_way_carries_back_to_a_region_alone(run: Command, tmp_path: 
         (("--region-mm", "0,0,0.01,-0.01"), "--region-mm = 0,0,0.01,-0.01: must be finite, and the sides"),
         (("--region-mm", "0.02,0,0.02,0.01"), "--region-mm = 0.02,0,0.02,0.01: reaches beyond the samples"),
         (("--region-mm", "0,0,0.001,0.01"), "at least 16 x 16"),
-        (("--region-mm", "0.0215,0.0215,0.007,0.007"), "lies outside the field stop"),
+        (("--region-mm", "0.01945,0.01945,0.007,0.007"), "lies outside the field stop"),
     ],
 )
 def test_bad_options_are_one_message_status_two_and_nothing_written(
