@@ -121,7 +121,7 @@ def test_the_estimate_is_about_what_is_taken(
     ):
         monkeypatch.setattr(place, name, value)  # blocks are small beside a whole field
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
-    shape, settings = (700, 600), {"kind": kind, "fill_factor": fill_factor}
+    shape, settings = (480, 400), {"kind": kind, "fill_factor": fill_factor}
 
     def run(engine: Nothing, room: Scratch) -> tuple[int, int]:
         light, recorded = arrays_of(engine, distances_mm, with_sigma, room)
@@ -162,7 +162,7 @@ def test_memory_of_a_wide_or_broad_source_and_a_tilted_sensor_is_told_beforehand
         return reconstruction_bytes(engine, tilted, fill_factor=1.0, modes=modes).most_bytes
 
     run(Nothing((8, 8)))
-    engine = Nothing((150, 160))
+    engine = Nothing((110, 120))
     taken = peak_bytes(lambda: run(engine))
     assert 0.77 * taken < run(engine) < 1.3 * taken
 
