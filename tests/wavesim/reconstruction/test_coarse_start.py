@@ -94,12 +94,12 @@ def test_linear_values_stay_on_all_samples(rows: int, columns: int, odd: bool, w
 
 @pytest.mark.usefixtures("quick_verdicts")
 def test_a_whole_field_begins_on_half_of_its_samples() -> None:
-    imaged = image(LENS, "usaf", patch_mm=0.15, engine="hierarchical", exposures=(1.0, 30.0), seed=1)
+    imaged = image(LENS, "usaf", patch_mm=0.12, engine="hierarchical", exposures=(1.0, 30.0), seed=1)
     said: list[str] = []
     found = reconstruct_frames(
         LENS,
         imaged.frames,
-        patch_mm=0.15,
+        patch_mm=0.12,
         kind="amplitude",
         engine="hierarchical",
         iterations=5,

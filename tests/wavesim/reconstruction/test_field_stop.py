@@ -38,7 +38,7 @@ def grains() -> Field:
 @cache
 def aside() -> Imaged:
     stop = {"field_stop_mm": STOP_MM, "field_stop_at_mm": AT_MM}
-    return image(LENS, grains(), exposures=(1.0, 30.0), pixels=108, **TILES, **stop)
+    return image(LENS, grains(), exposures=(1.0, 30.0), pixels=84, **TILES, **stop)
 
 
 def found_with(**changes: object) -> FoundObject:

@@ -18,7 +18,7 @@ from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source, SourceMode
 from wavesim.sensor.measurement import Measurement, recorded_intensity
 
-SAMPLES, PITCH_MM, DISTANCES_MM, ELECTRONS = 64, 0.42e-3, (0.0, 0.17), 1e6
+SAMPLES, PITCH_MM, DISTANCES_MM, ELECTRONS = 48, 0.42e-3, (0.0, 0.17), 1e6
 
 
 class FarField(Engine):
@@ -69,7 +69,7 @@ def lit_by(engine: Engine) -> Field:
 def planes_in(engine: Engine, light: Field, modes: Sequence[SourceMode]) -> list[Measurement]:
     """Of random blocks, with shot noise."""
     random = np.random.default_rng(3)
-    blocks = np.kron(random.random((16, 16)) > 0.4, np.ones((4, 4)))
+    blocks = np.kron(random.random((SAMPLES // 4, SAMPLES // 4)) > 0.4, np.ones((4, 4)))
     blank = [Measurement(distance, np.ones(blocks.shape, np.float32)) for distance in DISTANCES_MM]
     planes = []
     for made, plane in zip(
