@@ -45,15 +45,16 @@ def test_less_error_is_never_cheaper() -> None:
 def test_predictions_hold() -> None:
     """A few scenes and objects of the hundreds of benchmarks.chooser, which has the shares."""
     warnings.simplefilter("ignore", SamplingWarning)
+    twin = scaled(PAPER, 1 / 32)
     bound, near = [], []
     for (aperture, share, patch, error), thing in zip(
         ((0.5, 0.0, 0.03, 0.2), (0.5, 0.9, 0.01, 0.1), (0.3, 0.5, 0.03, 0.1)),
         ("chart", "phase", "spots"),
         strict=True,
     ):
-        lens = stopped_down(TWIN, aperture)
+        lens = stopped_down(twin, aperture)
         height = share * lens.half_field_mm
-        scene = patch_scene(lens, patch, height, plane_distance_mm=0.125, meridional=True)
+        scene = patch_scene(lens, patch, height, plane_distance_mm=0.0625, meridional=True)
         truth = reference_for(scene)
         even, own = (object_field(name, scene, 1) for name in ("even", thing))
         for field, light in ((even, None), (own, Light(own))):
