@@ -57,7 +57,7 @@ def test_where_no_lens_can_be_made_what_can_is_told_all_the_same() -> None:
     """The stop, kept at its size, is wider than the nearest lens; a smaller aperture lets it shrink."""
     *shapes, thickness = ASKED.variables
     fixed = ASKED.replaced(
-        optimize=ASKED.optimize.replaced(stop="fixed", max_evaluations=400),
+        optimize=ASKED.optimize.replaced(stop="fixed", max_evaluations=150),
         surfaces=(ASKED.surfaces[0].replaced(thickness_mm=1.2), ASKED.surfaces[1]),
         variables=(*shapes, thickness.replaced(bounds=(1.0, 1.5))),
     )
