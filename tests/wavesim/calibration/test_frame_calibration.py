@@ -113,9 +113,9 @@ def test_frames_of_another_light_pitch_or_plane_are_refused(
 
 def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames are made with every pixel, through one field behind the lens."""
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 24)
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     bench = SystemState(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
-    small: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.1}
+    small: dict[str, Any] = {"patch_mm": 0.024, "engine": "eikonal", "error": 0.1}
     frames = image(lens, "star", state=bench, exposures=(1.0, 30.0), **small).frames
     taken: list[int] = []
 
