@@ -46,7 +46,7 @@ def specified(study: Path, name: str, more: str = "", **changes: str) -> Path:
     """The thinnest lens's specification with other lines, beside a study."""
     text = (DESIGNS / "thinnest_singlet_spec.toml").read_text(encoding="utf-8")
     text = text.replace(
-        "[constraints]", f'[tolerances]\nstudy = "{study.name}"\ntrials = 200\n\n[constraints]'
+        "[constraints]", f'[tolerances]\nstudy = "{study.name}"\ntrials = 100\n\n[constraints]'
     )
     for old, new in {"bounds = [2.0, 20.0]": "bounds = [2.0, 9.7]", **changes}.items():
         assert old in text, old
@@ -147,7 +147,7 @@ def test_compensators_are_searched_and_predicted_as_trials_take_them(
     study = tmp_path / "study.toml"
     text = wavefront_study.read_text(encoding="utf-8").replace("at_most = 0.12", "at_most = 0.09")
     study.write_text(text + COMPENSATORS, encoding="utf-8")
-    path = specified(study, "spec.toml", **{'"thinnest lens"': '"yield"'})
+    path = specified(study, "spec.toml", **{'"thinnest lens"': '"yield"', "trials = 100": "trials = 200"})
     output = tmp_path / "found.toml"
     shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1", "--json"])
     assert shown.exit_code == 0, shown.output
@@ -184,7 +184,7 @@ def test_what_a_search_cannot_use_is_refused(wavefront_study: Path, tmp_path: Pa
         load_specification(specified(far, "b.toml", **smaller))
     text = specified(wavefront_study, "c.toml", **{'"thinnest lens"': '"yield"'}).read_text(encoding="utf-8")
     lone = tmp_path / "d.toml"
-    lone.write_text(text.replace("[tolerances]\n", "").replace('study = "study.toml"\ntrials = 200\n', ""))
+    lone.write_text(text.replace("[tolerances]\n", "").replace('study = "study.toml"\ntrials = 100\n', ""))
     with pytest.raises(DesignError, match=r"\[tolerances\] study"):
         load_specification(lone)
 
