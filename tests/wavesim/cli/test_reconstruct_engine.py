@@ -14,6 +14,7 @@ from lensdesign import load_design, save_design, scaled
 from wavesim import image
 from wavesim.reconstruction import assessment, frame_reconstruction
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
+from wavesim.scene.engine import Engine
 from wavesim.sensor.frames import write_frame
 
 PATCH_MM = 0.045
@@ -74,7 +75,11 @@ def reconstructed(wavesim: Command, bench: Path, out: Path, *stated: object) -> 
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_an_engine_that_limits_the_misfit_is_replaced(wavesim: Command, bench: Bench, tmp_path: Path) -> None:
+def test_an_engine_that_limits_the_misfit_is_replaced(
+    wavesim: Command, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tested: list[Engine] = []
+    monkeypatch.setattr(assessment, "_score_test", lambda case, settings, engine, *_: tested.append(engine))
     status, printed, found = reconstructed(wavesim, bench(), tmp_path)
     assert status == 0
     replaced = found["engine_replaced"]
@@ -83,6 +88,8 @@ def test_an_engine_that_limits_the_misfit_is_replaced(wavesim: Command, bench: B
     assert f"predicted error {before:.2g} (eikonal) before, {after:.2g} (eikonal) now" in printed
     # Without the other engine residuals are only explained by an allowance of half the predicted error.
     assert found["verdict"]["model_error"] == 0.005
+    # The explained misfit is held against a score test with the other engine.
+    assert [one.settings() for one in tested] == [found["engine"]["settings"]]
 
 
 @pytest.mark.usefixtures("no_score_test")
