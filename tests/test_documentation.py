@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
+from quick_verdicts import judge_quickly
 from short_studies import copy_designs
+from small_pictures import draw_few_dots
 
 from lensdesign.common.toml_files import validate
 from lensdesign.manufacture.drawing.sheets import DrawingOptions
@@ -52,6 +54,8 @@ def test_python_of_the_pages_runs(
     script = tmp_path / "tour.py"
     script.write_text(code, encoding="utf-8")
     copy_designs(tmp_path)
+    judge_quickly(monkeypatch)
+    draw_few_dots(monkeypatch)
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(script), run_name="__main__")
     assert capsys.readouterr().out

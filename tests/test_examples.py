@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from places import DESIGNS
 from quick_verdicts import judge_quickly
+from small_pictures import draw_few_dots
 
 PACKAGES = ("lensdesign", "wavesim", "tolerancing")
 NAMES = [(package, name) for package in PACKAGES for name in importlib.import_module(package).__all__]
@@ -36,6 +37,7 @@ def test_example_runs(
     assert not any(doctest.SKIP in step.options for step in example.examples)
     monkeypatch.chdir(session_folder)
     judge_quickly(monkeypatch)
+    draw_few_dots(monkeypatch)
     failures: list[str] = []
     doctest.DocTestRunner(verbose=False).run(example, out=failures.append)
     assert not failures, "".join(failures)
