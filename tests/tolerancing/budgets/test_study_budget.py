@@ -80,6 +80,7 @@ at_least = 0.3
 
 def test_merits_that_are_not_predicted_follow_from_the_trials(write_study, ray_study):
     text = ray_study[: ray_study.index("[[merit]]")].replace("sigma = 0.02", "sigma = 0.04") + RESOLVED
+    text = text.replace("pupil_samples = 64", "pupil_samples = 32")
     loaded = load_study(write_study(text))
     trials = score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(120))
     found = budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.8, fresh=200)
