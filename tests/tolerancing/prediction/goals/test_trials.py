@@ -32,6 +32,8 @@ at_least = 0.977
 """
 COARSE = """
 [sampling]
+rings = 2
+arms = 6
 pupil_samples = 32
 """
 LIMITS = SPREAD + CONTRAST + COARSE
