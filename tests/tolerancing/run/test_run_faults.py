@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import stored_rows
+from tests_studies import DESIGN, RAY_STUDY
 
 from lensdesign import InputError, TransferLensError
 from tolerancing.run.run import RunError, run_study
@@ -24,17 +25,21 @@ TRIALS = 3000
 KILLS = 4
 
 
-@pytest.fixture
-def study(write_study, ray_study):
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
     """A study that takes long enough to be killed."""
-    return write_study("sensitivity = false\n" + ray_study.replace("rings = 2", "rings = 8"))
+    path = tmp_path_factory.mktemp("study") / "study.toml"
+    path.with_name("design.toml").write_text(DESIGN)
+    path.write_text("sensitivity = false\n" + RAY_STUDY.replace("rings = 2", "rings = 8"))
+    return path
 
 
-@pytest.fixture
-def unbroken(study, tmp_path):
+@pytest.fixture(scope="module")
+def unbroken(study, tmp_path_factory):
     """All rows of a run that nothing befell."""
-    run_study(load_study(study), tmp_path / "unbroken", workers=1, trials=TRIALS)
-    return stored_rows.rows(tmp_path / "unbroken")
+    store = tmp_path_factory.mktemp("unbroken") / "store"
+    run_study(load_study(study), store, workers=1, trials=TRIALS)
+    return stored_rows.rows(store)
 
 
 def start(study, store, workers=2, trials=TRIALS, **options):
