@@ -85,7 +85,7 @@ def test_a_calibration_finds_the_stop_together_with_the_bench() -> None:
     """Nothing is stated about the stop, and a camera that moved displaces its first estimate."""
     bench = SystemState(plane_shifts_um=((0.0, 0.0), (2.0, -1.5)))
     stop = {"field_stop_mm": STOP_MM, "field_stop_at_mm": AT_MM}
-    frames = image(LENS, grains(), state=bench, exposures=(1.0, 30.0), pixels=108, **TILES, **stop).frames
+    frames = image(LENS, grains(), state=bench, exposures=(1.0, 30.0), pixels=84, **TILES, **stop).frames
     found = calibrate_frames(
         LENS,
         frames,
