@@ -25,12 +25,16 @@ def application(package: str) -> str:
 
 
 def _command(package: str, name: str, command: Any) -> str:
+    from lensdesign.common.help_pages import help_record
+
     context = command.make_context(f"{package} {name}", [], resilient_parsing=True)
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     options = [p for p in command.params if p.param_type_name == "option"]
-    rows = [_row(*p.get_help_record(context)) for p in [*arguments, *options]]
-    needed = [p.get_help_record(context)[0].split(", ")[-1] for p in options if p.required]
-    usage = " ".join([*(p.get_help_record(context)[0].split()[0] for p in arguments), *needed, "[OPTIONS]"])
+    rows = [_row(*help_record(p, context)) for p in arguments]
+    for title, members in command.groups(options):
+        rows += [f"| **{title}** | | |", *(_row(*help_record(p, context)) for p in members)]
+    needed = [help_record(p, context)[0].split(", ")[-1] for p in options if p.required]
+    usage = " ".join([*(help_record(p, context)[0] for p in arguments), *needed, "[OPTIONS]"])
     return "\n".join(
         [
             f"### {package} {name}",

@@ -18,6 +18,7 @@ from lensdesign.cli import view as cli_view
 from lensdesign.cli import workbench as cli_workbench
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import quantity_text, visible
 from lensdesign.errors import InputError
@@ -45,7 +46,11 @@ def check(
     design: Design,
     against: Annotated[
         Path | None,
-        typer.Option(metavar="SPEC", help="Check the constraints of this specification instead."),
+        typer.Option(
+            metavar="SPEC",
+            help="Check the constraints of this specification instead.",
+            rich_help_panel=OptionGroup.INPUT,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -81,7 +86,10 @@ def draw(
     design: Design,
     output: Annotated[Path, output_option("Folder for the pictures.", "DIR", is_folder=True)],
     formats: Annotated[
-        list[PictureFormat], typer.Option("--format", help="Picture format; may be given twice.")
+        list[PictureFormat],
+        typer.Option(
+            "--format", help="Picture format; may be given twice.", rich_help_panel=OptionGroup.OUTPUT
+        ),
     ] = [PictureFormat.PNG],  # noqa: B006
     as_json: Json = False,
 ) -> None:
@@ -146,11 +154,20 @@ def scale(
 @app.command()
 def glass(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Glass, plastic or crystal; or an index.")],
-    wavelength_um: Annotated[float, typer.Option(help="Wavelength of the index.")] = 0.532,
+    wavelength_um: Annotated[
+        float, typer.Option(help="Wavelength of the index.", rich_help_panel=OptionGroup.ILLUMINATION)
+    ] = 0.532,
     catalog: Annotated[
-        list[Path], typer.Option(help="Glass catalogue (AGF) that is searched first; may be repeated.")
+        list[Path],
+        typer.Option(
+            help="Glass catalogue (AGF) that is searched first; may be repeated.",
+            rich_help_panel=OptionGroup.INPUT,
+        ),
     ] = [],  # noqa: B006
-    search: Annotated[bool, typer.Option("--search", help="List the names that contain NAME.")] = False,
+    search: Annotated[
+        bool,
+        typer.Option("--search", help="List the names that contain NAME.", rich_help_panel=OptionGroup.INPUT),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Show a glass (index, Abbe number, range), or search."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import print_json, print_whole
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json
 
 if TYPE_CHECKING:
@@ -20,10 +21,15 @@ def ghost(
         typer.Option(
             "--share",
             help="Fraction of the light after both reflections, 0 to 1; default: that of uncoated surfaces.",
+            rich_help_panel=OptionGroup.LENS,
         ),
     ] = None,
     wavelength_um: Annotated[
-        float | None, typer.Option(help="Wavelength in um; default: the design's first wavelength.")
+        float | None,
+        typer.Option(
+            help="Wavelength in um; default: the design's first wavelength.",
+            rich_help_panel=OptionGroup.ILLUMINATION,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -13,6 +13,7 @@ import typer
 
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none, visible
@@ -40,10 +41,17 @@ def export(
         typer.Argument(callback=output_file, metavar="FILE", help=f"{export_kinds()}.".capitalize()),
     ],
     chord_error_um: Annotated[
-        float, typer.Option(help="Largest distance between mesh and exact optical surfaces.")
+        float,
+        typer.Option(
+            help="Largest distance between mesh and exact optical surfaces.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = 0.1,
     measured: Annotated[
-        bool, typer.Option("--measured", help="With the measured figures of the surfaces.")
+        bool,
+        typer.Option(
+            "--measured", help="With the measured figures of the surfaces.", rich_help_panel=OptionGroup.LENS
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -104,12 +112,18 @@ def drawing(
     sheet: Annotated[
         Path | None,
         typer.Option(
-            metavar="SHEET", help="Title block and tolerances (TOML); default: those of ISO 10110-11."
+            metavar="SHEET",
+            help="Title block and tolerances (TOML); default: those of ISO 10110-11.",
+            rich_help_panel=OptionGroup.INPUT,
         ),
     ] = None,
     tolerances: Annotated[
         Path | None,
-        typer.Option(metavar="STUDY", help="Tolerance study or budget whose tolerances the sheet states."),
+        typer.Option(
+            metavar="STUDY",
+            help="Tolerance study or budget whose tolerances the sheet states.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
     ] = None,
     as_drawn: Annotated[
         Path | None,
@@ -117,6 +131,7 @@ def drawing(
             callback=output_file,
             metavar="DESIGN",
             help="Design to write, with the edges and values of the sheet.",
+            rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
     study_as_drawn: Annotated[
@@ -125,6 +140,7 @@ def drawing(
             callback=output_file,
             metavar="STUDY",
             help="Tolerance study to write, with all tolerances of the sheet.",
+            rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
     accept_yield_loss: Annotated[
@@ -132,6 +148,7 @@ def drawing(
         typer.Option(
             "--accept-yield-loss",
             help="Draw sheets that lose more than 2 percentage points of the study's predicted yield.",
+            rich_help_panel=OptionGroup.TOLERANCES,
         ),
     ] = False,
     as_json: Json = False,
@@ -255,8 +272,12 @@ def _yield_notes(predicted_yield: DrawingYield, accepted: bool) -> list[str]:
 def sag(
     design: Design,
     output: Annotated[Path, output_option("Table to write, .csv.", "FILE")],
-    surface: Annotated[int, typer.Option(help="Number of the surface, from 1.")],
-    spacing_mm: Annotated[float, typer.Option(help="Distance between radial heights.")] = 0.1,
+    surface: Annotated[
+        int, typer.Option(help="Number of the surface, from 1.", rich_help_panel=OptionGroup.LENS)
+    ],
+    spacing_mm: Annotated[
+        float, typer.Option(help="Distance between radial heights.", rich_help_panel=OptionGroup.EVALUATION)
+    ] = 0.1,
     as_json: Json = False,
 ) -> None:
     """Tabulate sag, slope and departure from the best-fit sphere of one surface."""
@@ -289,19 +310,38 @@ def sag(
 def import_file(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{LENS_FILES}.")],
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
-    lossy: Annotated[bool, typer.Option("--lossy", help="Omit what a design cannot represent.")] = False,
-    working_distance_mm: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
-    field_diameter_mm: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
-    numerical_aperture: Annotated[float | None, typer.Option(help="Replaces the file's value.")] = None,
-    pixel_pitch_um: Annotated[float | None, typer.Option(help="Pixel pitch of the sensor.")] = None,
+    lossy: Annotated[
+        bool,
+        typer.Option(
+            "--lossy", help="Omit what a design cannot represent.", rich_help_panel=OptionGroup.INPUT
+        ),
+    ] = False,
+    working_distance_mm: Annotated[
+        float | None, typer.Option(help="Replaces the file's value.", rich_help_panel=OptionGroup.LENS)
+    ] = None,
+    field_diameter_mm: Annotated[
+        float | None, typer.Option(help="Replaces the file's value.", rich_help_panel=OptionGroup.LENS)
+    ] = None,
+    numerical_aperture: Annotated[
+        float | None, typer.Option(help="Replaces the file's value.", rich_help_panel=OptionGroup.LENS)
+    ] = None,
+    pixel_pitch_um: Annotated[
+        float | None, typer.Option(help="Pixel pitch of the sensor.", rich_help_panel=OptionGroup.CAMERA)
+    ] = None,
     pixels: Annotated[
-        tuple[int, int] | None, typer.Option(help="Pixels of the sensor along x and y.")
+        tuple[int, int] | None,
+        typer.Option(help="Pixels of the sensor along x and y.", rich_help_panel=OptionGroup.CAMERA),
     ] = None,
     plane_distance_mm: Annotated[
         list[float] | None,
-        typer.Option(help="Distance of a sensor plane from the exit vertex; may be repeated."),
+        typer.Option(
+            help="Distance of a sensor plane from the exit vertex; may be repeated.",
+            rich_help_panel=OptionGroup.CAMERA,
+        ),
     ] = None,
-    glass_catalog: Annotated[list[Path] | None, typer.Option(help="AGF file; may be repeated.")] = None,
+    glass_catalog: Annotated[
+        list[Path] | None, typer.Option(help="AGF file; may be repeated.", rich_help_panel=OptionGroup.INPUT)
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Convert another program's lens file to a design.

@@ -13,6 +13,7 @@ import typer
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.progress import progress_text
 from lensdesign.common.text import visible
@@ -31,15 +32,27 @@ def optimize(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     as_json: Json = False,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0, max=2**31 - 1, help="Seed of the random starts.", rich_help_panel=OptionGroup.SOLVER
+        ),
+    ] = 0,
     algorithm: Annotated[
-        str | None, typer.Option(help="Algorithm; default: as specified.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="[slsqp|mma|ccsaq|cobyla|isres|auglag-lbfgs|auglag-bobyqa|auglag-crs2|auglag-direct]",
+            help="Algorithm; default: as specified.",
+            show_default=False,
+            rich_help_panel=OptionGroup.SOLVER,
+        ),
     ] = None,
     starts: Annotated[
         int | None,
         typer.Option(
             help="Largest number of starts for each choice of glasses; default: as specified.",
             show_default=False,
+            rich_help_panel=OptionGroup.SOLVER,
         ),
     ] = None,
     max_evaluations: Annotated[
@@ -47,6 +60,7 @@ def optimize(
         typer.Option(
             help="Largest number of evaluations for each choice of glasses; default: as specified.",
             show_default=False,
+            rich_help_panel=OptionGroup.SOLVER,
         ),
     ] = None,
     max_seconds: Annotated[
@@ -54,6 +68,7 @@ def optimize(
         typer.Option(
             help="Time limit of the whole search (the result depends on the machine); default: as specified.",
             show_default=False,
+            rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
 ) -> None:
@@ -118,23 +133,40 @@ def explore(
                 "Two to four of thickness, track, semi_diameter, spread, as_built_rms, yield, field, na, "
                 "cost; optionally with bounds: field=2:4,thickness. The last is the goal of each search."
             ),
+            rich_help_panel=OptionGroup.EVALUATION,
         ),
     ],
     output: Annotated[Path, output_option("Folder for the results.", "DIR", is_folder=True)],
-    lenses: Annotated[int, typer.Option(min=2, max=10000, help="Lenses for each choice of glasses.")] = 50,
+    lenses: Annotated[
+        int,
+        typer.Option(
+            min=2, max=10000, help="Lenses for each choice of glasses.", rich_help_panel=OptionGroup.SOLVER
+        ),
+    ] = 50,
     glasses: Annotated[
         str | None,
         typer.Option(
             help="Glasses of the first element, names or catalogue:SCHOTT; default: as specified.",
             show_default=False,
+            rich_help_panel=OptionGroup.LENS,
         ),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Start over: replace the contents of the folder.")
+        bool,
+        typer.Option(
+            "--fresh",
+            help="Start over: replace the contents of the folder.",
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = False,
     max_seconds: Annotated[
         float | None,
-        typer.Option(min=0.001, help="Time limit; the same command continues later.", show_default=False),
+        typer.Option(
+            min=0.001,
+            help="Time limit; the same command continues later.",
+            show_default=False,
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -189,10 +221,20 @@ def explore(
 
 def limits(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0, max=2**31 - 1, help="Seed of the random starts.", rich_help_panel=OptionGroup.SOLVER
+        ),
+    ] = 0,
     max_seconds: Annotated[
         float | None,
-        typer.Option(min=0.001, help="Time limit; limits found by then are printed.", show_default=False),
+        typer.Option(
+            min=0.001,
+            help="Time limit; limits found by then are printed.",
+            show_default=False,
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -10,6 +10,7 @@ import typer
 
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.console import message_console, print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.errors import InputError
 
@@ -19,7 +20,12 @@ if TYPE_CHECKING:
 
 def fit(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
-    plates: Annotated[Path, typer.Option(help="Radii in mm: TOML with radii_mm = [...], or one a line.")],
+    plates: Annotated[
+        Path,
+        typer.Option(
+            help="Radii in mm: TOML with radii_mm = [...], or one a line.", rich_help_panel=OptionGroup.INPUT
+        ),
+    ],
     output: Annotated[Path, output_option("Design file to write.", "DESIGN")],
     as_json: Json = False,
 ) -> None:

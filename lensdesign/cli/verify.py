@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json
 
 if TYPE_CHECKING:
@@ -18,7 +19,11 @@ def verify(
     design: Design,
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh in mm: .stl, .ply, .obj or .3mf.")],
     chord_error_um: Annotated[
-        float, typer.Option(help="Largest allowed distance of the mesh from the optical surfaces.")
+        float,
+        typer.Option(
+            help="Largest allowed distance of the mesh from the optical surfaces.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = 0.1,
     as_json: Json = False,
 ) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design
 from lensdesign.errors import InputError
 
@@ -14,13 +15,28 @@ from lensdesign.errors import InputError
 def studio(
     design: Design,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port; 0 uses that of the last session, or a free one.")
+        int,
+        typer.Option(
+            min=0,
+            max=65535,
+            help="Port; 0 uses that of the last session, or a free one.",
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = 0,
     tolerances: Annotated[
         str,
-        typer.Option(metavar="GRADE", help="Grade or study file with manufacturing tolerances."),
+        typer.Option(
+            metavar="[commercial|precision|high_precision|iso10110]|STUDY",
+            help="Grade or study file with manufacturing tolerances.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
     ] = "precision",
-    show: Annotated[bool, typer.Option("--open/--no-open", help="Whether to open the browser.")] = True,
+    show: Annotated[
+        bool,
+        typer.Option(
+            "--open/--no-open", help="Whether to open the browser.", rich_help_panel=OptionGroup.OUTPUT
+        ),
+    ] = True,
 ) -> None:
     """Open the workbench: change the lens in the browser and see the effect at once.
 

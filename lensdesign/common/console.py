@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from lensdesign.common.help_pages import GroupedCommand
 from lensdesign.common.input_files import files_from
 from lensdesign.common.interrupts import stop_status, stoppable
 from lensdesign.common.text import visible
@@ -43,9 +44,17 @@ class _Group(TyperGroup):
             raise typer.Exit(stop_status()) from None
 
 
+class _App(typer.Typer):
+    """A Typer application whose commands list their options in groups."""
+
+    def command(self, name: str | None = None, *, cls: Any = GroupedCommand, **more: Any) -> Any:
+        """Return a decorator that registers a command."""
+        return super().command(name, cls=cls, **more)
+
+
 def make_app(purpose: str) -> typer.Typer:
     """Return a Typer application with the common settings and options of all commands."""
-    app = typer.Typer(
+    app = _App(
         cls=_Group,
         help=purpose,
         no_args_is_help=True,

@@ -7,13 +7,19 @@ from typing import Annotated, Any
 
 import typer
 
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.outputs import output_file, output_folder
 
 Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="Print one JSON object instead of text.", rich_help_panel=OptionGroup.OUTPUT),
+]
 
 
 def output_option(text: str, metavar: str | None = None, is_folder: bool = False) -> Any:
     """Return the option `--output` with its help text; the path is checked before the command computes."""
     check = output_folder if is_folder else output_file
-    return typer.Option("--output", "-o", callback=check, metavar=metavar, help=text)
+    return typer.Option(
+        "--output", "-o", callback=check, metavar=metavar, help=text, rich_help_panel=OptionGroup.OUTPUT
+    )

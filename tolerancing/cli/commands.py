@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.common.text import visible
@@ -37,17 +38,33 @@ app.command()(cli_tolerances.start)
 @app.command()
 def run(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
-    store: Annotated[Path, typer.Option(help="Store to create, or to continue.")],
+    store: Annotated[
+        Path, typer.Option(help="Store to create, or to continue.", rich_help_panel=OptionGroup.OUTPUT)
+    ],
     workers: Annotated[
-        int | None, typer.Option(help="Number of processes; default: the number of processors.")
+        int | None,
+        typer.Option(
+            help="Number of processes; default: the number of processors.", rich_help_panel=OptionGroup.OUTPUT
+        ),
     ] = None,
     trials: Annotated[
         int | None,
-        typer.Option(help="Total number of trials, stored ones included; default: that of the study."),
+        typer.Option(
+            help="Total number of trials, stored ones included; default: that of the study.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start over: replace the store.")] = False,
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Start over: replace the store.", rich_help_panel=OptionGroup.OUTPUT),
+    ] = False,
     cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers run the trials.")
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers run the trials.",
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -120,7 +137,10 @@ def run(
 @app.command()
 def show(
     store: StorePath,
-    trial: Annotated[int | None, typer.Option(help="Draw, trace and score this trial again.")] = None,
+    trial: Annotated[
+        int | None,
+        typer.Option(help="Draw, trace and score this trial again.", rich_help_panel=OptionGroup.EVALUATION),
+    ] = None,
     output: Annotated[
         Path | None, output_option("With --trial: picture of the trial to write (png, svg or pdf).")
     ] = None,
@@ -129,6 +149,7 @@ def show(
         typer.Option(
             callback=output_file,
             help="With --trial: file to write the perturbed system to, for `wavesim image --state` (json).",
+            rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
     high_fidelity: Annotated[
@@ -137,6 +158,7 @@ def show(
             "--high-fidelity",
             "--dear",
             help="With --trial: also score it by the high-fidelity merits (formerly --dear).",
+            rich_help_panel=OptionGroup.EVALUATION,
         ),
     ] = False,
     trust: Trust = False,
@@ -191,11 +213,19 @@ def report(
     output: Annotated[Path, output_option("Folder for the report.", is_folder=True)],
     beside: Annotated[
         Path | None,
-        typer.Option(metavar="STORE", help="Store of the original lens, to compare this lens with."),
+        typer.Option(
+            metavar="STORE",
+            help="Store of the original lens, to compare this lens with.",
+            rich_help_panel=OptionGroup.INPUT,
+        ),
     ] = None,
     front: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Output folder of lensdesign explore, to compare this lens with."),
+        typer.Option(
+            metavar="DIR",
+            help="Output folder of lensdesign explore, to compare this lens with.",
+            rich_help_panel=OptionGroup.INPUT,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -224,7 +254,12 @@ def export(
         Path, typer.Argument(callback=output_file, metavar="FILE", help="File to write, .csv or .parquet.")
     ],
     steps: Annotated[
-        bool, typer.Option("--steps", help="Steps of sweeps, grids and sensitivities instead of trials.")
+        bool,
+        typer.Option(
+            "--steps",
+            help="Steps of sweeps, grids and sensitivities instead of trials.",
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = False,
 ) -> None:
     """Write a store's trials as one table."""

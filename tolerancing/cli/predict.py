@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ MOST_ROWS = 12
 
 def predict(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object.", rich_help_panel=OptionGroup.OUTPUT)
+    ] = False,
 ) -> None:
     """Predict wavefronts, spreads, footprints and yields from the rays of the nominal lens, without trials.
 

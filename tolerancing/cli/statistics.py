@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import messages_only, print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
 from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import StorePath, Trust
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
 def rare(
     store: StorePath,
-    trials: Annotated[int, typer.Option(help="Number of further trials of the lens.")] = 500,
+    trials: Annotated[
+        int,
+        typer.Option(help="Number of further trials of the lens.", rich_help_panel=OptionGroup.EVALUATION),
+    ] = 500,
     trust: Trust = False,
     as_json: Json = False,
 ) -> None:
@@ -45,7 +49,11 @@ def rare(
 def indices(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
     base: Annotated[
-        int, typer.Option(help="A power of two; there are BASE x (perturbations + 2) trials.")
+        int,
+        typer.Option(
+            help="A power of two; there are BASE x (perturbations + 2) trials.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = 256,
     output: Annotated[Path | None, output_option("Chart (png, svg or pdf).")] = None,
     as_json: Json = False,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import messages_only, print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
@@ -26,27 +27,51 @@ if TYPE_CHECKING:
 
 Costs = Annotated[
     str | None,
-    typer.Option(metavar="FILE", help="Table of costs (TOML), or `relative` for the built-in one."),
+    typer.Option(
+        metavar="FILE",
+        help="Table of costs (TOML), or `relative` for the built-in one.",
+        rich_help_panel=OptionGroup.TOLERANCES,
+    ),
 ]
 Processes = Annotated[
     list[str] | None,
-    typer.Option(metavar="[N=]NAME", help="Manufacturing process of element N, or of all; may be repeated."),
+    typer.Option(
+        metavar="[N=]NAME",
+        help="Manufacturing process of element N, or of all; may be repeated.",
+        rich_help_panel=OptionGroup.TOLERANCES,
+    ),
 ]
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store made by a run.")]
 Trust = Annotated[
     bool,
-    typer.Option("--trust", help="Execute Python code in the store; only for stores from people you trust."),
+    typer.Option(
+        "--trust",
+        help="Execute Python code in the store; only for stores from people you trust.",
+        rich_help_panel=OptionGroup.INPUT,
+    ),
 ]
-MeritName = Annotated[str | None, typer.Option("--merit", help="Analyse only the merit of this name.")]
+MeritName = Annotated[
+    str | None,
+    typer.Option(
+        "--merit", help="Analyse only the merit of this name.", rich_help_panel=OptionGroup.EVALUATION
+    ),
+]
 
 
 def start(
     design: Design,
     output: Annotated[Path, output_option("Study file to write.")],
     grade: Annotated[
-        str, typer.Option(help="commercial, precision, high_precision, or iso10110 (general tolerances).")
+        str,
+        typer.Option(
+            metavar="[commercial|precision|high_precision|iso10110]",
+            help="Grade of the tolerances; iso10110: general tolerances.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
     ] = "precision",
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing file.", rich_help_panel=OptionGroup.OUTPUT)
+    ] = False,
 ) -> None:
     """Write a study with the usual tolerances of a grade, as a starting point to edit."""
     from tolerancing.study.files import start_study
@@ -97,7 +122,10 @@ def inverse(
     merit: MeritName = None,
     change: Annotated[
         float | None,
-        typer.Option(help="Amount by which the merit may become worse; default: up to its limit."),
+        typer.Option(
+            help="Amount by which the merit may become worse; default: up to its limit.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -117,16 +145,32 @@ def inverse(
 
 def budget(
     store: StorePath,
-    required: Annotated[float, typer.Option("--yield", help="Required fraction of good lenses, 0 to 1.")],
+    required: Annotated[
+        float,
+        typer.Option(
+            "--yield",
+            help="Required fraction of good lenses, 0 to 1.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
+    ],
     output: Annotated[Path, output_option("Study file with the new tolerances.")],
     weight: Annotated[
         list[str] | None,
-        typer.Option(help="COLUMN=WEIGHT: cost of a tolerance relative to the others; may be repeated."),
+        typer.Option(
+            metavar="COLUMN=WEIGHT",
+            help="Cost of a tolerance relative to the others; may be repeated.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
     ] = None,
     costs: Costs = None,
     process: Processes = None,
     verify: Annotated[
-        int, typer.Option(min=20, help="Number of trials that verify each round of the search.")
+        int,
+        typer.Option(
+            min=20,
+            help="Number of trials that verify each round of the search.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = 500,
     trust: Trust = False,
     as_json: Json = False,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
 from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
@@ -25,6 +26,22 @@ if TYPE_CHECKING:
 FILE = "calibration.json"
 
 
+@most_used(
+    "design",
+    "output",
+    "patch_mm",
+    "kind",
+    "illumination",
+    "plane_distance_mm",
+    "parameters",
+    "iterations",
+    "known",
+    "empty",
+    "priors",
+    "engine",
+    "error",
+    "as_json",
+)
 def calibrate(
     frames: Frames,
     design: DesignOption,
@@ -32,7 +49,11 @@ def calibrate(
     settings: CalibrationSettings,
     of_frames: FrameSetSettings,
     known: Annotated[
-        Path | None, typer.Option(help="True object, if it is known: a file (.npz), or its folder.")
+        Path | None,
+        typer.Option(
+            help="True object, if it is known: a file (.npz), or its folder.",
+            rich_help_panel=OptionGroup.INPUT,
+        ),
     ] = None,
     empty: Empty = None,
     priors: Priors = None,

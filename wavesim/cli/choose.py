@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json
 from lensdesign.common.text import finite_or_none
 from lensdesign.files.design import load_design
@@ -22,6 +23,20 @@ if TYPE_CHECKING:
     from wavesim.scene.scene import Scene
 
 
+@most_used(
+    "object_",
+    "patch_mm",
+    "illumination",
+    "wavelength_um",
+    "error",
+    "field_mm",
+    "plane_distance_mm",
+    "meridional",
+    "runs",
+    "memory_gb",
+    "hours",
+    "as_json",
+)
 def choose(
     design: Design,
     settings: ChoiceSettings,
@@ -29,20 +44,38 @@ def choose(
         str,
         typer.Option(
             "--object",
+            metavar="[usaf|star|phase|tissue|even]|FILE",
             help="usaf, star, phase, tissue, FILE, or even (a patch that sends light in all directions).",
+            rich_help_panel=OptionGroup.OBJECT,
         ),
     ] = "usaf",
     error: Annotated[
-        float, typer.Option(help="Allowed relative L2 error of the exit field.")
+        float,
+        typer.Option(help="Allowed relative L2 error of the exit field.", rich_help_panel=OptionGroup.ENGINE),
     ] = DEFAULT_ERROR,
-    field_mm: Annotated[float, typer.Option(help="Height of the field point along y.")] = 0.0,
+    field_mm: Annotated[
+        float, typer.Option(help="Height of the field point along y.", rich_help_panel=OptionGroup.OBJECT)
+    ] = 0.0,
     plane_distance_mm: PlaneDistanceMm = 2.0,
     meridional: Annotated[
-        bool, typer.Option(help="Use the meridional line of the object instead of a plane.")
+        bool,
+        typer.Option(
+            help="Use the meridional line of the object instead of a plane.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = False,
-    runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
-    memory_gb: Annotated[float, typer.Option(help="Memory limit.")] = 16.0,
-    hours: Annotated[float, typer.Option(help="Time limit of all runs together.")] = 1.0,
+    runs: Annotated[
+        int,
+        typer.Option(
+            help="Forward and adjoint runs that share the set-up.", rich_help_panel=OptionGroup.EVALUATION
+        ),
+    ] = 2,
+    memory_gb: Annotated[
+        float, typer.Option(help="Memory limit.", rich_help_panel=OptionGroup.OUTPUT)
+    ] = 16.0,
+    hours: Annotated[
+        float, typer.Option(help="Time limit of all runs together.", rich_help_panel=OptionGroup.OUTPUT)
+    ] = 1.0,
     as_json: Json = False,
 ) -> None:
     """Predict error, time and memory of every engine, and name the cheapest that meets the error limit.

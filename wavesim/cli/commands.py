@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import decimals_text, visible
 from lensdesign.errors import InputError
@@ -37,16 +38,37 @@ for command in (oracle, resolve, choose, compare, plan, image, reconstruct, cali
 def pupil(
     design: Design,
     mounted: PoseSettings,
-    field_mm: Annotated[str, typer.Option(help="Position x,y of the object point.")] = "0,0",
+    field_mm: Annotated[
+        str,
+        typer.Option(
+            metavar="X,Y", help="Position x,y of the object point.", rich_help_panel=OptionGroup.OBJECT
+        ),
+    ] = "0,0",
     wavelength_um: Annotated[
-        float | None, typer.Option(help="Wavelength; default: the design's first.")
+        float | None,
+        typer.Option(
+            help="Wavelength; default: the design's first.", rich_help_panel=OptionGroup.ILLUMINATION
+        ),
     ] = None,
     plane_distance_mm: Annotated[
-        float, typer.Option(help="Distance of the plane from the exit vertex.")
+        float,
+        typer.Option(help="Distance of the plane from the exit vertex.", rich_help_panel=OptionGroup.CAMERA),
     ] = 3.0,
-    linewidths_um: Annotated[str, typer.Option(help="Line widths, separated by commas.")] = "1.55,0.775,0.6",
-    refocus: Annotated[bool, typer.Option(help="Refocus the reconstruction digitally.")] = True,
-    samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
+    linewidths_um: Annotated[
+        str,
+        typer.Option(
+            metavar="NUMBER,...",
+            help="Line widths, separated by commas.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
+    ] = "1.55,0.775,0.6",
+    refocus: Annotated[
+        bool,
+        typer.Option(help="Refocus the reconstruction digitally.", rich_help_panel=OptionGroup.EVALUATION),
+    ] = True,
+    samples: Annotated[
+        int, typer.Option(help="Samples across the pupil.", rich_help_panel=OptionGroup.EVALUATION)
+    ] = 128,
     as_json: Json = False,
     output: Annotated[Path | None, output_option("Picture to write (png, svg, pdf).")] = None,
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import message_console, print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError
@@ -28,13 +29,28 @@ plane in semi-diameters."""
 def compare(
     design: Design,
     output: Annotated[Path, output_option("Folder to write to.", is_folder=True)],
-    radius_mm: Annotated[float, typer.Option(help="Radius of the exact cylinder.")] = 0.2,
-    planes: Annotated[bool, typer.Option(help="Also compare on whole planes.")] = True,
-    patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
-    field_mm: Annotated[float, typer.Option(help="Height of the patch's centre along y.")] = 0.0,
-    scale: Annotated[float, typer.Option(help="Scale factor of the lens.")] = 1.0,
-    most_seconds: Annotated[float, typer.Option(help="Skip runs that are predicted to take longer.")] = 10.0,
-    maps: Annotated[bool, typer.Option(help="Also draw failure maps.")] = True,
+    radius_mm: Annotated[
+        float, typer.Option(help="Radius of the exact cylinder.", rich_help_panel=OptionGroup.EVALUATION)
+    ] = 0.2,
+    planes: Annotated[
+        bool, typer.Option(help="Also compare on whole planes.", rich_help_panel=OptionGroup.EVALUATION)
+    ] = True,
+    patch_mm: Annotated[
+        float, typer.Option(help="Side of the object patch.", rich_help_panel=OptionGroup.OBJECT)
+    ] = 0.05,
+    field_mm: Annotated[
+        float, typer.Option(help="Height of the patch's centre along y.", rich_help_panel=OptionGroup.OBJECT)
+    ] = 0.0,
+    scale: Annotated[
+        float, typer.Option(help="Scale factor of the lens.", rich_help_panel=OptionGroup.LENS)
+    ] = 1.0,
+    most_seconds: Annotated[
+        float,
+        typer.Option(help="Skip runs that are predicted to take longer.", rich_help_panel=OptionGroup.OUTPUT),
+    ] = 10.0,
+    maps: Annotated[
+        bool, typer.Option(help="Also draw failure maps.", rich_help_panel=OptionGroup.EVALUATION)
+    ] = True,
     as_json: Json = False,
 ) -> None:
     """Chart error against seconds and memory of every engine, and map where each fails.

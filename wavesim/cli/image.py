@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
@@ -25,22 +26,49 @@ if TYPE_CHECKING:
     from wavesim.sensor.recording import Recording
 
 
+@most_used(
+    "output",
+    "object_",
+    "patch_mm",
+    "illumination",
+    "wavelength_um",
+    "planes_mm",
+    "pixels",
+    "noise",
+    "exposures",
+    "engine",
+    "error",
+    "memory_gb",
+    "state",
+    "as_json",
+)
 def image(
     design: Design,
     output: Output,
     settings: ImageSettings,
     object_: Annotated[
-        str, typer.Option("--object", help="usaf, star, phase, tissue, empty, or FILE (a picture).")
+        str,
+        typer.Option(
+            "--object",
+            metavar="[usaf|star|phase|tissue|empty]|FILE",
+            help="usaf, star, phase, tissue, empty, or FILE (a picture).",
+            rich_help_panel=OptionGroup.OBJECT,
+        ),
     ] = "usaf",
     state: Annotated[
         Path | None,
         typer.Option(
             help="Deviations of the system from the design: calibration.json of `wavesim calibrate`, or any "
-            "file with a state. Omit the options for such deviations."
+            "file with a state. Omit the options for such deviations.",
+            rich_help_panel=OptionGroup.INPUT,
         ),
     ] = None,
     all_wavelengths: Annotated[
-        bool, typer.Option(help="Record at each wavelength of the design, each in its own subfolder.")
+        bool,
+        typer.Option(
+            help="Record at each wavelength of the design, each in its own subfolder.",
+            rich_help_panel=OptionGroup.ILLUMINATION,
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:

@@ -15,24 +15,31 @@ from pydantic.fields import FieldInfo
 
 from lensdesign.common.console import message_console
 from lensdesign.common.frozen_model import FrozenModel
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import output_option
 from lensdesign.errors import InputError
 from wavesim.scene.settings import SettingError
 
-DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="Design file (TOML).")]
+DesignOption = Annotated[
+    Path,
+    typer.Option("--design", metavar="DESIGN", help="Design file (TOML).", rich_help_panel=OptionGroup.INPUT),
+]
 Frames = Annotated[
     list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one or more for each plane.")
 ]
 Empty = Annotated[
     list[Path] | None,
     typer.Option(
-        help="Frames without an object, for the errors of the light: a file or a folder; may be repeated."
+        help="Frames without an object, for the errors of the light: a file or a folder; may be repeated.",
+        rich_help_panel=OptionGroup.INPUT,
     ),
 ]
 Priors = Annotated[
     Path | None,
     typer.Option(
-        metavar="STUDY", help="Tolerance study (TOML), whose tolerances are the prior deviations of the lens."
+        metavar="STUDY",
+        help="Tolerance study (TOML), whose tolerances are the prior deviations of the lens.",
+        rich_help_panel=OptionGroup.INPUT,
     ),
 ]
 Output = Annotated[Path, output_option("Folder to write to.", "DIR", is_folder=True)]
@@ -66,6 +73,7 @@ def with_settings(command: Command) -> Command:
     for name, parameter in own.items():
         parameters += _parameters(models[name]) if name in models else [parameter]
     run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__dict__.update(vars(command))
     keyword = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters]
     run.__signature__ = inspect.Signature(keyword)  # type: ignore[attr-defined]
     run.__annotations__ = {one.name: one.annotation for one in keyword}
@@ -74,16 +82,51 @@ def with_settings(command: Command) -> Command:
 
 def _parameters(model: type[FrozenModel]) -> list[inspect.Parameter]:
     """Return one parameter for each field, annotated for Typer."""
+    # A field that a subclass defines again keeps the group of the class that defined it first.
+    groups = {
+        name: one.option_group
+        for one in model.__mro__
+        for name in inspect.get_annotations(one)
+        if name in model.model_fields
+    }
     made = []
     for name, field in model.model_fields.items():
         flags = [] if bool in _kinds(field.annotation) else _flags(name, field)
         kind = _typed(field)
-        typed: Any = Annotated[kind, typer.Option(*flags, help=field.description)]
+        option = typer.Option(
+            *flags,
+            help=field.description,
+            metavar=_stated(model, name, "metavar") or _metavar(field),
+            rich_help_panel=_stated(model, name, "group") or groups[name],
+        )
+        typed: Any = Annotated[kind, option]
         default = field.get_default(call_default_factory=True)
         made.append(
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_text(default), annotation=typed)
         )
     return made
+
+
+def _stated(model: type[FrozenModel], name: str, key: str) -> Any:
+    """Return what a field, or its definition in a base class, states for the help; None if nothing."""
+    for one in model.__mro__:
+        field = one.model_fields.get(name) if issubclass(one, FrozenModel) else None
+        extra = None if field is None else field.json_schema_extra
+        if isinstance(extra, dict) and key in extra:
+            return extra[key]
+    return None
+
+
+def _metavar(field: FieldInfo) -> str | None:
+    """Return how the help shows the value of an option; None: by its type."""
+    kinds = _kinds(field.annotation)
+    words = "|".join(word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind))
+    if words:
+        return f"NUMBER|{words}" if float in kinds else f"[{words}]"
+    pairs = [kind for kind in kinds if get_origin(kind) is tuple]
+    if not pairs:
+        return None
+    return "X,Y" if _is_list(pairs[0]) or get_args(pairs[0]) == (float, float) else "NUMBER,..."
 
 
 def _flags(name: str, field: FieldInfo) -> list[str]:

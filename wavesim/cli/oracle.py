@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json
 from wavesim.analytic.registry import ANALYTIC_CASES
 from wavesim.cli.options import print_warnings, settings_text
@@ -16,17 +17,38 @@ from wavesim.scene.settings import SingleEngineDetails
 
 
 def oracle(
-    engine: Annotated[str, typer.Option(help=f"Engine: one of {', '.join(ENGINES)}.")],
+    engine: Annotated[
+        str,
+        typer.Option(
+            metavar=f"[{'|'.join(ENGINES)}]",
+            help="Engine that is compared with the exact solution.",
+            rich_help_panel=OptionGroup.ENGINE,
+        ),
+    ],
     details: SingleEngineDetails,
     oracle: Annotated[
-        str, typer.Option(help=f"Exact solution: one of {', '.join(ANALYTIC_CASES)}.")
+        str,
+        typer.Option(
+            metavar=f"[{'|'.join(ANALYTIC_CASES)}]",
+            help="Exact solution.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = "cylinder",
-    radius_mm: Annotated[float | None, typer.Option(help="Radius of the cylinder or sphere.")] = None,
+    radius_mm: Annotated[
+        float | None,
+        typer.Option(help="Radius of the cylinder or sphere.", rich_help_panel=OptionGroup.EVALUATION),
+    ] = None,
     semi_diameter_mm: Annotated[
-        float | None, typer.Option(help="Semi-diameter of the stigmatic lens or the stop.")
+        float | None,
+        typer.Option(
+            help="Semi-diameter of the stigmatic lens or the stop.", rich_help_panel=OptionGroup.EVALUATION
+        ),
     ] = None,
     incidence_deg: Annotated[
-        float | None, typer.Option(help="Angle of incidence on the plate or plane.")
+        float | None,
+        typer.Option(
+            help="Angle of incidence on the plate or plane.", rich_help_panel=OptionGroup.EVALUATION
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
@@ -46,6 +47,22 @@ if TYPE_CHECKING:
     from wavesim.targets.usaf import UsafElement
 
 
+@most_used(
+    "design",
+    "output",
+    "patch_mm",
+    "kind",
+    "illumination",
+    "plane_distance_mm",
+    "iterations",
+    "calibration",
+    "calibrate",
+    "truth",
+    "engine",
+    "error",
+    "memory_gb",
+    "as_json",
+)
 def reconstruct(
     frames: Frames,
     output: Output,
@@ -53,12 +70,23 @@ def reconstruct(
     of_frames: FrameSetSettings,
     free: FreeSpaceSettings,
     design: Annotated[
-        Path | None, typer.Option(metavar="DESIGN", help="Design file (TOML); required without --free-space.")
+        Path | None,
+        typer.Option(
+            metavar="DESIGN",
+            help="Design file (TOML); required without --free-space.",
+            rich_help_panel=OptionGroup.INPUT,
+        ),
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Result of `wavesim calibrate` (calibration.json).")
+        Path | None,
+        typer.Option(
+            help="Result of `wavesim calibrate` (calibration.json).", rich_help_panel=OptionGroup.INPUT
+        ),
     ] = None,
-    truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="True object (.npz), or its folder.", rich_help_panel=OptionGroup.INPUT),
+    ] = None,
     empty: Empty = None,
     priors: Priors = None,
     as_json: Json = False,

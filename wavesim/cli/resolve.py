@@ -9,38 +9,84 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json, progress_bar
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import numbers, print_warnings, settings_text, validate_picture_request
 from wavesim.cli.runs import print_table
+from wavesim.engines.registry import ENGINES
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import SingleEngineDetails
 
-PlaneDistanceMm = Annotated[float, typer.Option(help="Distance of the exit plane from the exit vertex.")]
-WavelengthUm = Annotated[float | None, typer.Option(help="Wavelength; default: the design's first.")]
+PlaneDistanceMm = Annotated[
+    float,
+    typer.Option(help="Distance of the exit plane from the exit vertex.", rich_help_panel=OptionGroup.CAMERA),
+]
+WavelengthUm = Annotated[
+    float | None,
+    typer.Option(help="Wavelength; default: the design's first.", rich_help_panel=OptionGroup.ILLUMINATION),
+]
 
 
+@most_used(
+    "linewidths_um",
+    "field_mm",
+    "engine",
+    "reference",
+    "bars",
+    "plane_distance_mm",
+    "wavelength_um",
+    "slices",
+    "pitch_um",
+    "spacing",
+    "output",
+    "as_json",
+)
 def resolve(
     design: Design,
     details: SingleEngineDetails,
     linewidths_um: Annotated[
-        str, typer.Option(help="Line widths, separated by commas.")
+        str,
+        typer.Option(
+            metavar="NUMBER,...",
+            help="Line widths, separated by commas.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = "1.55,0.775,0.532",
-    field_mm: Annotated[str, typer.Option(help="Field heights along y, separated by commas.")] = "0",
+    field_mm: Annotated[
+        str,
+        typer.Option(
+            metavar="NUMBER,...",
+            help="Field heights along y, separated by commas.",
+            rich_help_panel=OptionGroup.OBJECT,
+        ),
+    ] = "0",
     engine: Annotated[
         list[str] | None,
         typer.Option(
+            metavar="ENGINE[:SETTING=VALUE,...]",
             help="Engine that reconstructs the lines; repeat the option to compare several: eikonal, "
             "slices:slices=30,compensation=oblique.",
             show_default="slices",
+            rich_help_panel=OptionGroup.ENGINE,
         ),
     ] = None,
     reference: Annotated[
-        str, typer.Option(help="Engine that propagates the lines to the exit plane.")
+        str,
+        typer.Option(
+            metavar=f"[{'|'.join(ENGINES)}]",
+            help="Engine that propagates the lines to the exit plane.",
+            rich_help_panel=OptionGroup.ENGINE,
+        ),
     ] = "eikonal",
-    bars: Annotated[int, typer.Option(help="Number of bars of each width, at least 5.")] = 5,
+    bars: Annotated[
+        int,
+        typer.Option(
+            help="Number of bars of each width, at least 5.", rich_help_panel=OptionGroup.EVALUATION
+        ),
+    ] = 5,
     plane_distance_mm: PlaneDistanceMm = 2.0,
     wavelength_um: WavelengthUm = None,
     output: Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import output_option
 from lensdesign.common.outputs import check_output_file
 from lensdesign.errors import InputError
@@ -32,18 +33,33 @@ def view(
         ),
     ],
     region_mm: Annotated[
-        str | None, typer.Option(help="x,y,width,height of the region: its centre and sides; default: all.")
+        str | None,
+        typer.Option(
+            metavar="X,Y,WIDTH,HEIGHT",
+            help="x,y,width,height of the region: its centre and sides; default: all.",
+            rich_help_panel=OptionGroup.EVALUATION,
+        ),
     ] = None,
-    truth: Annotated[Path | None, typer.Option(help="True object (.npz), or its folder.")] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="True object (.npz), or its folder.", rich_help_panel=OptionGroup.INPUT),
+    ] = None,
     pixel_pitch_um: Annotated[
         float | None,
-        typer.Option(help="Pixel pitch of a frame (.tif) that does not state it; its counts are shown."),
+        typer.Option(
+            help="Pixel pitch of a frame (.tif) that does not state it; its counts are shown.",
+            rich_help_panel=OptionGroup.CAMERA,
+        ),
     ] = None,
     output: Annotated[
         Path | None, output_option("Page to write (.html); default: next to RESULT.", "FILE")
     ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    open_: Annotated[
+        bool, typer.Option("--open", help="Open the page in a browser.", rich_help_panel=OptionGroup.OUTPUT)
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON.", rich_help_panel=OptionGroup.OUTPUT)
+    ] = False,
 ) -> None:
     """Show a whole field or frame in a browser, as one self-contained page that zooms.
 

@@ -6,11 +6,12 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import Field, field_validator
 
 from lensdesign.common.frozen_model import FrozenModel
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -31,22 +32,44 @@ ZERNIKE = re.compile(r"zernike_(\d+)_um")
 class BenchSettings(FrozenModel):
     """Deviations of light, lens and camera from what the frames state."""
 
-    light_error_deg: Pair = Field((0.0, 0.0), description="Error x,y of the light's direction.")
+    option_group: ClassVar[OptionGroup] = OptionGroup.CAMERA_ERRORS
+
+    light_error_deg: Pair = Field(
+        (0.0, 0.0),
+        description="Error x,y of the light's direction.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
     light_amplitude: str | None = Field(
         None,
         description="Relative amplitude errors of the light as Legendre modes (order in x and in y): "
         "10:-0.04,02:0.05.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION, "metavar": "ORDERS:COEFFICIENT,..."},
     )
     light_phase_waves: str | None = Field(
-        None, description="Phase errors of the light as Legendre modes, in waves: 20:0.03,11:-0.02."
+        None,
+        description="Phase errors of the light as Legendre modes, in waves: 20:0.03,11:-0.02.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION, "metavar": "ORDERS:COEFFICIENT,..."},
     )
-    source_deg: float = Field(0.0, description="Diameter of the light source (partial coherence).")
-    bandwidth_nm: float = Field(0.0, description="Full width of the light's rectangular spectrum.")
+    source_deg: float = Field(
+        0.0,
+        description="Diameter of the light source (partial coherence).",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+    bandwidth_nm: float = Field(
+        0.0,
+        description="Full width of the light's rectangular spectrum.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
     perturb: str | None = Field(
         None,
         description="Errors of the lens: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'.",
+        json_schema_extra={"group": OptionGroup.MOUNTED_LENS, "metavar": "ERRORS"},
     )
-    working_distance_error_mm: float = Field(0.0, description="Shift of the object away from the lens.")
+    working_distance_error_mm: float = Field(
+        0.0,
+        description="Shift of the object away from the lens.",
+        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
+    )
     sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Tilt of the sensor about x,y.")
     plane_shift_um: tuple[Pair, ...] = Field(
         (), description="x,y shift of the sensor on the first plane; repeat the option for the next planes."

@@ -1,7 +1,8 @@
 """Settings of simulations, reconstructions and calibrations.
 
 Every field of a model is also an option of the commands, with its name, its default, and its description as
-help.
+help. The help lists it under the title `option_group` of its class. A field whose `json_schema_extra` has a
+`group` is listed under that title. The key `metavar` states how its value is shown.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -26,6 +27,7 @@ from pydantic import (
 from lensdesign.common.frozen_model import FrozenModel
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
+from lensdesign.common.option_groups import OptionGroup
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.scene.bench_settings import BenchSettings, Numbers, Pair
@@ -124,7 +126,10 @@ Size = Annotated[float, AfterValidator(_finite_positive)]
 Count = Annotated[int, AfterValidator(_finite_positive)]
 Points = Annotated[
     tuple[Pair, ...],
-    Field(description="usaf: centre x,y of an additional chart with fine groups; may be repeated."),
+    Field(
+        description="usaf: centre x,y of an additional chart with fine groups; may be repeated.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
+    ),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
 Kind = Literal["complex", "amplitude"]
@@ -153,6 +158,8 @@ def _pixels(value: Any) -> Any:
 class PatchSettings(Settings):
     """The square of the object plane that is imaged, its field stop, and the light on it."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
+
     patch_mm: float | None = Field(None, description="Side of the object patch; default: the whole field.")
     field_stop_mm: float | None = Field(None, description="Diameter of the field stop; default: the patch.")
     field_stop_at_mm: Pair | None = Field(
@@ -161,11 +168,25 @@ class PatchSettings(Settings):
     object_pitch_um: float | None = Field(
         None, description="Pitch of the object's samples; default: from the numerical aperture."
     )
-    illumination: str = Field("plane", description="plane, tilted, gaussian, or FILE of a measured field.")
-    light_tilt_deg: Pair = Field((0.0, 0.0), description="tilted: angles x,y of the light.")
-    waist_mm: float | None = Field(None, description="gaussian: radius of the waist.")
+    illumination: str = Field(
+        "plane",
+        description="plane, tilted, gaussian, or FILE of a measured field.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION, "metavar": "[plane|tilted|gaussian]|FILE"},
+    )
+    light_tilt_deg: Pair = Field(
+        (0.0, 0.0),
+        description="tilted: angles x,y of the light.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
+    waist_mm: float | None = Field(
+        None,
+        description="gaussian: radius of the waist.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
     light_pitch_um: float | None = Field(
-        None, description="FILE: sample pitch, if the file does not state it."
+        None,
+        description="FILE: sample pitch, if the file does not state it.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
 
     @field_validator("light_tilt_deg", "waist_mm")
@@ -179,6 +200,8 @@ class PatchSettings(Settings):
 
 class PoseSettings(Settings):
     """Pose of the lens as mounted, as in :class:`lensdesign.Pose`."""
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.MOUNTED_LENS
 
     decenter_x_mm: float = Field(0.0, description="Shift of the lens as mounted, along x.")
     decenter_y_mm: float = Field(0.0, description="Shift of the lens as mounted, along y.")
@@ -196,13 +219,19 @@ class PoseSettings(Settings):
 class EngineDetails(Settings):
     """Settings of single engines; None leaves the value to the engine."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
+
     tile_width_mm: Size | None = Field(None, description="eikonal: width of a tile of the object.")
     hierarchical: bool | None = Field(
         None, description="eikonal: whether tiles form a hierarchy; default: by their number."
     )
     slices: Count | None = Field(None, description="slices: number of slices.")
-    compensation: str | None = Field(None, description="slices: vertical or oblique.")
-    interface: str | None = Field(None, description="wpm: substep or staircase.")
+    compensation: str | None = Field(
+        None, description="slices: vertical or oblique.", json_schema_extra={"metavar": "[vertical|oblique]"}
+    )
+    interface: str | None = Field(
+        None, description="wpm: substep or staircase.", json_schema_extra={"metavar": "[substep|staircase]"}
+    )
     step_um: Size | None = Field(None, description="wpm: step along z.")
     pitch_um: Size | None = Field(None, description="slices, wpm, thin-lens: pitch of the working grid.")
 
@@ -218,27 +247,45 @@ class EngineDetails(Settings):
 class SingleEngineDetails(EngineDetails):
     """Settings of an engine that is run by its name."""
 
-    spacing: str | None = Field(None, description="slices: equal, paper or equal-phase.")
+    option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
+
+    spacing: str | None = Field(
+        None,
+        description="slices: equal, paper or equal-phase.",
+        json_schema_extra={"metavar": "[equal|paper|equal-phase]"},
+    )
 
 
 class EngineSettings(EngineDetails):
     """The engine, and the error that it may have."""
 
-    engine: str = Field("auto", description="Engine, or auto: the cheapest that meets the error limit.")
+    option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
+
+    engine: str = Field(
+        "auto",
+        description="Engine, or auto: the cheapest that meets the error limit.",
+        json_schema_extra={"metavar": "[auto|eikonal|slices|wpm|thin-lens|no-lens]"},
+    )
     error: float | None = Field(None, description="Allowed relative error of the engine; default: 0.05.")
 
 
 class MachineSettings(Settings):
     """Memory and cluster of a run."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.OUTPUT
+
     memory_gb: Size | None = Field(None, description="Memory limit; default: 80 % of what is free.")
     cluster: str | None = Field(
-        None, description="Dask scheduler (ADDRESS) whose workers compute the tiles of engine hierarchical."
+        None,
+        description="Dask scheduler (ADDRESS) whose workers compute the tiles of engine hierarchical.",
+        json_schema_extra={"metavar": "ADDRESS"},
     )
 
 
 class CameraSettings(Settings):
     """The sensor, its stage, and its exposures."""
+
+    option_group: ClassVar[OptionGroup] = OptionGroup.CAMERA
 
     model_config = ConfigDict(loc_by_alias=False)
 
@@ -248,9 +295,15 @@ class CameraSettings(Settings):
     pixels: Annotated[Pixels | None, BeforeValidator(_pixels)] = Field(
         None,
         description="Pixels along each side, or 9344x7000, or all; default: as many as the light covers.",
+        json_schema_extra={"metavar": "SIDE|WIDTHxHEIGHT|all"},
     )
     noise: bool = Field(True, description="Simulate shot noise and read noise.")
-    seed: int = Field(0, ge=0, description="Seed of the noise and of the tissue object.")
+    seed: int = Field(
+        0,
+        ge=0,
+        description="Seed of the noise and of the tissue object.",
+        json_schema_extra={"group": OptionGroup.OUTPUT},
+    )
     full_well_electrons: float = Field(
         10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
     )
@@ -274,9 +327,15 @@ class CameraSettings(Settings):
         description="Linear fill factor of a pixel (0 to 1).",
     )
     stage_error_mm: Numbers = Field(
-        (0.0,), description="Error of the plane distance: one value, or one for each plane."
+        (0.0,),
+        description="Error of the plane distance: one value, or one for each plane.",
+        json_schema_extra={"group": OptionGroup.CAMERA_ERRORS},
     )
-    shift_um: Pair = Field((0.0, 0.0), description="x,y shift of the sensor from plane to plane.")
+    shift_um: Pair = Field(
+        (0.0, 0.0),
+        description="x,y shift of the sensor from plane to plane.",
+        json_schema_extra={"group": OptionGroup.CAMERA_ERRORS},
+    )
 
     @field_validator("planes_mm")
     @classmethod
@@ -293,7 +352,13 @@ class CameraSettings(Settings):
 class ObjectSettings(Settings):
     """An object on the patch, and the wavelength of its light."""
 
-    wavelength_um: float | None = Field(None, description="Wavelength; default: the design's first.")
+    option_group: ClassVar[OptionGroup] = OptionGroup.OBJECT
+
+    wavelength_um: float | None = Field(
+        None,
+        description="Wavelength; default: the design's first.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
     ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark background.")
     chart_at_mm: Points = ()
     ghost: float = Field(
@@ -301,6 +366,7 @@ class ObjectSettings(Settings):
         ge=0.0,
         le=1.0,
         description="Ghost of the lens: product of the reflectances of both outer surfaces.",
+        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
     )
     picture_pixel_um: Size | None = Field(
         None, description="FILE: side of a pixel on the object; default: fitted to the field stop."
@@ -344,6 +410,8 @@ class ChoiceSettings(PatchSettings, ObjectSettings):
 class FrameSetSettings(Settings):
     """Properties of frames that their files do not state; one value for all frames, or one for each."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.FRAMES
+
     plane_distance_mm: Numbers | None = Field(None, description="Distance of each frame's plane.")
     exposure: Numbers | None = Field(None, description="Exposure of each frame, in any unit.")
     pixel_pitch_um: float | None = Field(None, description="Pixel pitch of the frames.")
@@ -353,24 +421,41 @@ class FrameSetSettings(Settings):
     gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
     read_noise_electrons: float | None = Field(None, description="Read noise of the sensor.")
     flat: Path | None = Field(
-        None, description="FILE of a flat frame (even light), in counts: TIFF, PNG or .npy."
+        None,
+        description="FILE of a flat frame (even light), in counts: TIFF, PNG or .npy.",
+        json_schema_extra={"metavar": "FILE"},
     )
     dark: Path | None = Field(
-        None, description="FILE of a dark frame (no light), in counts: TIFF, PNG or .npy."
+        None,
+        description="FILE of a dark frame (no light), in counts: TIFF, PNG or .npy.",
+        json_schema_extra={"metavar": "FILE"},
     )
-    bad_pixels: Path | None = Field(None, description="FILE of a mask in which bad pixels are not 0.")
+    bad_pixels: Path | None = Field(
+        None,
+        description="FILE of a mask in which bad pixels are not 0.",
+        json_schema_extra={"metavar": "FILE"},
+    )
 
 
 class FramedSettings(EngineSettings, PatchSettings):
     """Settings that reconstructions and calibrations share."""
 
-    kind: Kind = Field("complex", description="object: complex or amplitude.")
+    option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
+
+    kind: Kind = Field(
+        "complex",
+        description="object: complex or amplitude.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
+    )
     field_stop: Literal["stated", "find"] = Field(
         "stated",
         description="stated, or find: estimate from the frames the diameter or position that is not given.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
     )
     scale: float | None = Field(
-        None, description="object: recorded amplitude where the transmission is 1; default: fitted."
+        None,
+        description="object: recorded amplitude where the transmission is 1; default: fitted.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
     )
     fill_factor: float = Field(
         1.0,
@@ -378,6 +463,7 @@ class FramedSettings(EngineSettings, PatchSettings):
         ge=0.0,
         le=1.0,
         description="Linear fill factor of a pixel (0 to 1).",
+        json_schema_extra={"group": OptionGroup.CAMERA},
     )
 
     @field_validator("field_stop")
@@ -421,6 +507,8 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     'object: complex or amplitude.'
     """
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
+
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
     iterations: int | None = Field(
         None, ge=1, description="Largest number of iterations; default: 80 for object, 500 for paper."
@@ -429,27 +517,41 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         "auto", description="object: weight of the total variation; auto: from the noise."
     )
     start: str | None = Field(
-        None, description="Start: model, uniform or random for paper; even or amplitude for object."
+        None,
+        description="Start: model, uniform or random for paper; even or amplitude for object.",
+        json_schema_extra={"metavar": "[model|uniform|random|even|amplitude]"},
     )
-    refocus_mm: Pair | None = Field(None, description="low,high: range in which the focus is searched.")
+    refocus_mm: Pair | None = Field(
+        None,
+        description="low,high: range in which the focus is searched.",
+        json_schema_extra={"metavar": "LOW,HIGH"},
+    )
     usaf: Literal["bright", "dark"] | None = Field(
-        None, description="The object is a USAF chart with a bright or dark background."
+        None,
+        description="The object is a USAF chart with a bright or dark background.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
     )
     chart_at_mm: Points = ()
     hold_out_plane: int | None = Field(
-        None, description="object: index of a plane (from 1) that is not used, but predicted and compared."
+        None,
+        description="object: index of a plane (from 1) that is not used, but predicted and compared.",
+        json_schema_extra={"group": OptionGroup.EVALUATION},
     )
     starts: int = Field(1, ge=1, description="object: number of starts, whose results are compared.")
     source_deg: float | Literal["find"] = Field(
         0.0,
         description="object: diameter of the light source (partial coherence), or find.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     bandwidth_nm: float | Literal["find"] = Field(
         0.0,
         description="object: full width of the light's rectangular spectrum, or find.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     region_mm: tuple[float, float, float, float] | None = Field(
-        None, description="x,y,width,height: region of the object that is evaluated and written."
+        None,
+        description="x,y,width,height: region of the object that is evaluated and written.",
+        json_schema_extra={"group": OptionGroup.EVALUATION, "metavar": "X,Y,WIDTH,HEIGHT"},
     )
 
     @field_validator("start")
@@ -514,12 +616,15 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 class FreeSpaceSettings(Settings):
     """Frames that were recorded without a lens, and planes that are predicted from them."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.FREE_SPACE
+
     free_space: bool = Field(
         False, description="Reconstruct the field on z = 0 from frames without a lens, on their pitch."
     )
     calibrate: bool = Field(
         False,
         description="First calibrate the bench; in free space: distances, drift and exposures.",
+        json_schema_extra={"group": OptionGroup.SOLVER},
     )
     numerical_aperture: Size | None = Field(
         None, description="free space: numerical aperture of the light; default: from the frames' spectra."
@@ -539,19 +644,39 @@ class FreeSpaceSettings(Settings):
 class PlanSettings(Settings):
     """Settings of :func:`wavesim.calibration.plan_frames`."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.CAMERA
+
     model_config = ConfigDict(loc_by_alias=False)
 
-    kind: Literal["complex", "amplitude"] = Field("complex", description="Kind of the object.")
-    patch_mm: Size | None = Field(None, description="Side of the object patch; default: the whole field.")
-    wavelength_um: Size | None = Field(None, description="Wavelength; default: the design's first.")
+    kind: Literal["complex", "amplitude"] = Field(
+        "complex", description="Kind of the object.", json_schema_extra={"group": OptionGroup.OBJECT}
+    )
+    patch_mm: Size | None = Field(
+        None,
+        description="Side of the object patch; default: the whole field.",
+        json_schema_extra={"group": OptionGroup.OBJECT},
+    )
+    wavelength_um: Size | None = Field(
+        None,
+        description="Wavelength; default: the design's first.",
+        json_schema_extra={"group": OptionGroup.ILLUMINATION},
+    )
     planes_mm: Pair | None = Field(
-        None, description="Distances of the nearest and farthest plane; default: the design's."
+        None,
+        description="Distances of the nearest and farthest plane; default: the design's.",
+        json_schema_extra={"metavar": "NEAREST,FARTHEST"},
     )
     most_planes: int = Field(4, ge=1, le=8, description="Largest number of planes, which are evenly spaced.")
     exposures: Numbers = Field(
         (1.0, 30.0, 1000.0), description="Exposure bracket; it is compared with its shortest exposure alone."
     )
-    correlation: float = Field(0.99, gt=0.0, lt=1.0, description="Required correlation of the object.")
+    correlation: float = Field(
+        0.99,
+        gt=0.0,
+        lt=1.0,
+        description="Required correlation of the object.",
+        json_schema_extra={"group": OptionGroup.EVALUATION},
+    )
     full_well_electrons: Size = Field(
         10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
     )
@@ -559,7 +684,9 @@ class PlanSettings(Settings):
         2.0, alias="read_noise", ge=0.0, le=1e9, description="Read noise in electrons."
     )
     bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
-    seed: int = Field(0, ge=0, description="Seed of object and noise.")
+    seed: int = Field(
+        0, ge=0, description="Seed of object and noise.", json_schema_extra={"group": OptionGroup.OUTPUT}
+    )
 
     @field_validator("planes_mm")
     @classmethod
@@ -574,11 +701,18 @@ class PlanSettings(Settings):
 class CalibrationSettings(FramedSettings):
     """Settings of :func:`wavesim.calibrate_frames`."""
 
+    option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
+
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that meets the error limit.")
     iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")
     most_mountings: int = Field(80, ge=1, description="Largest number of benches that are tested.")
     parameters: str = Field(
         "all",
         description="Unknowns: all, light, lens, mounting, camera, rigid, or names separated by commas.",
+        json_schema_extra={"metavar": "[all|light|lens|mounting|camera|rigid]|NAME,..."},
     )
-    pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")
+    pivot_z_mm: float = Field(
+        0.0,
+        description="Centre of rotation, from the front vertex.",
+        json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
+    )
