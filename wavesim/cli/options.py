@@ -84,7 +84,7 @@ def _parameters(model: type[FrozenModel]) -> list[inspect.Parameter]:
     """Return one parameter for each field, annotated for Typer."""
     # A field that a subclass defines again keeps the group of the class that defined it first.
     groups = {
-        name: one.option_group
+        name: getattr(one, "option_group", OptionGroup.OUTPUT)
         for one in model.__mro__
         for name in inspect.get_annotations(one)
         if name in model.model_fields
