@@ -26,6 +26,7 @@ UNITS = {
     "seconds": "s",
     "hours": "h",
     "electrons": "electrons",
+    "count": "electrons per count",
     "waves": "waves",
 }
 """Units by the last word of an option's name."""
@@ -119,7 +120,8 @@ class GroupedCommand(TyperCommand):
 def help_record(param: Any, ctx: Any) -> Row:
     """Return the names of an argument or option with its value, and its text with unit and default."""
     names, text = param.get_help_record(ctx)
-    text = re.sub(r"\[default: \((.*)\)\]$", r"[default: \1]", text or "")
+    # Older releases of Typer put a backslash before the bracket.
+    text = re.sub(r"\[default: \((.*)\)\]$", r"[default: \1]", (text or "").replace("\\[", "["))
     if param.param_type_name == "argument" and param.metavar is not None:
         names = param.metavar
     elif param.metavar is None and not getattr(param, "is_flag", False):
