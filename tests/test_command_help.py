@@ -65,6 +65,22 @@ def names_of(row: str) -> list[str]:
     return re.findall(r"(?:^|(?<=, )|(?<=/ ))(--?[a-z][\w-]*)", row.split("  ")[0])
 
 
+@pytest.mark.parametrize("package", APPS)
+def test_every_command_is_listed_once_with_all_words(
+    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    app = APPS[package]
+    listed = [name for commands in app.contents.values() for name in commands]
+    assert sorted(listed) == sorted(app.commands)
+    monkeypatch.setenv("COLUMNS", "80")
+    app.main(["-h"], prog_name=package, standalone_mode=False)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    for title, commands in app.contents.items():
+        assert f"{title}:".split() in lines
+        for name, text in commands.items():
+            assert [name, *text.split()] in lines
+
+
 @every_command
 def test_the_short_help_has_few_options(command: str, help_of: Any) -> None:
     text, whole = help_of(command, "-h"), help_of(command, "--help-all")

@@ -26,7 +26,34 @@ from lensdesign.errors import InputError
 if TYPE_CHECKING:
     from lensdesign.analysis.report import CheckReport
 
-app = make_app("Design non-imaging spatial information transfer lenses.")
+app = make_app(
+    "Design non-imaging spatial information transfer lenses.",
+    {
+        "Design": {
+            "optimize": "Find a lens that meets a specification.",
+            "testplates": "Find one whose spheres have radii of test plates.",
+            "explore": "Find a Pareto front of lenses.",
+            "limits": "Find the largest field, aperture or tolerances.",
+            "scale": "Write the same lens at another size.",
+            "glass": "Show a glass, or search for glasses.",
+            "studio": "Change a lens in the browser and see the effects.",
+        },
+        "Evaluate": {
+            "check": "Check a lens against its sensor or a specification.",
+            "draw": "Draw layout, spots, spread and a 3D view.",
+            "view": "Show the lens in 3D.",
+            "ghost": "Find where light reflected twice in the lens goes.",
+        },
+        "Exchange and make": {
+            "import": "Convert the lens file of another program.",
+            "export": "Write a mesh, exact solids or a file for another program.",
+            "scene": "Write lens, sensor planes and rays as a 3D scene.",
+            "drawing": "Draw the sheet for the workshop (ISO 10110).",
+            "sag": "Tabulate the sag of a surface for the workshop.",
+            "verify": "Compare a mesh with the nominal lens.",
+        },
+    },
+)
 
 
 class PictureFormat(StrEnum):
@@ -56,9 +83,10 @@ def check(
 ) -> None:
     """Check matching, spread, footprint and edges, or a specification's constraints.
 
-    The check covers Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge
-    thickness. With --against it covers the constraints of a specification, with its field, aperture,
-    wavelengths and sensor.
+    The check covers the match of the object's and the sensor's space-bandwidth products (Eq. 1), the largest
+    angle of the rays at the sensor (Eq. 2), the sensor, the numerical aperture, throughput and the edge
+    thickness. A specification is checked instead with --against: its constraints, with its field,
+    aperture, wavelengths and sensor.
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
     """

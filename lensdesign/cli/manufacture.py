@@ -113,7 +113,8 @@ def drawing(
         Path | None,
         typer.Option(
             metavar="SHEET",
-            help="Title block and tolerances (TOML); default: those of ISO 10110-11.",
+            help="Title block and tolerances (TOML); default: an empty title block, and the tolerances of "
+            "ISO 10110-11.",
             rich_help_panel=OptionGroup.INPUT,
         ),
     ] = None,
@@ -346,7 +347,9 @@ def import_file(
 ) -> None:
     """Convert another program's lens file to a design.
 
-    Contents that a design cannot represent are listed, and the import fails unless --lossy is given.
+    Most files state no sensor, and some no object: options add what the file lacks, and a message names what
+    is still missing. Contents that a design cannot represent are listed, and the import fails unless --lossy
+    is given.
     """
     from lensdesign.files.design import save_design, validate_lengths
     from lensdesign.files.draft import LossyImportError, Supplement

@@ -10,9 +10,9 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
@@ -33,8 +33,25 @@ LONGEST_LINE, MOST_LINES = 4000, 60
 """Largest length of a line of an error message, and largest number of its lines."""
 
 
+Contents = Mapping[str, Mapping[str, str]]
+"""Titles of groups of commands, with the names of their commands and what each does in a few words."""
+
+
 class _Group(TyperGroup):
-    """Commands that report an interrupt and exit with the status that shells expect."""
+    """Commands in titled groups, which exit after an interrupt with the status that shells expect."""
+
+    contents: ClassVar[Contents] = {}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands, in the order of the groups."""
+        return [name for commands in self.contents.values() for name in commands]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands in their groups."""
+        column = max(map(len, self.list_commands(ctx)))
+        for title, commands in self.contents.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:<{column}}", text) for name, text in commands.items()])
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -52,10 +69,18 @@ class _App(typer.Typer):
         return super().command(name, cls=cls, **more)
 
 
-def make_app(purpose: str) -> typer.Typer:
-    """Return a Typer application with the common settings and options of all commands."""
+def make_app(purpose: str, contents: Contents) -> typer.Typer:
+    """Return a Typer application with the common settings and options of all commands.
+
+    Parameters
+    ----------
+    purpose
+        What the commands are for, in one sentence.
+    contents
+        All commands in their groups, as the help lists them.
+    """
     app = _App(
-        cls=_Group,
+        cls=type("_ListedGroup", (_Group,), {"contents": contents}),
         help=purpose,
         no_args_is_help=True,
         add_completion=False,

@@ -30,7 +30,29 @@ if TYPE_CHECKING:
     from tolerancing.statistics.yields import Yield
     from tolerancing.store.store import Store
 
-app = make_app("Monte Carlo tolerancing of transfer lenses: studies, sensitivities, budgets, reports.")
+app = make_app(
+    "Monte Carlo tolerancing of transfer lenses: studies, sensitivities, budgets, reports.",
+    {
+        "Studies": {
+            "start": "Write a study of a lens with usual tolerances.",
+            "run": "Run the trials of a study, and store them.",
+            "show": "Show the yield of a store, or one of its trials.",
+            "report": "Write the report of a store.",
+            "export": "Write the trials of a store as a table.",
+        },
+        "Tolerances": {
+            "predict": "Predict yields from rays, without trials.",
+            "sensitivity": "Show the effect of each perturbation alone.",
+            "inverse": "Find the largest deviation that each merit allows.",
+            "budget": "Find the cheapest tolerances for a yield.",
+            "cost": "Show the relative cost of each tolerance.",
+        },
+        "Statistics": {
+            "rare": "Estimate the yield of a lens that seldom fails.",
+            "indices": "Find how much of a merit's variance each error causes.",
+        },
+    },
+)
 
 app.command()(cli_tolerances.start)
 

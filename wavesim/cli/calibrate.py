@@ -59,10 +59,11 @@ def calibrate(
     priors: Priors = None,
     as_json: Json = False,
 ) -> None:
-    """Calibrate the bench from frames: light, lens, mounting and camera.
+    """Calibrate the bench from frames of a known or unknown object: light, lens, mounting and camera.
 
     The result is the bench with which frames and reconstruction agree best. Parameters that the frames do not
-    need keep their nominal values. `wavesim reconstruct --calibration` reads the written file.
+    need keep their nominal values. The output folder has them in calibration.json, which a reconstruction
+    reads (`wavesim reconstruct --calibration FILE`).
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
     within their noise, and 1 if they are not. After an interrupt, repeat the command to continue.
     """

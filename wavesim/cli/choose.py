@@ -83,6 +83,10 @@ def choose(
     The predicted errors are for the light of the given object. The edge of the aperture, where ray-based
     engines are least accurate, receives from a chart only a twentieth of the light that it receives from
     an object that sends light in all directions.
+
+    The engines are: eikonal, whose rays carry the phase and whose Fourier transforms carry the object;
+    slices, thin slices of the lens; wpm, plane waves in zones of one refractive index; thin-lens, one plane
+    that bends the light; no-lens, free space.
     """
     from wavesim.engines.choosing import choose as choose_engine
     from wavesim.scene.patches import patch_scene

@@ -28,7 +28,25 @@ from wavesim.cli.view import view
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import PoseSettings
 
-app = make_app("Wave-optical simulation of spatial information transfer lenses.")
+app = make_app(
+    "Wave-optical simulation of spatial information transfer lenses.",
+    {
+        "Simulate and reconstruct": {
+            "image": "Simulate the frames that a sensor records of an object.",
+            "reconstruct": "Find the object from frames.",
+            "calibrate": "Find from frames how the bench differs from the design.",
+            "plan": "Recommend planes and exposures for an object.",
+            "view": "Show a whole field or frame in the browser.",
+        },
+        "Predict and compare": {
+            "pupil": "Predict the resolution with a lens that is displaced.",
+            "choose": "Choose the cheapest engine that is accurate enough.",
+            "compare": "Chart error against time of all engines.",
+            "resolve": "Test which lines each engine reconstructs.",
+            "oracle": "Compare an engine with an exact solution.",
+        },
+    },
+)
 for command in (oracle, resolve, choose, compare, plan, image, reconstruct, calibrate, view):
     app.command()(with_settings(command))
 

@@ -78,7 +78,7 @@ def image(
     sensor on which light falls. With several exposures, the long ones show faint light and are saturated
     where it is bright.
 
-    A run on a whole field (engine hierarchical) stores its finished parts. After an interrupt, repeat the
+    A run on a whole field (--hierarchical) stores its finished parts. After an interrupt, repeat the
     command to continue.
     """
     from wavesim.cli.result_files import remove_unfinished

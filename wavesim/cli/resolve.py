@@ -94,7 +94,9 @@ def resolve(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Measure the contrast of lines that each engine reconstructs from the field of a reference engine.
+    """Test which lines of an object each engine can reconstruct from the field of a reference engine.
+
+    `wavesim pupil` predicts the resolution of a lens.
 
     The object is a set of bright bars on a meridional line at each field point. The reference engine
     propagates it to the exit plane, and each named engine propagates the field back to the object. The result

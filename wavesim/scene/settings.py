@@ -277,7 +277,7 @@ class MachineSettings(Settings):
     memory_gb: Size | None = Field(None, description="Memory limit; default: 80 % of what is free.")
     cluster: str | None = Field(
         None,
-        description="Dask scheduler (ADDRESS) whose workers compute the tiles of engine hierarchical.",
+        description="Dask scheduler (ADDRESS) whose workers compute the tiles of a whole field.",
         json_schema_extra={"metavar": "ADDRESS"},
     )
 
@@ -412,10 +412,16 @@ class FrameSetSettings(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.FRAMES
 
-    plane_distance_mm: Numbers | None = Field(None, description="Distance of each frame's plane.")
-    exposure: Numbers | None = Field(None, description="Exposure of each frame, in any unit.")
-    pixel_pitch_um: float | None = Field(None, description="Pixel pitch of the frames.")
-    wavelength_um: float | None = Field(None, description="Wavelength of the frames.")
+    plane_distance_mm: Numbers | None = Field(
+        None, description="Distance of each frame's plane; default: as the frames state."
+    )
+    exposure: Numbers | None = Field(
+        None, description="Exposure of each frame, in any unit; default: as the frames state."
+    )
+    pixel_pitch_um: float | None = Field(
+        None, description="Pixel pitch of the frames; default: as the frames state."
+    )
+    wavelength_um: float | None = Field(None, description="Wavelength of the frames; default: as they state.")
     bits: int | None = Field(None, description="Bits of a count.")
     offset_counts: float | None = Field(None, description="Count of a dark pixel.")
     gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
@@ -444,7 +450,7 @@ class FramedSettings(EngineSettings, PatchSettings):
 
     kind: Kind = Field(
         "complex",
-        description="object: complex or amplitude.",
+        description="Kind of the object: complex, or amplitude for one without phase.",
         json_schema_extra={"group": OptionGroup.OBJECT},
     )
     field_stop: Literal["stated", "find"] = Field(
@@ -454,7 +460,7 @@ class FramedSettings(EngineSettings, PatchSettings):
     )
     scale: float | None = Field(
         None,
-        description="object: recorded amplitude where the transmission is 1; default: fitted.",
+        description="Recorded amplitude where the transmission is 1; default: fitted.",
         json_schema_extra={"group": OptionGroup.OBJECT},
     )
     fill_factor: float = Field(
@@ -504,7 +510,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     >>> settings.most_iterations, settings.replaced(method="paper").most_iterations
     (80, 500)
     >>> ReconstructionSettings.model_fields["kind"].description
-    'object: complex or amplitude.'
+    'Kind of the object: complex, or amplitude for one without phase.'
     """
 
     option_group: ClassVar[OptionGroup] = OptionGroup.SOLVER
