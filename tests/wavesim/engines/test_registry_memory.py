@@ -51,9 +51,9 @@ def run(scene, way):
 
 
 ways = "forward", "adjoint"
-for way in ways:
-    run(scene_of(1 / 128, 0.004), way)  # libraries, compiled loops
 scene = scene_of(scale, patch_mm, side)
+for way in ways:
+    run(scene, way)  # libraries, and loops that this scene needs compiled
 print(json.dumps([run(scene, way) for way in ways]))
 """
 
