@@ -15,6 +15,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
 from wavesim.calibration.calibration_result import Calibrated
+from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.mounting_parameters import RIGID, STOP_SHIFTS, parameter_names, validate_parameters
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
@@ -27,6 +28,7 @@ from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.problem import validate_frames
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
+from wavesim.scene.engine import Tiled
 from wavesim.scene.light_errors import LightErrors
 from wavesim.scene.scene import placed_light, placed_scene
 from wavesim.scene.settings import (
@@ -138,68 +140,95 @@ def calibrate_frames(
     requested = (settings or CalibrationSettings()).replaced(**changes)
     validate_frames(lens, frames, requested)
     progress = progress or (lambda what, done, count: None)
-    settings = requested
-    if known is None or requested.field_stop == "find":
-        settings = _with_stop(lens, frames, requested, progress)
-    stop_from = requested.field_stop_from if settings is requested else "frames"
-    seeks_stop = (
-        stop_from == "frames" and requested.field_stop_at_mm is None and known is None and empty is None
-    )
-    problem = CalibrationProblem(lens, frames, settings, priors, seeks_stop)
     if known is not None:
         if empty is not None or priors is not None:
             other = "empty" if priors is None else "priors"
             raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
-        known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
-        found = _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
-        return _with_field_stop(found, problem, stop_from)
+        return _calibrated_with_known_object(lens, frames, requested, known, progress)
+    settings = _with_stop(lens, frames, requested, progress)
+    if settings is requested:
+        problem = CalibrationProblem(lens, frames, settings, priors)
+        start = Unknowns(lens, problem.start)
+        found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
+        found = _with_field_stop(found, problem, requested.field_stop_from)
+    else:
+        found = _calibrated_with_stop(lens, frames, requested, settings, empty, priors, folder, progress)
+        settings = settings.with_stop(*found.field_stop)
+    return _with_verdict(lens, frames, settings, found, progress) if assess else found
+
+
+def _calibrated_with_known_object(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: CalibrationSettings,
+    known: Field | Path,
+    progress: Progress,
+) -> Calibrated:
+    """Return the mounting that frames of a known object determine."""
+    stop_from = settings.field_stop_from
+    if settings.field_stop == "find":
+        settings = _with_stop(lens, frames, settings, progress)
+    problem = CalibrationProblem(lens, frames, settings)
+    known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
+    found = _with_field_stop(_calibrate_mounting(problem, known, progress), problem, stop_from)
+    return _with_stop_finding(_with_verdict_of_known_object(problem, found, known))
+
+
+def _calibrated_with_stop(
+    lens: Lens,
+    frames: Sequence[Frame],
+    requested: CalibrationSettings,
+    settings: CalibrationSettings,
+    empty: Sequence[Frame] | None,
+    priors: Mapping[str, float] | None,
+    folder: Path | None,
+    progress: Progress,
+) -> Calibrated:
+    """Return the bench together with the field stop, from a stop that was found on the nominal bench.
+
+    The position is a parameter of the search, unless it was requested or the light is found from empty
+    frames. The diameter is searched again on the calibrated bench, until it stays.
+    """
+    seeks_position = requested.field_stop_at_mm is None and empty is None
+    problem = CalibrationProblem(lens, frames, settings, priors, seeks_position)
     start = Unknowns(lens, problem.start)
     found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
-    found = _with_field_stop(found, problem, stop_from)
+    found = _with_field_stop(found, problem, "frames")
+    if requested.field_stop_mm is not None:
+        return found
     for _ in range(MOST_STOP_SEARCHES):
-        width_mm = problem.framed.patch.field_stop_mm
-        if stop_from != "frames" or requested.field_stop_mm is not None:
-            break
         stop = _stop_search(problem, found.state, progress).refined_width(found.field_stop)
-        if abs(stop.width_mm - width_mm) <= problem.framed.patch.grid.pitch_mm:
+        if abs(stop.width_mm - found.field_stop.width_mm) <= problem.framed.patch.grid.pitch_mm:
             break
-        problem = CalibrationProblem(lens, frames, settings.with_stop(*stop), priors, seeks_stop)
+        problem = CalibrationProblem(lens, frames, settings.with_stop(*stop), priors, seeks_position)
         applied = {n: v for n, v in (found.applied or {}).items() if n not in STOP_SHIFTS}
-        again = _searched(
-            problem,
-            frames,
-            empty,
-            start.changed(list(applied), list(applied.values())),
-            folder,
-            STOP_CHECKPOINT,
-            progress,
-        )
+        start = start.changed(list(applied), list(applied.values()))
+        again = _searched(problem, frames, empty, start, folder, STOP_CHECKPOINT, progress)
         again = replace(again, misfit_before=found.misfit_before, trail=found.trail + again.trail)
-        found = _with_field_stop(again, problem, stop_from)
-    if not assess:
-        return found
-    if stop_from == "frames":
-        settings = settings.with_stop(*found.field_stop)
-    found = _with_verdict(lens, frames, settings, found, progress)
-    if found.verdict is None or not found.stop_warning:
-        return found
-    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_warning)))
+        found = _with_field_stop(again, problem, "frames")
+    return found
 
 
 def _with_stop(
     lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, progress: Progress
 ) -> CalibrationSettings:
-    """Return settings with the field stop, as found on the nominal bench.
+    """Return settings with the field stop as found on the nominal bench, or the given settings.
 
     The stop is searched if this is requested, or if nothing is stated about it and the frames show that
-    light falls on a part of the patch beside its centre only.
+    light falls only on a part of the patch beside its centre. The latter is not tested where all pixels
+    need much more time than those of the calibration.
     """
     if settings.field_stop_from == "stated":
         return settings
     problem = CalibrationProblem(lens, frames, settings)
+    is_requested = settings.field_stop == "find"
+    if not is_requested and isinstance(problem.pixels, SparsePixels):
+        return settings
     search = _stop_search(problem, problem.start, progress)
-    if settings.field_stop == "find":
+    if is_requested:
         return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
+    if isinstance(search.engine, Tiled):
+        return settings
     patch = problem.framed.patch
     stop = FieldStop(patch.field_stop_mm, patch.field_stop_at_mm)
     # A displaced lens or tilted light move the light by a few hundredths of the patch.
@@ -398,7 +427,14 @@ def _with_verdict(
     reconstruction = reconstruct_frames(
         lens, frames, ReconstructionSettings(**settings_given), calibration=found.state, progress=progress
     )
-    return replace(found, verdict=reconstruction.verdict)
+    return _with_stop_finding(replace(found, verdict=reconstruction.verdict))
+
+
+def _with_stop_finding(found: Calibrated) -> Calibrated:
+    """Return the result with the warning about its field stop in the verdict."""
+    if found.verdict is None or not found.stop_warning:
+        return found
+    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_warning)))
 
 
 def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated, known: Field) -> Calibrated:
