@@ -3,10 +3,12 @@
     python -m benchmarks.docs_pictures figure-7 STORE PICTURE
     python -m benchmarks.docs_pictures whole-field FRAMES OBJECT PICTURE
     python -m benchmarks.docs_pictures fronts ONE TWO PICTURE
+    python -m benchmarks.docs_pictures overview FRAMES OBJECT PICTURE
 
 STORE is that of designs/paper_figure_7.toml, FRAMES and OBJECT the folders of the whole field's
 `wavesim image` and `wavesim reconstruct` in docs/reconstruction.md; ONE and TWO those of `lensdesign explore`
-over track and yield in docs/as-built.md, of one element and of two.
+over track and yield in docs/as-built.md, of one element and of two. The overview is of the folders frames and
+object of `make demo`.
 """
 
 from __future__ import annotations
@@ -123,9 +125,45 @@ def fronts(one: Path, two: Path, picture: Path) -> None:
     figure.savefig(picture, dpi=DOTS_PER_INCH)
 
 
+def overview(frames: Path, found: Path, picture: Path) -> None:
+    """The object, the frame on its first plane, and the reconstruction side by side."""
+    from matplotlib.figure import Figure
+
+    from wavesim import read_frames
+    from wavesim.plots.panels import AS_SAMPLED, scale_bar
+
+    with np.load(found / "reconstruction.npz") as one, np.load(frames / "object.npz") as other:
+        result, true, pitch_um = np.abs(one["values"]), np.abs(other["values"]), float(one["pitch_um"])
+    offsets = np.arange(len(true)) - 0.5 * (len(true) - 1)
+    inside = np.hypot(offsets[:, None], offsets) < 0.5 * len(true)
+    frame = read_frames([frames / "frame_1.tif"])[0]
+    light = np.clip(frame.counts - frame.settings.offset_counts, 0.0, None)
+    # The middle of the frame, where nearly all light falls; square roots of counts show faint light.
+    half = len(light) // 5
+    recorded = np.sqrt(light[tuple(slice(count // 2 - half, count // 2 + half) for count in light.shape)])
+    figure = Figure(figsize=(12.0, 4.4))
+    for axes, title, values, brightest, sample_um in zip(
+        figure.subplots(1, 3),
+        ("object", "first frame on the sensor: no image", "reconstruction from two frames"),
+        (np.where(inside, true, 0.0), recorded, np.where(inside, result, 0.0)),
+        (1.0, float(recorded.max()), 1.0),
+        (pitch_um, frame.settings.pixel_pitch_um, pitch_um),
+        strict=True,
+    ):
+        axes.imshow(values, cmap="gray", vmin=0.0, vmax=brightest, **AS_SAMPLED)
+        axes.set_title(title)
+        scale_bar(axes, values.shape, sample_um)
+    figure.savefig(picture, dpi=90, bbox_inches="tight")
+
+
 def main(arguments: list[str]) -> None:
     """Draw what is asked for."""
-    pictures = {"figure-7": (figure_7, 2), "whole-field": (whole_field, 3), "fronts": (fronts, 3)}
+    pictures = {
+        "figure-7": (figure_7, 2),
+        "whole-field": (whole_field, 3),
+        "fronts": (fronts, 3),
+        "overview": (overview, 3),
+    }
     name, *paths = arguments or [""]
     if name not in pictures or len(paths) != pictures[name][1]:
         raise SystemExit(__doc__)

@@ -19,7 +19,7 @@ from lensdesign.common import interrupts
 from lensdesign.common.console import make_app, run_app
 from lensdesign.common.atomic_files import atomic_path
 
-app = make_app("a test")
+app = make_app("a test", {})
 {times}
 
 
