@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import importlib
 import inspect
 import re
@@ -21,7 +22,8 @@ def application(package: str) -> str:
 
     group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli.commands").app)
     context = group.make_context(package, [], resilient_parsing=True)
-    return "\n\n".join(_command(package, name, group.get_command(context, name)) for name in group.commands)
+    names = group.list_commands(context)
+    return "\n\n".join(_command(package, name, group.get_command(context, name)) for name in names)
 
 
 def _command(package: str, name: str, command: Any) -> str:
@@ -55,8 +57,10 @@ def _row(names: str, meaning: str) -> str:
     plain, bracket, notes = meaning.rpartition("  [")
     if not bracket:
         plain, notes = (meaning, "") if not meaning.startswith("[") else ("", meaning[1:])
-    return "| " + " | ".join([f"`{_cell(names)}`", _cell(plain), _cell(notes.removesuffix("]"))]) + " |"
+    # Between backticks, a bar that is masked by a backslash would show the backslash.
+    code = f"<code>{html.escape(' '.join(names.split())).replace('|', '&#124;')}</code>"
+    return "| " + " | ".join([code, _cell(plain), _cell(notes.removesuffix("]"))]) + " |"
 
 
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
+    return " ".join(text.split()).replace("|", "&#124;")
