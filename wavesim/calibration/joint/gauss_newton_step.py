@@ -237,13 +237,13 @@ def _well_determined(precision: Array) -> Array:
     return np.asarray(combinations[:, information > LEAST_INFORMATION])
 
 
-def _still_losing(before: Array, after: Array) -> Array:
+def _still_losing(earlier: Array, later: Array) -> Array:
     """Return combinations of parameters whose variance rose by more than `LEAST_LOSS`.
 
     Precisions are in units of those of the priors, to which they add.
     """
-    prior = np.eye(len(after))
-    ratios, combinations = scipy.linalg.eigh(before + prior, after + prior)
+    prior = np.eye(len(later))
+    ratios, combinations = scipy.linalg.eigh(earlier + prior, later + prior)
     return np.asarray(combinations[:, ratios > 1.0 + LEAST_LOSS])
 
 
