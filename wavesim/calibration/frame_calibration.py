@@ -145,9 +145,9 @@ def calibrate_frames(
             other = "empty" if priors is None else "priors"
             raise SettingError(f"{{known}}, {{{other}}}: give only one of them")
         return _calibrated_with_known_object(lens, frames, requested, known, progress)
-    settings = _with_stop(lens, frames, requested, progress)
+    problem = CalibrationProblem(lens, frames, requested, priors)
+    settings = _with_stop(problem, progress)
     if settings is requested:
-        problem = CalibrationProblem(lens, frames, settings, priors)
         start = Unknowns(lens, problem.start)
         found = _searched(problem, frames, empty, start, folder, CHECKPOINT, progress)
         found = _with_field_stop(found, problem, requested.field_stop_from)
@@ -165,10 +165,9 @@ def _calibrated_with_known_object(
     progress: Progress,
 ) -> Calibrated:
     """Return the mounting that frames of a known object determine."""
-    stop_from = settings.field_stop_from
+    stop_from, problem = settings.field_stop_from, CalibrationProblem(lens, frames, settings)
     if settings.field_stop == "find":
-        settings = _with_stop(lens, frames, settings, progress)
-    problem = CalibrationProblem(lens, frames, settings)
+        problem = CalibrationProblem(lens, frames, _with_stop(problem, progress))
     known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
     found = _with_field_stop(_calibrate_mounting(problem, known, progress), problem, stop_from)
     return _with_stop_finding(_with_verdict_of_known_object(problem, found, known))
@@ -209,18 +208,16 @@ def _calibrated_with_stop(
     return found
 
 
-def _with_stop(
-    lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, progress: Progress
-) -> CalibrationSettings:
-    """Return settings with the field stop as found on the nominal bench, or the given settings.
+def _with_stop(problem: CalibrationProblem, progress: Progress) -> CalibrationSettings:
+    """Return settings with the field stop as found on the nominal bench, or those of the problem.
 
     The stop is searched if this is requested, or if nothing is stated about it and the frames show that
     light falls only on a part of the patch beside its centre. The latter is not tested where all pixels
     need much more time than those of the calibration.
     """
+    settings = problem.settings
     if settings.field_stop_from == "stated":
         return settings
-    problem = CalibrationProblem(lens, frames, settings)
     is_requested = settings.field_stop == "find"
     if not is_requested and isinstance(problem.pixels, SparsePixels):
         return settings

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,9 +94,9 @@ class StopSearch:
         width_mm, at_mm
             Diameter or center in mm where one of them is known; it stays fixed. Default: both are found.
         """
-        centre = self.estimated_centre() if at_mm is None else at_mm
+        centre = self.estimated_centre if at_mm is None else at_mm
         free = np.array((at_mm is None, at_mm is None, width_mm is None))
-        estimated_width = self.estimated_width_mm() if width_mm is None else width_mm
+        estimated_width = self.estimated_width_mm if width_mm is None else width_mm
         if width_mm is not None:
             widths = [width_mm]
         elif estimated_width is not None:
@@ -123,9 +124,9 @@ class StopSearch:
                 break
         return best
 
+    @cached_property
     def estimated_width_mm(self) -> float | None:
-        """Return the diameter from the spectra of the planes' intensities, or None where pixels do not
-        resolve them.
+        """Diameter from the spectra of the planes' intensities, or None where pixels do not resolve them.
 
         The Fourier transform of an intensity far behind the object is the autocorrelation of the light on
         the object, which ends at the diameter of the stop. A simulated stop of known diameter, with random
@@ -159,7 +160,7 @@ class StopSearch:
 
         No search is made if the centroids and the spectra agree with the given stop.
         """
-        width_mm = self.estimated_width_mm()
+        width_mm = self.estimated_width_mm
         has_other_width = width_mm is not None and abs(width_mm / stop.width_mm - 1.0) > SPECTRAL_ERROR
         if not (has_other_width or self.is_displaced_from(stop)):
             return None
@@ -172,14 +173,15 @@ class StopSearch:
         """Return whether the centroids of the light contradict the position of a stop."""
         # Offset of the light's centroid over the diameter above which another stop is searched.
         least_offset = 0.1
-        return math.dist(self.estimated_centre(), stop.at_mm) > least_offset * stop.width_mm
+        return math.dist(self.estimated_centre, stop.at_mm) > least_offset * stop.width_mm
 
     def refined_width(self, stop: FieldStop) -> FieldStop:
         """Return the stop at the same position whose diameter explains the frames best."""
         return self._pattern_search(stop, *STAGES[-1], np.array((False, False, True)))
 
+    @cached_property
     def estimated_centre(self) -> tuple[float, float]:
-        """Return the center of the stop from the centroids of the light on all planes, in mm."""
+        """Center of the stop from the centroids of the light on all planes, in mm."""
         # Diameter over that of the patch of the stop that calibrates the movements of the light.
         probe_fraction = 0.12
         probe, step = probe_fraction * self.patch_mm, 0.25 * self.patch_mm

@@ -181,9 +181,10 @@ class GaussNewtonStep:
         precisions: list[Array] = []
         for _ in range(most_iterations):
             precisions.append(self._precision(remaining))
-            followed = _well_determined(precisions[-1])
             if len(precisions) > LOSS_ITERATIONS:
                 followed = _still_losing(precisions[-1 - LOSS_ITERATIONS], precisions[-1])
+            else:
+                followed = _well_determined(precisions[-1])
             if not followed.shape[1]:
                 break
             effects = self._unit_combinations(remaining, followed)
