@@ -69,6 +69,12 @@ def _of_width(picture: Image, width: int) -> Image:
     return picture.resize((width, round(picture.height * width / picture.width)))
 
 
+def _amplitudes(frames: Path, found: Path) -> tuple[Any, Any, float]:
+    """Return the found and the true amplitude, and the pitch of their samples in um."""
+    with np.load(found / "reconstruction.npz") as one, np.load(frames / "object.npz") as other:
+        return np.abs(one["values"]), np.abs(other["values"]), float(one["pitch_um"])
+
+
 def whole_field(frames: Path, found: Path, picture: Path, at_mm: tuple[float, float] = (0.0, 1.3)) -> None:
     """The finest groups in the middle and off the axis, as they were found, and as they are."""
     from matplotlib.figure import Figure
@@ -78,8 +84,7 @@ def whole_field(frames: Path, found: Path, picture: Path, at_mm: tuple[float, fl
     from wavesim.targets.patch import object_patch, usaf_charts_of
     from wavesim.targets.usaf import chart_outline
 
-    with np.load(found / "reconstruction.npz") as one, np.load(frames / "object.npz") as other:
-        result, true, pitch_um = np.abs(one["values"]), np.abs(other["values"]), float(one["pitch_um"])
+    result, true, pitch_um = _amplitudes(frames, found)
     side_mm = 1e-3 * pitch_um * len(result)
     lens = load_design("designs/paper_singlet.toml")
     charts = usaf_charts_of(object_patch(lens, side_mm, object_pitch_um=pitch_um), [at_mm])
@@ -132,8 +137,7 @@ def overview(frames: Path, found: Path, picture: Path) -> None:
     from wavesim import read_frames
     from wavesim.plots.panels import AS_SAMPLED, scale_bar
 
-    with np.load(found / "reconstruction.npz") as one, np.load(frames / "object.npz") as other:
-        result, true, pitch_um = np.abs(one["values"]), np.abs(other["values"]), float(one["pitch_um"])
+    result, true, pitch_um = _amplitudes(frames, found)
     offsets = np.arange(len(true)) - 0.5 * (len(true) - 1)
     inside = np.hypot(offsets[:, None], offsets) < 0.5 * len(true)
     frame = read_frames([frames / "frame_1.tif"])[0]

@@ -58,7 +58,7 @@ def _row(names: str, meaning: str) -> str:
     if not bracket:
         plain, notes = (meaning, "") if not meaning.startswith("[") else ("", meaning[1:])
     # Between backticks, a bar that is masked by a backslash would show the backslash.
-    code = f"<code>{html.escape(' '.join(names.split())).replace('|', '&#124;')}</code>"
+    code = f"<code>{_cell(html.escape(names))}</code>"
     return "| " + " | ".join([code, _cell(plain), _cell(notes.removesuffix("]"))]) + " |"
 
 

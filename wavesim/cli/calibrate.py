@@ -69,7 +69,7 @@ def calibrate(
     """
     from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.cli.result_files import remove_unfinished
-    from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
+    from wavesim.runtime.checkpoint import SEARCH_CHECKPOINTS
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
@@ -87,7 +87,7 @@ def calibrate(
             folder=output,
             progress=on_progress,
         )
-    for name in (CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT):
+    for name in SEARCH_CHECKPOINTS:
         with suppress(OSError):  # A left-over checkpoint does no harm.
             (output / name).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))

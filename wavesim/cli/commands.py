@@ -22,7 +22,7 @@ from wavesim.cli.options import numbers, validate_picture_request, with_settings
 from wavesim.cli.oracle import oracle
 from wavesim.cli.plan import plan
 from wavesim.cli.reconstruct import reconstruct
-from wavesim.cli.resolve import resolve
+from wavesim.cli.resolve import LinewidthsUm, resolve
 from wavesim.cli.runs import print_table
 from wavesim.cli.view import view
 from wavesim.scene.lengths import validate_lengths
@@ -72,14 +72,7 @@ def pupil(
         float,
         typer.Option(help="Distance of the plane from the exit vertex.", rich_help_panel=OptionGroup.CAMERA),
     ] = 3.0,
-    linewidths_um: Annotated[
-        str,
-        typer.Option(
-            metavar="NUMBER,...",
-            help="Line widths, separated by commas.",
-            rich_help_panel=OptionGroup.EVALUATION,
-        ),
-    ] = "1.55,0.775,0.6",
+    linewidths_um: LinewidthsUm = "1.55,0.775,0.6",
     refocus: Annotated[
         bool,
         typer.Option(help="Refocus the reconstruction digitally.", rich_help_panel=OptionGroup.EVALUATION),

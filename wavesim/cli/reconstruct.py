@@ -101,7 +101,7 @@ def reconstruct(
     from wavesim.metrics.goodness_of_fit import Finding, with_finding
     from wavesim.metrics.next_steps import STOP_CAUSE
     from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-    from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
+    from wavesim.runtime.checkpoint import CHECKPOINT, SEARCH_CHECKPOINTS
     from wavesim.sensor.frame_sets import read_frames
 
     remove_unfinished(output)
@@ -169,7 +169,7 @@ def reconstruct(
         "versions": versions(),
     }
     summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    searches = (output / subfolder / name for name in (CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT))
+    searches = (output / subfolder / name for name in SEARCH_CHECKPOINTS)
     for path in (output / CHECKPOINT, *searches):
         with suppress(OSError):  # the results are written
             path.unlink(missing_ok=True)

@@ -20,6 +20,14 @@ from wavesim.engines.registry import ENGINES
 from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.settings import SingleEngineDetails
 
+LinewidthsUm = Annotated[
+    str,
+    typer.Option(
+        metavar="NUMBER,...",
+        help="Line widths, separated by commas.",
+        rich_help_panel=OptionGroup.EVALUATION,
+    ),
+]
 PlaneDistanceMm = Annotated[
     float,
     typer.Option(help="Distance of the exit plane from the exit vertex.", rich_help_panel=OptionGroup.CAMERA),
@@ -47,14 +55,7 @@ WavelengthUm = Annotated[
 def resolve(
     design: Design,
     details: SingleEngineDetails,
-    linewidths_um: Annotated[
-        str,
-        typer.Option(
-            metavar="NUMBER,...",
-            help="Line widths, separated by commas.",
-            rich_help_panel=OptionGroup.EVALUATION,
-        ),
-    ] = "1.55,0.775,0.532",
+    linewidths_um: LinewidthsUm = "1.55,0.775,0.532",
     field_mm: Annotated[
         str,
         typer.Option(

@@ -23,6 +23,9 @@ CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT = (
 change of the field stop.
 """
 
+SEARCH_CHECKPOINTS = CHECKPOINT, EMPTY_CHECKPOINT, STOP_CHECKPOINT
+"""Names of all checkpoints of a calibration."""
+
 
 @dataclass(frozen=True)
 class Checkpoint:
