@@ -60,7 +60,7 @@ def no_other_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def no_score_test(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only an explained misfit is held against a score test."""
+    """The score test, which runs only for an explained misfit, is left out."""
     monkeypatch.setattr(assessment, "_score_test", lambda *_: None)
 
 
@@ -88,7 +88,7 @@ def test_an_engine_that_limits_the_misfit_is_replaced(
     assert f"predicted error {before:.2g} (eikonal) before, {after:.2g} (eikonal) now" in printed
     # Without the other engine residuals are only explained by an allowance of half the predicted error.
     assert found["verdict"]["model_error"] == 0.005
-    # The explained misfit is held against a score test with the other engine.
+    # The score test runs once, with the engine that replaced the first one.
     assert [one.settings() for one in tested] == [found["engine"]["settings"]]
 
 
