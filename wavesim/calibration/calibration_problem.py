@@ -24,6 +24,7 @@ from wavesim.calibration.joint.pixels import (
 from wavesim.calibration.joint.search import JointSearch, SearchState
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
+    NONLINEARITY,
     VIBRATION,
     Parameter,
     Unknowns,
@@ -99,7 +100,7 @@ class CalibrationProblem:
         self.lens, self.settings, self.priors = lens, settings, priors or {}
         self.seeks_stop = seeks_stop
         self.framed = framed = patch_of_frames(lens, frames, settings)
-        self.recorded = tuple(recorded_planes(frames))
+        self.recorded = tuple(recorded_planes(frames, with_fractions=True))
         self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
         self.start = SystemState(Pose(pivot_z_mm=settings.pivot_z_mm))
         self._light = light_of_frames(self.scene, framed.frames, framed.light)
@@ -156,8 +157,8 @@ class CalibrationProblem:
         allowed = bench_parameters(
             self.lens, len(self.framed.planes_mm), side_mm, patch.wavelength_um, light_order=light_order
         )
-        if isinstance(self.pixels, SparsePixels):  # points that are not blurred
-            allowed = tuple(p for p in allowed if p.name != VIBRATION)
+        if isinstance(self.pixels, SparsePixels):  # points that are not blurred, fitted to many pixels each
+            allowed = tuple(p for p in allowed if p.name not in (VIBRATION, NONLINEARITY))
         try:
             chosen = chosen_parameters(requested, allowed)
         except InputError as error:

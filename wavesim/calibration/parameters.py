@@ -59,6 +59,12 @@ LIGHT_MODE = re.compile(r"light_(amplitude|phase)_(\d)(\d)(?:_waves)?")
 SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
 """Usual shift of a plane in pixels, and background as a fraction of the mean intensity."""
 
+EXPOSURE = 0.02
+"""Usual relative error of the exposure of a plane, compared with that of the first plane."""
+
+NONLINEARITY, NONLINEARITY_TYPICAL = "nonlinearity", 0.01
+"""Parameter of the camera's nonlinearity, and its usual standard deviation."""
+
 VIBRATION, VIBRATION_PIXELS = "vibration_variance_um2", 0.2
 """Parameter of the blur by vibration, and its usual standard deviation in pixels. The pictures change
 linearly with the variance.
@@ -166,8 +172,10 @@ def bench_parameters(
                 Parameter(f"plane_{n}_shift_{axis}_um", "camera", SHIFT_PIXELS * pitch_um) for axis in "xy"
             ]
             found.append(Parameter(PLANE_DISTANCE.format(n), "camera", TYPICAL["distance"]))
+            found.append(Parameter(f"plane_{n}{EXPOSURE_ERROR}", "camera", EXPOSURE))
         found.append(Parameter(f"plane_{n}_background", "camera", BACKGROUND))
         found += [Parameter(f"plane_{n}_background_slope_{axis}", "camera", BACKGROUND) for axis in "xy"]
+    found.append(Parameter(NONLINEARITY, "camera", NONLINEARITY_TYPICAL))
     found.append(Parameter(VIBRATION, "camera", (VIBRATION_PIXELS * pitch_um) ** 2, lower_bound=0.0))
     half_mm = 0.5e-3 * pitch_um * max(lens.sensor.pixels)
     tilt_deg = math.degrees(TYPICAL["distance"] / half_mm)
@@ -256,6 +264,9 @@ def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Paramete
     return tuple(p for p in allowed if p in chosen)
 
 
+EXPOSURE_ERROR = "_exposure_error"
+"""End of the names of parameters of exposures."""
+
 SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
 
 
@@ -329,9 +340,11 @@ def _with_camera(unknowns: Unknowns, state: SystemState) -> SystemState:
     shifts = _extended(state.plane_shifts_um, planes, (0.0, 0.0))
     backgrounds = _extended(state.plane_backgrounds, planes, 0.0)
     slopes = _extended(state.plane_background_slopes, planes, (0.0, 0.0))
+    exposures = _extended(state.plane_exposure_errors, planes, 0.0)
     for n in range(planes):
         shifts[n] = _pair(values, f"plane_{n + 1}_shift_{{}}_um", shifts[n])
         slopes[n] = _pair(values, f"plane_{n + 1}_background_slope_{{}}", slopes[n])
+        exposures[n] = values.get(f"plane_{n + 1}{EXPOSURE_ERROR}", exposures[n])
         backgrounds[n] = max(values.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
     variance = values.get(VIBRATION, state.vibration_um**2)
     return replace(
@@ -339,6 +352,8 @@ def _with_camera(unknowns: Unknowns, state: SystemState) -> SystemState:
         plane_shifts_um=tuple(shifts),
         plane_backgrounds=tuple(backgrounds),
         plane_background_slopes=tuple(slopes) if any(map(any, slopes)) else (),
+        plane_exposure_errors=tuple(exposures) if any(exposures) else (),
+        nonlinearity=values.get(NONLINEARITY, state.nonlinearity),
         vibration_um=math.sqrt(max(variance, 0.0)),
     )
 

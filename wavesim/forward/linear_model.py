@@ -15,6 +15,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from lensdesign.errors import InputError
 from wavesim.fields.angular_spectrum import TransferFunction
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import PlaneWaves
@@ -315,12 +316,12 @@ class LinearModel:
         Planes without standard deviations keep their residuals.
         """
         planes = []
-        for plane, root, residual in zip(self.model.recorded, self._root_weights, self.residual, strict=True):
+        values = zip(self.model.recorded, self._root_weights, self.residual, strict=True)
+        for index, (plane, root, residual) in enumerate(values):
             if plane.sigma is None:
                 planes.append(residual)
                 continue
-            left = np.divide(residual * self.size, root, out=np.zeros(residual.shape), where=root > 0.0)
-            bias = amplitude_bias(plane, plane.amplitude - left)
+            bias = amplitude_bias(plane, self._modelled_amplitude(index))
             planes.append((residual - root * bias / self.size).astype(residual.dtype))
         return np.stack(planes)
 
@@ -383,6 +384,32 @@ class LinearModel:
         shape = light_mode(orders, self.residual.shape[1:]).astype(np.float32)
         return self._change_on_plane(plane, self._by_intensity[plane] * mean * shape)
 
+    def jacobian_times_exposure(self, plane: int) -> RealArray:
+        """Return the change of the modelled amplitudes, with the background, for a relative change of a
+        plane's exposure of 1.
+        """
+        light = np.square(self._modelled_amplitude(plane))
+        return self._change_on_plane(plane, self._by_intensity[plane] * light)
+
+    def jacobian_times_nonlinearity(self) -> RealArray:
+        """Return the change of the modelled amplitudes that has the effect of a camera's nonlinearity.
+
+        The nonlinearity acts on the measured amplitudes. Their change by it is computed from the modelled
+        ones: those measured have noise, which the residuals have, too.
+
+        Raises
+        ------
+        InputError
+            If the planes do not say which signals the camera recorded.
+        """
+        changes = []
+        for index, (plane, root) in enumerate(zip(self.model.recorded, self._root_weights, strict=True)):
+            if plane.fraction_per_intensity is None:
+                raise InputError("nonlinearity: needs planes that state the signals that the camera recorded")
+            modelled = self._modelled_amplitude(index)
+            changes.append(-0.5 / self.size * root * plane.fraction_per_intensity * modelled**3)
+        return self.without_scale(np.stack(changes).astype(self.residual.dtype))
+
     def adjoint_to_object(self, residuals: RealArray) -> ComplexArray:
         """Return the adjoint of :meth:`jacobian_times_object`."""
         residuals = self.without_scale(residuals)
@@ -401,6 +428,14 @@ class LinearModel:
     def _object_field(model: ForwardModel, transmission: NDArray[Any]) -> Field:
         values = transmission * model.illumination.values
         return model.illumination.with_values(values.astype(model.illumination.values.dtype))
+
+    def _modelled_amplitude(self, plane: int) -> RealArray:
+        """Return the modelled amplitudes on a plane, with its background; the measured ones where the weight
+        is 0.
+        """
+        root, residual = self._root_weights[plane], self.residual[plane]
+        left = np.divide(residual * self.size, root, out=np.zeros(residual.shape), where=root > 0.0)
+        return np.asarray(self.model.recorded[plane].amplitude - left)
 
     def _change_on_plane(self, plane: int, change: RealArray) -> RealArray:
         changes = np.zeros_like(self.residual)

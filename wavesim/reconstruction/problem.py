@@ -193,7 +193,7 @@ def reconstruction_problem(
     true = None if truth is None else _true_object(truth, patch)
     charts = usaf_charts_of(patch, settings.chart_at_mm) if settings.usaf else ()
     scene = exit_scene(lens, patch, framed.sensor, framed.planes_mm[0], pose)
-    recorded = recorded_planes(frames)
+    recorded = recorded_planes(frames, with_fractions=state is not None and state.nonlinearity != 0.0)
     if state is not None:
         scene, light = placed_scene(scene, state), placed_light(light, state)
         recorded = placed_planes(recorded, state)

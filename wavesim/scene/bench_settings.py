@@ -97,6 +97,13 @@ class BenchSettings(FrozenModel):
     exposure_error: Numbers = Field(
         (0.0,), description="Relative error of the exposure time: one value, or one for each exposure."
     )
+    plane_exposure_error: Numbers = Field(
+        (), description="Additional relative error of the exposure on each plane."
+    )
+    nonlinearity: float = Field(
+        0.0,
+        description="Relative increase of the light over that of a linear camera, at the largest count.",
+    )
 
     @field_validator("light_amplitude", "light_phase_waves")
     @classmethod
@@ -131,7 +138,11 @@ class BenchSettings(FrozenModel):
             raise InputError(
                 f"plane_background = {text!r}: must be one number, or {planes} (one for each plane)"
             )
-        for name, pairs in (("plane_shift_um", shifts), ("background_slope", self.background_slope)):
+        for name, pairs in (
+            ("plane_shift_um", shifts),
+            ("background_slope", self.background_slope),
+            ("plane_exposure_error", self.plane_exposure_error),
+        ):
             if len(pairs) > planes:
                 raise InputError(f"{name}: {len(pairs)} values are given, but there are only {planes} planes")
         light = LightErrors(
@@ -146,6 +157,8 @@ class BenchSettings(FrozenModel):
             plane_shifts_um=shifts,
             plane_backgrounds=backgrounds * planes if len(backgrounds) == 1 else backgrounds,
             plane_background_slopes=self.background_slope,
+            plane_exposure_errors=self.plane_exposure_error,
+            nonlinearity=self.nonlinearity,
             vibration_um=self.vibration_um,
             source=Source(self.source_deg, self.bandwidth_nm),
         )
@@ -161,7 +174,14 @@ class BenchSettings(FrozenModel):
     def differs(self) -> bool:
         """True if light, lens or sensor position deviate from the design, apart from pixels and exposures."""
         # Settings of pixels and exposures, which do not belong to the bench.
-        pixel_settings = {"prnu", "dsnu_electrons", "hot_pixels", "dead_pixels", "exposure_error"}
+        pixel_settings = {
+            "prnu",
+            "dsnu_electrons",
+            "hot_pixels",
+            "dead_pixels",
+            "exposure_error",
+            "nonlinearity",
+        }
         return bool(self.errors().keys() - pixel_settings)
 
 

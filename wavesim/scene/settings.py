@@ -426,6 +426,11 @@ class FrameSetSettings(Settings):
     offset_counts: float | None = Field(None, description="Count of a dark pixel.")
     gain_electrons_per_count: float | None = Field(None, description="Gain of the sensor.")
     read_noise_electrons: float | None = Field(None, description="Read noise of the sensor.")
+    nonlinearity: float | None = Field(
+        None,
+        description="Relative increase of the light over that of a linear camera, at the largest count; "
+        "default: as the frames state.",
+    )
     flat: Path | None = Field(
         None,
         description="FILE of a flat frame (even light), in counts: TIFF, PNG or .npy.",

@@ -97,6 +97,8 @@ class _State(FrozenModel):
     plane_shifts_um: tuple[Pair, ...] = ()
     plane_backgrounds: Numbers = ()
     plane_background_slopes: tuple[Pair, ...] = ()
+    plane_exposure_errors: Numbers = ()
+    nonlinearity: Finite = 0.0
     vibration_um: Finite = 0.0
     source: _Source = _Source()
 
@@ -192,6 +194,8 @@ def state_from_table(table: Mapping[str, Any], path: str | os.PathLike[str], len
             plane_shifts_um=read.plane_shifts_um,
             plane_backgrounds=read.plane_backgrounds,
             plane_background_slopes=read.plane_background_slopes,
+            plane_exposure_errors=read.plane_exposure_errors,
+            nonlinearity=read.nonlinearity,
             vibration_um=read.vibration_um,
             source=Source(**read.source.model_dump()),
         )

@@ -32,6 +32,10 @@ SLOPE_ORDERS = (1, 0), (0, 1)
 """Orders of the polynomials of a background that is uneven along x, and along y."""
 
 
+LARGEST_NONLINEARITY = 0.4
+"""Largest magnitude of a camera's nonlinearity. The light increases with the counts below 0.5."""
+
+
 class SensorPose(NamedTuple):
     """Deviation of the sensor from its nominal position on one plane.
 
@@ -84,6 +88,12 @@ class SystemState:
     plane_background_slopes : tuple of (x, y)
         Change of the background from the centre of the sensor to its edges at +x and +y, as a fraction of the
         plane's mean intensity. Planes beyond the list have none.
+    plane_exposure_errors : tuple of float
+        Relative error of the stated exposure on each plane (true over stated, minus 1). Planes beyond the
+        list have none.
+    nonlinearity : float
+        Nonlinearity of the camera in addition to the one its frames state, see
+        :class:`wavesim.FrameSettings`.
     vibration_um : float
         Standard deviation of the sensor's lateral vibration during an exposure, along x and y, in um. It
         blurs the pictures of all planes.
@@ -94,7 +104,7 @@ class SystemState:
     ------
     InputError
         If a shift or a tilt has the wrong number of components, a component is not finite, a background does
-        not lie between 0 and 1, or the vibration is negative.
+        not lie between 0 and 1, an exposure error is not above -1, or the vibration is negative.
 
     Examples
     --------
@@ -118,6 +128,8 @@ class SystemState:
     plane_shifts_um: tuple[tuple[float, float], ...] = ()
     plane_backgrounds: tuple[float, ...] = ()
     plane_background_slopes: tuple[tuple[float, float], ...] = ()
+    plane_exposure_errors: tuple[float, ...] = ()
+    nonlinearity: float = 0.0
     vibration_um: float = 0.0
     source: Source = POINT
 
@@ -135,6 +147,14 @@ class SystemState:
         for fraction in self.plane_backgrounds:
             if not 0.0 <= fraction < 1.0:
                 raise InputError(f"plane_backgrounds = {self.plane_backgrounds!r}: must be from 0 to below 1")
+        errors = self.plane_exposure_errors
+        if not all(-1.0 < error < math.inf for error in errors):
+            raise InputError(f"plane_exposure_errors = {errors!r}: must be finite, and above -1")
+        if not -LARGEST_NONLINEARITY <= self.nonlinearity <= LARGEST_NONLINEARITY:
+            raise InputError(
+                f"nonlinearity = {self.nonlinearity!r}: must be from {-LARGEST_NONLINEARITY:g} to "
+                f"{LARGEST_NONLINEARITY:g}"
+            )
 
     def sensor_pose(self, index: int) -> SensorPose:
         """Return the deviation of the sensor's position on a plane; `index` counts planes from 0."""
@@ -152,6 +172,10 @@ class SystemState:
         """
         shift_mm = self.sensor_pose(index).shift_mm
         return replace(self, sensor_shift_mm=(*shift_mm, self.sensor_shift_mm[2]), plane_shifts_um=())
+
+    def exposure_error(self, index: int) -> float:
+        """Return the relative error of the exposure on a plane; `index` counts planes from 0."""
+        return float(_value_at(self.plane_exposure_errors, index, 0.0))
 
     def background(self, index: int) -> float:
         """Return the background on a plane as a fraction of its mean intensity; `index` counts from 0."""

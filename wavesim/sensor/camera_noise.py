@@ -85,6 +85,11 @@ class Electronics(FrozenModel):
         return self.full_well_electrons / available_counts
 
     @property
+    def top_electrons(self) -> float:
+        """Electrons of the largest count, for a linear response."""
+        return (2**self.bits - 1 - self.offset_counts) * self.gain
+
+    @property
     def saturation_counts(self) -> int:
         """Lowest count at which a pixel may be clipped: by full well, or by the largest count."""
         # Standard deviations of read noise that separate the clipping threshold from full well, so that read
@@ -130,7 +135,7 @@ def expose(
     seed
         Seed of the noise; None gives the rounded mean counts without noise.
     pattern
-        Gain and dark signal of each pixel; default: identical pixels.
+        Gain, dark signal and linearity of each pixel; default: identical, linear pixels.
 
     Returns
     -------
@@ -153,7 +158,10 @@ def expose(
     clipped = 0
     for rows in row_blocks(len(intensity)):
         effective, dark = (intensity[rows], 0.0) if pattern is None else pattern.of(intensity, rows)
-        counts[rows], clipped_in_rows = _exposed(effective, dark, exposure, electronics, random)
+        electrons = _true_electrons(effective, exposure, electronics, random) + dark
+        if pattern is not None:
+            electrons = pattern.signal(electrons, electronics.top_electrons)
+        counts[rows], clipped_in_rows = _read_out(electrons, electronics, random)
         clipped += clipped_in_rows
     if clipped:
         warnings.warn(
@@ -164,22 +172,25 @@ def expose(
     return counts
 
 
-def _exposed(
-    intensity: Array,
-    dark_electrons: Array | float,
-    exposure: float,
-    electronics: Electronics,
-    random: np.random.Generator | None,
-) -> tuple[Counts, int]:
-    """Return counts and the number of clipped pixels."""
+def _true_electrons(
+    intensity: Array, exposure: float, electronics: Electronics, random: np.random.Generator | None
+) -> Array:
+    """Return the electrons that light releases in the pixels."""
     electrons = intensity.astype(float) * exposure
     if not (np.all(np.isfinite(electrons)) and np.all(electrons >= 0.0)):
         raise InputError("the expected electrons must be finite and not negative in all pixels")
-    full, top = electronics.full_well_electrons, 2**electronics.bits - 1
     if random is not None:
         # Above twice full well every pixel clips; the limit keeps Poisson numbers in range.
-        electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)
-    electrons = electrons + dark_electrons
+        most = 2.0 * electronics.full_well_electrons + 100.0
+        electrons = random.poisson(np.minimum(electrons, most)).astype(float)
+    return electrons
+
+
+def _read_out(
+    electrons: Array, electronics: Electronics, random: np.random.Generator | None
+) -> tuple[Counts, int]:
+    """Return counts and the number of clipped pixels."""
+    full, top = electronics.full_well_electrons, 2**electronics.bits - 1
     clipped = electrons > full
     electrons = np.minimum(electrons, full)
     if random is not None:

@@ -27,6 +27,7 @@ from wavesim.sensor.merged_exposures import (
     clipped_in_all,
     electrons_of,
     fixed_variance,
+    fraction_per_intensity,
     known_in,
     merged_intensity,
 )
@@ -399,24 +400,37 @@ def planes_of_frames(frames: Sequence[Frame]) -> tuple[PlaneFrames, ...]:
     )
 
 
-def recorded_planes(frames: Sequence[Frame]) -> list[Measurement]:
+def recorded_planes(frames: Sequence[Frame], *, with_fractions: bool = False) -> list[Measurement]:
     """Return amplitude and standard deviation on each plane, in single precision, ordered by plane distance.
 
     Distances count from the nearest plane. :func:`wavesim.sensor.merged_exposures.merged_intensity` merges
     the frames of one plane.
+
+    Parameters
+    ----------
+    frames
+        Frames of one or more planes.
+    with_fractions
+        Whether the planes get their `fraction_per_intensity`.
     """
     by_plane = frames_by_plane(frames)
     first = by_plane[0][0].settings.plane_distance_mm
-    return [_recorded(plane, plane[0].settings.plane_distance_mm - first) for plane in by_plane]
+    return [
+        _recorded(plane, plane[0].settings.plane_distance_mm - first, with_fractions) for plane in by_plane
+    ]
 
 
-def _recorded(plane: Sequence[Frame], distance_mm: float) -> Measurement:
+def _recorded(plane: Sequence[Frame], distance_mm: float, with_fractions: bool) -> Measurement:
     shape = plane[0].counts.shape
     amplitude, sigma = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    fractions = np.empty(shape, np.float32) if with_fractions else None
 
     def merge_rows(start: int, stop: int) -> None:
-        block = recorded_intensity(distance_mm, *merged_intensity(plane, slice(start, stop)))
-        amplitude[start:stop], sigma[start:stop] = block.amplitude, block.sigma
+        rows = slice(start, stop)
+        block = recorded_intensity(distance_mm, *merged_intensity(plane, rows))
+        amplitude[rows], sigma[rows] = block.amplitude, block.sigma
+        if fractions is not None:
+            fractions[rows] = fraction_per_intensity(plane, rows)
 
     for_blocks(merge_rows, len(amplitude), 64)
-    return Measurement(distance_mm, amplitude, sigma)
+    return Measurement(distance_mm, amplitude, sigma, fraction_per_intensity=fractions)

@@ -25,11 +25,13 @@ from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
 from wavesim.scene.settings import SettingError
+from wavesim.scene.system_state import LARGEST_NONLINEARITY
 from wavesim.sensor.pixels.maps import PixelMaps
 
 Counts = NDArray[np.uint16]
 Bits = Annotated[int, Setting(ge=1, le=16)]
 Offset = Annotated[float, Setting(ge=0.0, le=65535.0)]
+Nonlinearity = Annotated[float, Setting(ge=-LARGEST_NONLINEARITY, le=LARGEST_NONLINEARITY)]
 NotNegative = Annotated[float, Setting(ge=0.0, le=1e9, allow_inf_nan=False)]
 
 KEY = "transferlens_frame"
@@ -64,6 +66,9 @@ class FrameSettings(FrozenModel):
         Standard deviation of a dark pixel in electrons, without quantisation noise.
     saturation_counts
         Lowest count of a pixel that may be clipped; default: the largest count.
+    nonlinearity
+        Relative increase of the light over that of a linear response, at the largest count. It decreases in
+        proportion to the signal; positive values belong to a camera that saturates gradually.
     title
         Free text.
 
@@ -87,6 +92,7 @@ class FrameSettings(FrozenModel):
     gain_electrons_per_count: Positive
     read_noise_electrons: NotNegative = 0.0
     saturation_counts: Annotated[int, Setting(gt=0, le=65535)] | None = None
+    nonlinearity: Nonlinearity = 0.0
     title: str = ""
 
     @model_validator(mode="after")
@@ -102,6 +108,11 @@ class FrameSettings(FrozenModel):
     def top_counts(self) -> int:
         """Largest count, 2**bits - 1."""
         return int(2**self.bits - 1)
+
+    @property
+    def top_electrons(self) -> float:
+        """Electrons of the largest count, for a linear response."""
+        return (self.top_counts - self.offset_counts) * self.gain_electrons_per_count
 
     @property
     def clipped_counts(self) -> int:

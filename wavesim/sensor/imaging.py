@@ -303,8 +303,14 @@ def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | 
     if len(exposure_errors) not in (1, len(exposures)):
         given = ",".join(f"{error:g}" for error in exposure_errors)
         raise SettingError(f"{{exposure_error}} = {given!r}: must be 1 or {len(exposures)} numbers")
+    true = _true_state(lens, settings, state, len(planes))
     pixels = PixelErrors(
-        settings.prnu, settings.dsnu_electrons, settings.hot_pixels, settings.dead_pixels, settings.seed
+        settings.prnu,
+        settings.dsnu_electrons,
+        settings.hot_pixels,
+        settings.dead_pixels,
+        settings.seed,
+        true.nonlinearity,
     )
     electronics = {
         "full_well_electrons": settings.full_well_electrons,
@@ -320,7 +326,7 @@ def _recording(lens: Lens, settings: ImageSettings, state: SystemState | Pose | 
         settings.seed if settings.noise else None,
         settings.peak_fill,
         exposures,
-        _true_state(lens, settings, state, len(planes)),
+        true,
         pixels,
         exposure_errors * len(exposures) if len(exposure_errors) == 1 else exposure_errors,
     )

@@ -46,6 +46,9 @@ class Measurement:
         Tilt of the sensor about its centre, see :class:`wavesim.SystemState`.
     blur_mm : float
         Standard deviation of the blur along x and y, such as by vibration. It is equal on all planes.
+    fraction_per_intensity : ndarray, shape (ny, nx), optional
+        Fraction of the camera's largest signal that a pixel has recorded, per unit of the squared amplitude;
+        0 in unknown pixels. A nonlinearity of the camera needs it.
 
     Examples
     --------
@@ -66,6 +69,7 @@ class Measurement:
     background: Array | None = None
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     blur_mm: float = 0.0
+    fraction_per_intensity: Array | None = None
 
     @property
     def known(self) -> NDArray[np.bool_] | None:
@@ -76,8 +80,39 @@ class Measurement:
 
 
 def placed_planes(nominal: Sequence[Measurement], state: SystemState) -> list[Measurement]:
-    """Return measurements at the true positions of their planes, with the backgrounds of a state."""
-    return [_placed_plane(plane, state, index) for index, plane in enumerate(nominal)]
+    """Return measurements at the true positions of their planes, with the backgrounds of a state.
+
+    Amplitudes are corrected for errors of the exposures and for the nonlinearity of the camera.
+
+    Raises
+    ------
+    InputError
+        If the state has a nonlinearity, and a measurement does not say which signals the camera recorded.
+    """
+    return [
+        _placed_plane(_corrected(plane, state, index), state, index) for index, plane in enumerate(nominal)
+    ]
+
+
+def _corrected(plane: Measurement, state: SystemState, index: int) -> Measurement:
+    """Return a plane as a linear camera with the true exposure measures it."""
+    error, nonlinearity = state.exposure_error(index), state.nonlinearity
+    if not (error or nonlinearity):
+        return plane
+    factor = np.full((1, 1), 1.0 / (1.0 + error))
+    if nonlinearity:
+        if plane.fraction_per_intensity is None:
+            raise InputError(
+                f"nonlinearity = {nonlinearity:g}: needs planes that state the signals that the camera "
+                "recorded"
+            )
+        factor = factor * (1.0 + nonlinearity * plane.fraction_per_intensity * np.square(plane.amplitude))
+    root = np.sqrt(factor).astype(plane.amplitude.dtype)
+    return replace(
+        plane,
+        amplitude=plane.amplitude * root,
+        sigma=None if plane.sigma is None else plane.sigma * root,
+    )
 
 
 def _placed_plane(plane: Measurement, state: SystemState, index: int) -> Measurement:

@@ -65,6 +65,27 @@ def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tupl
     return stacked(frames, rows).merged()
 
 
+def fraction_per_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> Array:
+    """Return the fraction of the camera's largest signal per unit of intensity, on each pixel.
+
+    Several exposures are averaged by their shot noise, so that the longest one in which a pixel is known
+    counts most. The result is 0 in pixels that are not known.
+
+    Parameters
+    ----------
+    frames
+        Frames of one plane.
+    rows
+        Rows to return; default: all.
+    """
+    total = weight = np.zeros(frames[0].counts[rows].shape)
+    for frame in frames:
+        settings, known = frame.settings, known_in(frame, rows)
+        total = total + known * settings.exposure**2 / settings.top_electrons
+        weight = weight + known * settings.exposure
+    return np.divide(total, weight, out=np.zeros(total.shape), where=weight > 0.0)
+
+
 class Stack(NamedTuple):
     """Pixels of all frames of one plane, ordered by exposure, shortest first.
 
@@ -123,11 +144,16 @@ def stacked(frames: Sequence[Frame], rows: slice = slice(None)) -> Stack:
 
 
 def electrons_of(frame: Frame, rows: slice = slice(None)) -> Array:
-    """Return the electrons of a frame's pixels without dark signal; noise can make them negative."""
+    """Return the electrons of a frame's pixels without dark signal, as a linear response would count them.
+
+    Noise can make them negative.
+    """
     settings = frame.settings
     electrons = (
         frame.counts[rows].astype(float) - settings.offset_counts
     ) * settings.gain_electrons_per_count
+    if settings.nonlinearity:
+        electrons *= 1.0 + settings.nonlinearity / settings.top_electrons * electrons
     if frame.maps is not None and frame.maps.dark_electrons is not None:
         electrons -= frame.maps.dark_electrons[rows]
     return electrons

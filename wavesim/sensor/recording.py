@@ -185,9 +185,16 @@ def image_patch(
             recording.exposures,
             recording.peak_fill,
             pattern=pattern,
-            exposure_errors=recording.exposure_errors,
+            exposure_errors=_exposure_errors(recording, index),
         )
     return tuple(frames), fraction_beyond
+
+
+def _exposure_errors(recording: Recording, index: int) -> tuple[float, ...]:
+    """Return the relative error of each exposure on a plane, with that of the plane."""
+    of_plane = 1.0 + recording.state.exposure_error(index)
+    errors = recording.exposure_errors or (0.0,) * len(recording.exposures)
+    return tuple((1.0 + error) * of_plane - 1.0 for error in errors)
 
 
 def imaging_bytes(

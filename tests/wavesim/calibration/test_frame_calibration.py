@@ -135,6 +135,23 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     assert found.values == pytest.approx((4.0, -3.0), abs=0.3)
 
 
+def test_a_camera_s_nonlinearity_and_the_exposures_of_planes_are_found(lens: Lens) -> None:
+    tiles: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.3}
+    errors: dict[str, Any] = {"plane_exposure_error": (0.0, -0.03), "nonlinearity": 0.04}
+    frames = image(lens, "star", exposures=(1.0, 30.0), pixels=140, **tiles, **errors).frames
+    names = "plane_2_exposure_error,nonlinearity,plane_2_background"
+    found = calibrate_frames(
+        lens, frames, kind="amplitude", parameters=names, most_mountings=8, assess=False, **tiles
+    )
+    assert found.deviations is not None
+    assert found.misfit_of_noise is not None
+    assert found.misfit < 1.1 * found.misfit_of_noise < found.misfit_before
+    by_name = dict(zip(found.parameters, zip(found.values, found.deviations, strict=True), strict=True))
+    for name, true, most in (("plane_2_exposure_error", -0.03, 0.01), ("nonlinearity", 0.04, 0.01)):
+        value, deviation = by_name[name]
+        assert abs(value - true) < 3.0 * deviation < 3.0 * most
+
+
 @pytest.mark.parametrize("kind", ["amplitude", "complex"])
 def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruction(
     lens: Lens, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Literal["amplitude", "complex"]

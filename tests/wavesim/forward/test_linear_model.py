@@ -14,7 +14,8 @@ from wavesim.fields.tilted_planes import TiltedPropagator
 from wavesim.forward.forward_model import ForwardModel
 from wavesim.forward.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
 from wavesim.forward.pixel_means import PixelMeans
-from wavesim.sensor.measurement import Measurement, recorded_intensity
+from wavesim.scene.system_state import SystemState
+from wavesim.sensor.measurement import Measurement, placed_planes, recorded_intensity
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +105,31 @@ def test_an_uneven_background_adds_a_slope(parts: tuple) -> None:
     here, there = linear(parts), linear(parts, changed={"background": plane.background + rising})
     found = here.without_scale((here.residual - there.residual) / 1e-3)
     assert np.linalg.norm(found - here.jacobian_times_background(1, (1, 0))) < 0.08 * np.linalg.norm(found)
+
+
+@pytest.mark.parametrize("parameter", ["exposure", "nonlinearity"])
+def test_slopes_of_what_is_wrong_with_the_measured_light(parts: tuple, parameter: str) -> None:
+    engine, lit, planes, now = parts
+    planes = [replace(p, fraction_per_intensity=np.full(p.amplitude.shape, 0.05)) for p in planes]
+    # The slopes are those about measured amplitudes that the model explains.
+    modelled = ForwardModel(engine, lit, planes, 2.0, 1.0).amplitudes(now)
+    planes = [replace(p, amplitude=a) for p, a in zip(planes, modelled, strict=True)]
+    state = (
+        SystemState(plane_exposure_errors=(0.0, 1e-3))
+        if parameter == "exposure"
+        else SystemState(nonlinearity=1e-3)
+    )
+    changed = [
+        replace(p, background=nominal.background)
+        for p, nominal in zip(placed_planes(planes, state), planes, strict=True)
+    ]
+    here, there = (
+        LinearModel(ForwardModel(engine, lit, each, 2.0, 1.0), now, False) for each in (planes, changed)
+    )
+    # The residuals are relative to the measured light, which differs between the two.
+    found = (here.residual - there.residual * (there.size / here.size)) / 1e-3
+    slope = here.jacobian_times_exposure(1) if parameter == "exposure" else here.jacobian_times_nonlinearity()
+    assert np.linalg.norm(found - slope) < 0.02 * np.linalg.norm(slope)
 
 
 GRID = Grid((48, 40), 3.2e-3, 1.0)

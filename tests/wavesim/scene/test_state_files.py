@@ -51,6 +51,8 @@ states = st.builds(
     plane_shifts_um=st.lists(pairs, max_size=3).map(tuple),
     plane_backgrounds=fractions,
     plane_background_slopes=st.lists(pairs, max_size=3).map(tuple),
+    plane_exposure_errors=st.lists(st.floats(-0.5, 0.5), max_size=3).map(tuple),
+    nonlinearity=st.floats(-0.4, 0.4),
     vibration_um=st.floats(0.0, 5.0),
     source=st.builds(Source, st.floats(0.0, 5.0), st.floats(0.0, 50.0)),
 )

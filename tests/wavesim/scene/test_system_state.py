@@ -67,6 +67,9 @@ def test_planes_beyond_the_lists_have_the_shift_of_the_sensor_and_no_background(
         {"plane_backgrounds": (-0.1,)},
         {"plane_background_slopes": ((0.0, math.nan),)},
         {"vibration_um": -0.1},
+        {"plane_exposure_errors": (0.0, -1.0)},
+        {"nonlinearity": 0.5},
+        {"nonlinearity": math.nan},
     ],
 )
 def test_what_is_no_place_is_refused(wrong: dict[str, Any]) -> None:

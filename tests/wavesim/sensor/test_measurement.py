@@ -1,16 +1,20 @@
 """Amplitudes and weights of recorded intensities."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
+from wavesim.scene.system_state import SystemState
 from wavesim.sensor.measurement import (
     Measurement,
     amplitude_bias,
     intensity_deviation,
     noise_misfit,
+    placed_planes,
     recorded_intensity,
     weights_of,
 )
@@ -63,6 +67,19 @@ def test_the_misfit_of_noise_is_what_noise_leaves() -> None:
     left = np.linalg.norm(noisy - amplitude) / np.linalg.norm(noisy)
     assert noise_misfit([Measurement(0.0, noisy, sigma)]) == pytest.approx(left, rel=0.02)
     assert noise_misfit([Measurement(0.0, noisy)]) is None
+
+
+def test_planes_are_placed_with_the_light_of_a_linear_camera_and_the_true_exposure() -> None:
+    amplitude = np.sqrt(np.array([[100.0, 400.0], [0.0, 900.0]]))
+    plane = Measurement(1.0, amplitude, np.ones((2, 2)), fraction_per_intensity=np.full((2, 2), 1e-3))
+    state = SystemState(plane_exposure_errors=(0.0, 0.25), nonlinearity=0.1, plane_backgrounds=(0.0, 0.5))
+    placed = placed_planes([plane, plane], state)[1]
+    expected = np.array([[100.0 * 1.01, 400.0 * 1.04], [0.0, 900.0 * 1.09]]) / 1.25
+    assert placed.amplitude**2 == pytest.approx(expected)
+    assert placed.sigma == pytest.approx(np.sqrt(np.array([[1.01, 1.04], [1.0, 1.09]]) / 1.25))
+    assert placed.background == pytest.approx(np.full((2, 2), 0.5 * expected.mean()))
+    with pytest.raises(InputError, match="nonlinearity"):
+        placed_planes([replace(plane, fraction_per_intensity=None)], state)
 
 
 def test_an_intensity_without_a_usable_variance_is_refused() -> None:

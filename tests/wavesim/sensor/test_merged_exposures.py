@@ -20,7 +20,7 @@ from wavesim.runtime.threads import BLOCK
 from wavesim.sensor.camera_noise import Electronics, SaturationWarning, expose, exposure_seeds
 from wavesim.sensor.frame_sets import planes_of_frames, read_frames, recorded_planes
 from wavesim.sensor.frames import AssumedWarning, Frame, FrameSettings, write_frame
-from wavesim.sensor.merged_exposures import estimate_intensity, merged_intensity
+from wavesim.sensor.merged_exposures import estimate_intensity, fraction_per_intensity, merged_intensity
 from wavesim.sensor.sensor import frames_of_light, light_on_pixels, record, sensor_grid
 
 CAMERA = Electronics(full_well_electrons=10_000.0, read_noise_electrons=2.0, bits=12)
@@ -117,6 +117,16 @@ def test_exposures_of_any_unit_do() -> None:
         intensity, variance = merged_intensity(frames)
         np.testing.assert_allclose(intensity * unit, light, atol=2.0)
         np.testing.assert_allclose(variance * unit**2, light / 4.0, rtol=0.05)
+
+
+def test_the_signal_per_intensity_is_that_of_the_longest_exposure_that_is_not_clipped() -> None:
+    electrons = CAMERA.top_electrons
+    light = np.array([[0.5, 3.0, 100.0, 20_000.0]])
+    frames = [frame_of(light, time, None) for time in (1.0, 1000.0)]
+    fractions = fraction_per_intensity(frames)[0] * light[0]
+    assert fractions[:2] == pytest.approx(1000.0 * light[0, :2] / electrons, rel=0.002)
+    assert fractions[2] == pytest.approx(light[0, 2] / electrons)
+    assert fractions[3] == 0.0
 
 
 def test_frames_that_do_not_lie_on_each_other_are_no_plane() -> None:

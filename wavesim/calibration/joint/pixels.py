@@ -30,6 +30,8 @@ from wavesim.calibration.joint.perturbed_tiles import (
     path_derivatives,
 )
 from wavesim.calibration.parameters import (
+    EXPOSURE_ERROR,
+    NONLINEARITY,
     SENSOR_TILTS,
     VIBRATION,
     Parameter,
@@ -152,6 +154,8 @@ class CalibrationPixels(ABC):
                 result[n] = linear.jacobian_times_exit_field(mode_factor * mode_fields[orders])
             elif (background := background_orders(parameter.name)) is not None:
                 result[n] = linear.jacobian_times_background(plane_index_of(parameter), background)
+            elif parameter.name.endswith(EXPOSURE_ERROR):
+                result[n] = linear.jacobian_times_exposure(plane_index_of(parameter))
             else:
                 result[n] = self._camera_column(linear, parameter)
         return result
@@ -241,6 +245,8 @@ class DensePixels(CalibrationPixels):
 
     def _camera_column(self, linear: LinearModel, parameter: Parameter) -> RealArray:
         name, measurement = parameter.name, linear.measurement
+        if name == NONLINEARITY:
+            return linear.jacobian_times_nonlinearity()
         assert isinstance(measurement, FreeSpaceMeasurement)
         if name in SENSOR_TILTS:
             return linear.amplitude_changes(measurement.by_tilt(SENSOR_TILTS.index(name)))
@@ -328,7 +334,11 @@ class SparsePixels(CalibrationPixels):
         return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
 
     def _acts_on_rays(self, parameter: Parameter) -> bool:
-        return parameter.group != "light" and background_orders(parameter.name) is None
+        return not (
+            parameter.group == "light"
+            or background_orders(parameter.name) is not None
+            or parameter.name.endswith(EXPOSURE_ERROR)
+        )
 
     def ray_derivatives(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
@@ -463,6 +473,11 @@ def padded_to_fast_shape(
         replace(
             plane,
             amplitude=np.pad(plane.amplitude, margins, mode="edge"),
+            fraction_per_intensity=(
+                None
+                if plane.fraction_per_intensity is None
+                else np.pad(plane.fraction_per_intensity, margins)
+            ),
             sigma=np.pad(np.asarray(plane.sigma), margins, constant_values=np.inf),
         )
         for plane in recorded

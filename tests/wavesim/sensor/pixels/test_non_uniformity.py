@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,20 @@ def test_longer_exposures_than_stated_are_brighter_by_as_much() -> None:
     ]
     assert [a.settings for a in stated] == [b.settings for b in true]
     assert ratios == pytest.approx([1.0, 1.1], abs=1e-3)
+
+
+@pytest.mark.parametrize("nonlinearity", [0.08, -0.08])
+def test_stating_the_nonlinearity_gives_the_light(nonlinearity: float) -> None:
+    sensor = Sensor(pixel_pitch_um=3.0, pixels=SHAPE[::-1], plane_distances_mm=(1.0,))
+    light = np.tile(np.linspace(0.0, 1.0, SHAPE[1]), (SHAPE[0], 1))
+    electronics = Electronics(bits=16)
+    pattern = PixelErrors(nonlinearity=nonlinearity).pattern(SHAPE, electronics.full_well_electrons)
+    (frame,) = frames_of_light(light, sensor, 1.0, 0.5, electronics, None, (1.0,), pattern=pattern)
+    recorded = estimate_intensity(frame)[0]
+    # The brightest pixel fills 80 % of the full well.
+    assert recorded[0, -1] == pytest.approx(1.0 - 0.8 * nonlinearity, abs=0.01)
+    stated = replace(frame, settings=frame.settings.replaced(nonlinearity=nonlinearity))
+    np.testing.assert_allclose(estimate_intensity(stated)[0], light, atol=1e-4)
 
 
 def test_what_cannot_be_is_refused() -> None:
