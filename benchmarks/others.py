@@ -70,7 +70,15 @@ class OptilandTracer:
         vertices = lens.vertex_z_mm
         for i, (surface, z, medium) in enumerate(zip(lens.surfaces, vertices, media, strict=True), start=1):
             radius = np.inf if surface.radius_mm is None else surface.radius_mm
-            surfaces.add(index=i, z=z, radius=radius, conic=surface.conic, material=medium, is_stop=i == 1)
+            # Optiland's first coefficient is that of r^2. Its own tolerance leaves errors of 1e-7 mm.
+            asphere = (
+                {"surface_type": "even_asphere", "coefficients": [0.0, *surface.asphere], "tol": 1e-12}
+                if surface.asphere
+                else {}
+            )
+            surfaces.add(
+                index=i, z=z, radius=radius, conic=surface.conic, material=medium, is_stop=i == 1, **asphere
+            )
         surfaces.add(index=len(media) + 1, z=plane_z_mm)
         self.surfaces = surfaces
         # Releases before 0.6.3 always record.

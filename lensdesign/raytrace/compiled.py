@@ -16,7 +16,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
 from lensdesign.lens.shapes.base import Shape, term_of
 from lensdesign.lens.shapes.intersection import SagError, sag_and_slopes
-from lensdesign.lens.shapes.registry import code_of
+from lensdesign.lens.shapes.registry import code_of, padded_count
 from lensdesign.lens.surface import Surface
 from lensdesign.lens.surface_figure import SurfaceFigure, packed_surface_figures
 
@@ -79,6 +79,9 @@ class CompiledSystem:
     def for_kernel(self) -> tuple[NDArray[np.int8] | None, Array, Array, tuple[NDArray, ...] | None]:
         """Packed shapes and figures for the ray kernel, with None for those that no surface needs."""
         codes, starts, terms = self.packed_shapes
+        if np.any(codes):
+            added = padded_count(terms.shape[-1]) - terms.shape[-1]
+            terms = np.pad(terms, ((0, 0), (0, 0), (0, added)))
         if not any(self.figures):
             return codes if np.any(codes) else None, starts, terms, None
         packed = packed_surface_figures(self.figures)

@@ -27,7 +27,7 @@ _inline = cached_njit(nogil=True, error_model="numpy", inline="always")
 
 
 @_inline
-def _intersect(x, y, z, dx, dy, dz, c, k):
+def intersect_conic(x, y, z, dx, dy, dz, c, k):
     """Return the distance of a ray to a conic, and the discriminant, which is negative if the ray misses.
 
     The root of the discriminant is the product of the ray direction and the conic's normal
@@ -60,7 +60,7 @@ def _normal(x, y, z, c, k, ratio, square):
 @_jit
 def conic_distance(x, y, z, dx, dy, dz, c, k):
     """Return the distance of a ray to a conic, and whether they intersect."""
-    t, square = _intersect(x, y, z, dx, dy, dz, c, k)
+    t, square = intersect_conic(x, y, z, dx, dy, dz, c, k)
     if not (square >= 0.0 and abs(t) < math.inf):
         return 0.0, False
     return t, 1.0 - (1.0 + k) * c * (z + t * dz) > 0.0
@@ -76,7 +76,7 @@ def through_conic(ray, after, work, z0, c, k, n1, ratio, limit, count):
     uncertain = 0
     for i in range(count):
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
-        t, square = _intersect(x, y, z, ray[L + i], ray[M + i], ray[N + i], c, k)
+        t, square = intersect_conic(x, y, z, ray[L + i], ray[M + i], ray[N + i], c, k)
         work[i] = square
         work[BLOCK + i] = t
         work[2 * BLOCK + i] = ratio * math.sqrt(square)
@@ -113,7 +113,7 @@ def resolve_failures(ray, after, work, state, surface, z0, c, k, ratio, limit, c
             continue
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        t, square = _intersect(x, y, z, dx, dy, dz, c, k)
+        t, square = intersect_conic(x, y, z, dx, dy, dz, c, k)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         r2, normal_z, _, square_out = _normal(x, y, z, c, k, ratio, square)
         if not (square >= 0.0 and abs(t) < math.inf and normal_z > 0.0):
@@ -128,11 +128,11 @@ def resolve_failures(ray, after, work, state, surface, z0, c, k, ratio, limit, c
         if state[i] != MISSED:
             ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + z0
             ray[OPL + i] = after[OPL + i]
-    return _restore_failed(ray, after, state, count)
+    return restore_failed(ray, after, state, count)
 
 
 @_jit
-def _restore_failed(ray, after, state, count):
+def restore_failed(ray, after, state, count):
     """Restore the previous values of rays that failed, and return their number."""
     failed = 0
     for i in range(count):

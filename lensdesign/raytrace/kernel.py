@@ -2,7 +2,8 @@
 
 Each block of rays is stored in small local arrays, and each step is one loop without branches. Fast-math is
 off, so that comparisons with NaN work as written and no ray depends on its neighbours. Rays intersect conics
-in closed form (`conic_kernel`), and all other shapes by Newton's method from a conic near them.
+in closed form (`conic_kernel`), and other shapes by Newton's method from a conic near them (`shape_kernel`).
+Rays through surfaces with a figure, and those that fail, are traced one by one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
 from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE, ROUNDED_RESIDUAL
-from lensdesign.raytrace import conic_kernel
+from lensdesign.raytrace import conic_kernel, shape_kernel
 from lensdesign.raytrace.cached_kernels import cached_njit, drop_outdated
 from lensdesign.raytrace.conic_kernel import (
     BLOCK,
@@ -32,9 +33,11 @@ from lensdesign.raytrace.conic_kernel import (
     Z,
     conic_distance,
     resolve_failures,
+    restore_failed,
     through_conic,
     to_plane,
 )
+from lensdesign.raytrace.shape_kernel import is_vectorized, through_shape
 
 CONIC = 0
 """Code of the conic, the first shape of the registry."""
@@ -103,25 +106,47 @@ def trace_kernel(
                 limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
                 n1, n2 = index[ti, s], index[ti, s + 1]
                 c, k = starts[ts, s, 0], starts[ts, s, 1]
-                conic = codes is None or (codes[s] == CONIC and not _has_figure(figures, s))
                 x0, y0, z0 = vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2]
-                centred = conic and not tilted[s] and x0 == 0.0 and y0 == 0.0
+                centred = not tilted[s] and x0 == 0.0 and y0 == 0.0
                 if not centred:
                     _shift(ray, -x0, -y0, -z0, count)
                     z0 = 0.0
                 if tilted[s]:
                     _rotate(ray, rotation[tv, s].T, count)
-                if conic:
+                if codes is None or (codes[s] == CONIC and not _has_figure(figures, s)):
                     uncertain = through_conic(ray, after, work, z0, c, k, n1, n1 / n2, limit, count)
                     if uncertain + failed_count > 0:
                         failed_count = resolve_failures(
                             ray, after, work, state, s, z0, c, k, n1 / n2, limit, count
                         )
-                    ray, after = after, ray
                 else:
                     code, own, trial = codes[s], terms[ts, s], first_trial + t
-                    _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, figures, trial)
-                    failed_count = _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
+                    if _has_figure(figures, s) or not is_vectorized(code, own):
+                        uncertain, work[:count] = count, -1.0
+                    else:
+                        uncertain = through_shape(
+                            code, ray, after, work, z0, c, k, own, n1, n1 / n2, limit, count
+                        )
+                    if uncertain + failed_count > 0:
+                        failed_count = _one_by_one(
+                            ray,
+                            after,
+                            work,
+                            state,
+                            s,
+                            z0,
+                            code,
+                            c,
+                            k,
+                            own,
+                            n1,
+                            n1 / n2,
+                            limit,
+                            count,
+                            figures,
+                            trial,
+                        )
+                ray, after = after, ray
                 if tilted[s]:
                     _rotate(ray, rotation[tv, s], count)
                 if not centred:
@@ -269,12 +294,17 @@ def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
 
 
 @_jit
-def _intersect_general(ray, state, surface, code, c, k, terms, n1, limit, count, figures, trial):
-    """Propagate rays by Newton's method to a surface that is not a conic or has a figure."""
+def _one_by_one(
+    ray, after, work, state, surface, z0, code, c, k, terms, n1, ratio, limit, count, figures, trial
+):
+    """Trace the rays of a block whose margin in `work` is not above 0, one by one, and put failed rays back.
+
+    Returns the number of failed rays.
+    """
     for i in range(count):
-        if state[i] != OK:
+        if state[i] != OK or work[i] > 0.0:
             continue
-        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i] - z0
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
         outcome = MISSED
         t, hit = conic_distance(x, y, z, dx, dy, dz, c, k)
@@ -282,13 +312,28 @@ def _intersect_general(ray, state, surface, code, c, k, terms, n1, limit, count,
             t, outcome = newton(x, y, z, dx, dy, dz, t, code, terms, surface, figures, trial)
         if outcome == OK:
             x, y = x + t * dx, y + t * dy
-            ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + t * dz
+            ray[X + i], ray[Y + i], ray[Z + i] = x, y, ray[Z + i] + t * dz
             ray[OPL + i] += n1 * t
             if x * x + y * y > limit:
                 outcome = CLIPPED
+        if outcome == OK:
+            _, by_x, by_y = _sag_and_slopes(x, y, code, terms, surface, figures, trial)
+            norm = 1.0 / math.sqrt(1.0 + by_x * by_x + by_y * by_y)
+            cos_in = (dz - by_x * dx - by_y * dy) * norm
+            square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
+            if square < 0.0:
+                outcome = TOTAL_REFLECTION
+            else:
+                bend = (math.sqrt(square) - ratio * cos_in) * norm
+                for q in (X, Y, Z, OPL):
+                    after[q + i] = ray[q + i]
+                after[L + i] = ratio * dx - bend * by_x
+                after[M + i] = ratio * dy - bend * by_y
+                after[N + i] = ratio * dz + bend
         if outcome != OK:
             state[i] = outcome
             state[BLOCK + i] = surface
+    return restore_failed(ray, after, state, count)
 
 
 @_jit
@@ -313,28 +358,7 @@ def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=
     return t, OK if slope > 0.0 else MISSED
 
 
-@_jit
-def _refract_general(ray, state, surface, code, terms, ratio, count, figures, trial):
-    """Refract at a surface that is not a conic or has a figure; return the number of failed rays."""
-    failed_count = 0
-    for i in range(count):
-        x, y = ray[X + i], ray[Y + i]
-        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        _, by_x, by_y = _sag_and_slopes(x, y, code, terms, surface, figures, trial)
-        nx, ny = -by_x, -by_y
-        norm = 1.0 / math.sqrt(1.0 + nx * nx + ny * ny)
-        cos_in = (dz + nx * dx + ny * dy) * norm
-        square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
-        bend = (math.sqrt(max(square, 0.0)) - ratio * cos_in) * norm
-        alive = state[i] == OK
-        through = alive & (square >= 0.0)
-        ray[L + i] = ratio * dx + bend * nx if through else dx
-        ray[M + i] = ratio * dy + bend * ny if through else dy
-        ray[N + i] = ratio * dz + bend if through else dz
-        state[i] = TOTAL_REFLECTION if alive & (not through) else state[i]
-        state[BLOCK + i] = surface if alive & (not through) else state[BLOCK + i]
-        failed_count += 0 if through else 1
-    return failed_count
-
-
-drop_outdated(trace_kernel, {__name__, conic_kernel.__name__, intersection.__name__} | shapes.SOURCES)
+drop_outdated(
+    trace_kernel,
+    {__name__, conic_kernel.__name__, shape_kernel.__name__, intersection.__name__} | shapes.SOURCES,
+)

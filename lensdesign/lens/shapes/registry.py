@@ -16,6 +16,17 @@ SHAPES = {
 form."""
 
 
+TERM_COUNTS = (8, 12)
+"""Numbers of terms for which sums over terms are unrolled in compiled tracing. Rays through shapes with more
+are traced one by one, because the compiler does not unroll longer sums.
+"""
+
+
+def padded_count(terms: int) -> int:
+    """Return the number of terms to which arrays of terms are padded for compiled tracing."""
+    return next((count for count in TERM_COUNTS if count >= terms), terms)
+
+
 @cache
 def shape_class(name: str) -> type[Shape]:
     """Return the class of a shape by its name."""

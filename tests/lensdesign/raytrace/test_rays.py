@@ -143,6 +143,25 @@ def test_random_rays_meet_every_fate() -> None:
     assert np.array_equal(rays.status, trace_numpy(system, origins, directions, 60.0)[3])
 
 
+@pytest.mark.parametrize("terms", [1, 6, 7, 10, 11])
+def test_aspheres_of_any_number_of_terms_equal_numpy_up_to_the_rim(terms: int) -> None:
+    """With a departure of tenths of a millimetre at the rim, and among rays that fail."""
+    asphere = tuple((-1) ** n * 0.1 / 5.0 ** (4 + 2 * n) for n in range(terms))
+    first = {"radius_mm": 12.0, "thickness_mm": 6.0, "material": 1.9, "semi_diameter_mm": 5.0}
+    lens = make(first | {"asphere": asphere}, {"radius_mm": 8.0, "conic": -0.6, "asphere": asphere})
+    origins, directions = random_rays(7, 1000)
+    system = compile_system(lens, 0.55)
+    rays = trace_compiled(system, origins, directions, 60.0)
+    position, direction, opl, status, failed, _ = trace_numpy(system, origins, directions, 60.0)
+    assert np.array_equal(rays.status, status)
+    assert np.array_equal(rays.failed_surface, failed)
+    assert {Status.OK, Status.CLIPPED} <= {Status(s) for s in status}
+    passed = rays.ok
+    np.testing.assert_allclose(rays.position[passed], position[passed], atol=1e-12 * 60.0)
+    np.testing.assert_allclose(rays.direction[passed], direction[passed], atol=1e-12)
+    np.testing.assert_allclose(rays.opl[passed], opl[passed], atol=1e-12 * 60.0)
+
+
 @pytest.mark.parametrize("front", [{}, {"asphere": (1e-5,)}])
 @pytest.mark.parametrize("pose", [Pose(), Pose(decenter_x_mm=0.1), Pose(tilt_y_deg=1.0)])
 def test_no_ray_depends_on_those_beside_it(front: dict[str, Any], pose: Pose) -> None:

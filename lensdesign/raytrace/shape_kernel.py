@@ -1,0 +1,144 @@
+"""Steps of the ray kernel for shapes other than conics: blocks of rays in loops that the compiler vectorizes.
+
+:data:`through_shape` traces a block of rays through a surface as if no ray failed, like
+:func:`lensdesign.raytrace.conic_kernel.through_conic`, whose arguments it has. Newton's method starts at a
+conic near the surface. All rays of a block take the same number of steps, mostly three, which is cheaper than
+a test of each ray. Rays that have not arrived then count as uncertain.
+
+Sums over the terms of a shape have a fixed number of terms, because the compiler vectorizes over rays only if
+it can unroll the loop over terms. Shapes with fewer terms are padded with zeros.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from numba import njit
+
+from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.registry import TERM_COUNTS, shape_classes
+from lensdesign.raytrace.conic_kernel import BLOCK, OPL, L, M, N, X, Y, Z, intersect_conic
+
+_jit = njit(nogil=True, error_model="numpy")
+_inline = njit(nogil=True, error_model="numpy", inline="always")
+
+FIRST_STEPS, MOST_STEPS = 2, 8
+"""Newton steps before the first test whether rays have arrived, and after which the test is final."""
+
+ARRIVED = 3e-13
+"""Last step, over 1 mm plus the distance, up to which a ray has arrived: the normal, which is that before the
+step, is then right to rounding."""
+
+
+def _first(count: int) -> Any:
+    """Return a compiled function that returns the first values of an array as a tuple of known length."""
+    if count == 1:
+        return _inline(lambda values: (values[0],))
+    fewer, last = _first(count - 1), count - 1
+    return _inline(lambda values: fewer(values) + (values[last],))  # noqa: RUF005
+
+
+def _through(shape: type[Shape], count_of_terms: int) -> Any:
+    """Return the compiled passage of a block through a shape with a number of terms."""
+    first, sag_and_gradient = _first(count_of_terms), _inline(shape.sag_and_gradient)
+
+    @_jit
+    def through(ray, after, work, z0, c, k, own, n1, ratio, limit, count):
+        terms = first(own)
+        for i in range(count):
+            t, _ = intersect_conic(
+                ray[X + i], ray[Y + i], ray[Z + i] - z0, ray[L + i], ray[M + i], ray[N + i], c, k
+            )
+            work[BLOCK + i] = t
+        for _ in range(FIRST_STEPS):
+            for i in range(count):
+                t, dx, dy, dz = work[BLOCK + i], ray[L + i], ray[M + i], ray[N + i]
+                sag, by_x, by_y = sag_and_gradient(terms, ray[X + i] + t * dx, ray[Y + i] + t * dy)
+                residual = ray[Z + i] - z0 + t * dz - sag
+                work[BLOCK + i] = t - residual / (dz - (by_x * dx + by_y * dy))
+        uncertain = 0
+        for _ in range(FIRST_STEPS, MOST_STEPS):
+            unsettled = uncertain = 0
+            for i in range(count):
+                before, dx, dy, dz = work[BLOCK + i], ray[L + i], ray[M + i], ray[N + i]
+                sag, by_x, by_y = sag_and_gradient(terms, ray[X + i] + before * dx, ray[Y + i] + before * dy)
+                along = dz - (by_x * dx + by_y * dy)
+                step = (ray[Z + i] - z0 + before * dz - sag) / along
+                t = before - step
+                x, y = ray[X + i] + t * dx, ray[Y + i] + t * dy
+                normal2 = 1.0 + by_x * by_x + by_y * by_y
+                square_out = normal2 * (1.0 - ratio * ratio) + ratio * ratio * along * along
+                gain = (math.sqrt(square_out) - ratio * along) / normal2
+                error = abs(step) - ARRIVED * (1.0 + abs(t))
+                within = limit - (x * x + y * y)
+                least = along if along < within else within
+                least = least if least < -error else -error
+                least = least if least < square_out else square_out  # NaN is chosen, too
+                unsettled += 1 if error > 0.0 else 0
+                uncertain += 0 if least > 0.0 else 1
+                work[i] = least
+                # A ray that has arrived stays where it is while others of its block go on.
+                work[BLOCK + i] = t if error > 0.0 else before
+                after[X + i] = x
+                after[Y + i] = y
+                after[Z + i] = ray[Z + i] + t * dz
+                after[OPL + i] = ray[OPL + i] + n1 * t
+                after[L + i] = ratio * dx - gain * by_x
+                after[M + i] = ratio * dy - gain * by_y
+                after[N + i] = ratio * dz + gain
+            if unsettled == 0:
+                break
+        return uncertain
+
+    return through
+
+
+def _dispatched(passages: Sequence[tuple[int, float, Any]]) -> Any:
+    """Return one function of a shape's code and terms, for passages of (code, most terms, function)."""
+    code, most_terms, own = passages[0]
+    if len(passages) == 1:
+        return _jit(
+            lambda shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count: own(
+                ray, after, work, z0, c, k, terms, n1, ratio, limit, count
+            )
+        )
+    other = _dispatched(passages[1:])
+
+    @_jit
+    def chosen(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count):
+        if shape == code and len(terms) <= most_terms:
+            return own(ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
+        return other(shape, ray, after, work, z0, c, k, terms, n1, ratio, limit, count)
+
+    return chosen
+
+
+def _passages() -> Iterator[tuple[int, float, Any]]:
+    """Yield code, largest length of the array of terms, and passage of all shapes but the first, the conic.
+
+    Arrays of terms are padded, so that a shape with a few terms has no largest length.
+    """
+    for code, shape in enumerate(shape_classes()):
+        if code and len(shape.TERMS) <= TERM_COUNTS[0]:
+            yield code, math.inf, _through(shape, len(shape.TERMS))
+        elif code:
+            for count in TERM_COUNTS:
+                yield code, float(count), _through(shape, count)
+
+
+PASSAGES = tuple(_passages())
+MOST_TERMS = tuple(
+    max((most for code, most, _ in PASSAGES if code == own), default=0.0)
+    for own in range(len(shape_classes()))
+)
+
+through_shape = _dispatched(PASSAGES)
+"""Passage of a block of rays through a shape that is not a conic, see :func:`through_conic`."""
+
+
+@_jit
+def is_vectorized(code, terms):
+    """Return whether :data:`through_shape` traces a shape with so many terms."""
+    return len(terms) <= MOST_TERMS[code]
