@@ -83,6 +83,7 @@ def test_every_command_is_listed_once_with_all_words(
 
 @every_command
 def test_the_short_help_has_few_options(command: str, help_of: Any) -> None:
+    assert "\n  --settings FILE " in help_of(command, "-h")
     text, whole = help_of(command, "-h"), help_of(command, "--help-all")
     shown = [row for rows in sections_of(text).values() for row in rows]
     assert len(shown) <= MOST_OPTIONS
@@ -136,7 +137,8 @@ def test_most_used_options_are_options(command: str) -> None:
     options = [p.name for p in found.params if p.param_type_name == "option"]
     names = getattr(found.callback, "most_used", ())
     assert set(names) <= set(options)
-    assert len(names) < MOST_OPTIONS
+    assert len(names) < MOST_OPTIONS - 1
+    assert "settings_file" not in names  # every short help shows it
     assert bool(names) == (len(options) + 1 > MOST_OPTIONS)
     required = [p.name for p in found.params if p.param_type_name == "option" and p.required]
     assert not names or set(required) <= set(names)

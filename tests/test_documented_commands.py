@@ -28,6 +28,7 @@ from wavesim.metrics import comparison
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")
 INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z]+ [^`]+)`")
+NAMED = re.compile(r"# (\w+\.toml)\n")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 # What a page writes in place of a name, and the name with which it is run. The order matters.
@@ -115,7 +116,7 @@ OF_THE_GALLERY = re.compile(r"lensdesign optimize designs/(\w+)_spec\.toml -o de
 class Step(NamedTuple):
     """One thing that a reader of a page does."""
 
-    kind: str  # "run" a command, "save" a TOML block that names its design, "see" what the last command said
+    kind: str  # "run" a command, "save" a TOML block of a named file, "see" what a command said
     text: str
 
 
@@ -128,7 +129,7 @@ def steps(page: Path) -> list[Step]:
         found += _commands(text[at : fence.start()])
         if fence[1] in ("sh", "console"):
             found += _commands(fence[2])
-        elif fence[1] == "toml" and "\ndesign = " in fence[2]:
+        elif fence[1] == "toml" and (NAMED.match(fence[2]) or "\ndesign = " in fence[2]):
             found.append(Step("save", fence[2]))
         elif fence[1] == "text":
             found.append(Step("see", fence[2]))
@@ -245,7 +246,8 @@ def test_commands_of_the_page_run(
     said, compared = "", True
     for step in steps(page):
         if step.kind == "save":
-            (folder / "study.toml").write_text(step.text, encoding="utf-8")
+            named = NAMED.match(step.text)
+            (folder / (named[1] if named else "study.toml")).write_text(step.text, encoding="utf-8")
         elif step.kind == "see":
             missing = unsaid(step.text, said) if said and compared else None
             assert missing is None, f"{page.name} shows, and no command before it said: {missing}"

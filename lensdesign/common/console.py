@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import typer
 from typer.core import TyperGroup
 
-from lensdesign.common.help_pages import GroupedCommand
 from lensdesign.common.input_files import files_from
 from lensdesign.common.interrupts import stop_status, stoppable
+from lensdesign.common.settings_files import SettingsCommand, with_settings_file
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, TransferLensError
 
@@ -62,11 +62,17 @@ class _Group(TyperGroup):
 
 
 class _App(typer.Typer):
-    """A Typer application whose commands list their options in groups."""
+    """A Typer application whose commands list their options in groups, and read them from files."""
 
-    def command(self, name: str | None = None, *, cls: Any = GroupedCommand, **more: Any) -> Any:
-        """Return a decorator that registers a command."""
-        return super().command(name, cls=cls, **more)
+    def command(self, name: str | None = None, *, cls: Any = SettingsCommand, **more: Any) -> Any:
+        """Return a decorator that registers a command and returns its function as it is."""
+        register = super().command(name, cls=cls, **more)
+
+        def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+            register(with_settings_file(function))
+            return function
+
+        return decorate
 
 
 def make_app(purpose: str, contents: Contents) -> typer.Typer:

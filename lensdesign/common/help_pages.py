@@ -17,6 +17,9 @@ MOST_OPTIONS = 15
 
 HELP_ALL = "--help-all"
 
+ALWAYS_SHOWN = frozenset({HELP_ALL, "--settings"})
+"""Options of every command, which its short help shows."""
+
 UNITS = {
     "mm": "mm",
     "um": "um",
@@ -112,9 +115,10 @@ class GroupedCommand(TyperCommand):
     def _most_used(self, options: list[Any]) -> list[Any]:
         """Return the options of the short help."""
         names = getattr(self.callback, "most_used", [param.name for param in options])
-        own = [param for param in options if HELP_ALL not in param.opts]
-        chosen = [param for param in own if param.name in names][: MOST_OPTIONS - 1]
-        return [*chosen, *(param for param in options if HELP_ALL in param.opts)]
+        always = [param for param in options if not ALWAYS_SHOWN.isdisjoint(param.opts)]
+        own = [param for param in options if ALWAYS_SHOWN.isdisjoint(param.opts)]
+        chosen = [param for param in own if param.name in names][: MOST_OPTIONS - len(always)]
+        return [*chosen, *always]
 
 
 def help_record(param: Any, ctx: Any) -> Row:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Costs = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE",
+        metavar="[relative]|FILE",
         help="Table of costs (TOML), or `relative` for the built-in one.",
         rich_help_panel=OptionGroup.TOLERANCES,
     ),

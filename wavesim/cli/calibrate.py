@@ -39,7 +39,6 @@ FILE = "calibration.json"
     "empty",
     "priors",
     "engine",
-    "error",
     "as_json",
 )
 def calibrate(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, print_json, run_app
-from lensdesign.common.option_groups import OptionGroup
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
 from lensdesign.common.text import decimals_text, visible
 from lensdesign.errors import InputError
@@ -53,6 +53,21 @@ for command in (oracle, resolve, choose, compare, plan, image, reconstruct, cali
 
 @app.command()
 @with_settings
+@most_used(
+    "field_mm",
+    "wavelength_um",
+    "plane_distance_mm",
+    "decenter_x_mm",
+    "decenter_y_mm",
+    "despace_mm",
+    "tilt_x_deg",
+    "tilt_y_deg",
+    "linewidths_um",
+    "refocus",
+    "samples",
+    "as_json",
+    "output",
+)
 def pupil(
     design: Design,
     mounted: PoseSettings,

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     "exposures",
     "engine",
     "error",
-    "memory_gb",
     "state",
     "as_json",
 )

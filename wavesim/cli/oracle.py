@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
-from lensdesign.common.option_groups import OptionGroup
+from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Json
 from wavesim.analytic.registry import ANALYTIC_CASES
 from wavesim.cli.options import print_warnings, settings_text
@@ -16,6 +16,20 @@ from wavesim.engines.registry import ENGINES
 from wavesim.scene.settings import SingleEngineDetails
 
 
+@most_used(
+    "engine",
+    "oracle",
+    "radius_mm",
+    "semi_diameter_mm",
+    "incidence_deg",
+    "tile_width_mm",
+    "slices",
+    "compensation",
+    "spacing",
+    "step_um",
+    "pitch_um",
+    "as_json",
+)
 def oracle(
     engine: Annotated[
         str,

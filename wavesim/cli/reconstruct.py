@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     "truth",
     "engine",
     "error",
-    "memory_gb",
     "as_json",
 )
 def reconstruct(

@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from stopping import heeding
@@ -379,3 +380,23 @@ def finished(path):
         columns = [row[1] for row in connection.execute("PRAGMA table_info(trial)")]
         lasting = ", ".join(f'"{c}"' for c in columns if c not in ("seconds", "finished"))
         return connection.execute(f"SELECT {lasting} FROM trial ORDER BY trial").fetchall()
+
+
+def test_a_report_is_written_again_from_the_settings_in_its_folder(
+    command, monkeypatch, small_store, tmp_path
+):
+    written = []
+
+    def write(store, folder, **others):
+        folder.mkdir()
+        written.append((store.path, others))
+        return SimpleNamespace(html=folder / "report.html")
+
+    monkeypatch.setattr("tolerancing.report.report.write_report", write)
+    ran = command("report", small_store.path, "--front", tmp_path, "-o", tmp_path / "first")
+    assert ran.returncode == 0, ran.stderr
+    ran = command("report", "--settings", tmp_path / "first" / "settings.toml", "-o", tmp_path / "again")
+    assert ran.returncode == 0, ran.stderr
+    first, again = written
+    assert again[0].samefile(first[0])
+    assert again[1]["front"].samefile(first[1]["front"])

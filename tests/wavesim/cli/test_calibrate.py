@@ -22,6 +22,8 @@ from wavesim.scene.system_state import SystemState
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
 
+FILES = ["calibration.json", "calibration.png", "settings.toml"]
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -44,7 +46,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     assert found["state"]["pose"]["decenter_x_mm"] == pytest.approx(1e-3, rel=0.05)
     assert found["state"]["pose"]["tilt_y_deg"] == pytest.approx(0.8, rel=0.05)
     assert found["misfit"] < 1.5 * found["misfit_of_noise"] + 0.02 < found["misfit_before"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
     mounting = read_calibration(tmp_path / "calibration.json", load_design(data / "twin.toml"))
     assert mounting.pose.tilt_y_deg == found["state"]["pose"]["tilt_y_deg"]
 
@@ -106,7 +108,7 @@ def test_an_interrupted_search_goes_on(
     code, _, err = wavesim("calibrate", *command, "-o", tmp_path)
     assert code in (0, 1), err
     assert began[0] == 0 < began[1]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
     found = json.loads((tmp_path / "calibration.json").read_text())
     assert found["mountings_tried"] > began[1]
     assert set(found["deviations"]) == {"decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg"}

@@ -33,7 +33,7 @@ def test_frames_truth_and_record(wavesim: Command, twin: Path, tmp_path: Path) -
     data = json.loads(out)
     assert sorted(path.name for path in folder.iterdir()) == [
         "frame_1.tif", "frame_2.tif", "frames.png", "image.json", "object.npz", "object.png",
-        "object_amplitude.tif", "object_phase.tif",
+        "object_amplitude.tif", "object_phase.tif", "settings.toml",
     ]  # fmt: skip
     assert json.loads((folder / "image.json").read_text())["engine"] == data["engine"]
     lens = load_design(twin)

@@ -36,7 +36,7 @@ def test_the_object_is_found_and_all_is_written(wavesim: Command, data: Path, tm
     assert all(plane["residual"] < 0.2 and plane["correlation"] > 0.99 for plane in found["planes"])
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "amplitude.tif", "convergence.csv", "curves.png", "phase.tif", "reconstruction.json",
-        "reconstruction.npz", "reconstruction.png", "residuals.png", "svfg.csv",
+        "reconstruction.npz", "reconstruction.png", "residuals.png", "settings.toml", "svfg.csv",
     ]  # fmt: skip
     with Image.open(tmp_path / "out" / "amplitude.tif") as picture:
         amplitude = np.asarray(picture)
