@@ -119,7 +119,11 @@ def test_the_whole_help_has_every_option_once_below_a_title(command: str, help_o
     assert list(sections) == [title for title in OptionGroup if title in sections]
     shown = [name for rows in sections.values() for row in rows for name in names_of(row)]
     options = [p for p in command_of(command).params if p.param_type_name == "option"]
-    expected = [name for p in options for name in (*p.opts, *p.secondary_opts)]
+    # Former names keep working, and are not shown.
+    shown_of = [
+        [*[n for n in p.opts if n.startswith("--")][:1], *[n for n in p.opts if n[1] != "-"]] for p in options
+    ]
+    expected = [name for p, own in zip(options, shown_of, strict=True) for name in (*own, *p.secondary_opts)]
     assert sorted(shown) == sorted([*expected, "-h", "--help", "--help-all"])
 
 
@@ -158,8 +162,8 @@ def choices(*words: str) -> str:
         ("wavesim calibrate", f"--engine {choices(AUTO, *ENGINES)}"),
         ("wavesim image", f"--compensation {choices(*get_args(CompensationKind))}"),
         ("wavesim image", f"--interface {choices(*get_args(Interface))}"),
-        ("wavesim resolve", f"--spacing {choices(*get_args(Spacing))}"),
-        ("wavesim resolve", f"--reference {choices(*ENGINES)}"),
+        ("wavesim resolve-lines", f"--spacing {choices(*get_args(Spacing))}"),
+        ("wavesim resolve-lines", f"--reference {choices(*ENGINES)}"),
         ("wavesim reconstruct", "--kind [complex|amplitude]"),
         ("wavesim reconstruct", "--method [paper|object]"),
         ("wavesim reconstruct", f"--start {choices(*STARTS['paper'], *STARTS['object'])}"),
@@ -180,7 +184,7 @@ def test_choices_are_shown(command: str, shown: str, help_of: Any) -> None:
     [
         ("wavesim image", "--patch-mm NUMBER Side of the object patch; default: the whole field. [mm]"),
         ("wavesim image", "--tilt-x-deg NUMBER Rotation of the lens about x. [deg; default: 0.0]"),
-        ("wavesim resolve", "[default: slices]"),
+        ("wavesim resolve-lines", "[default: slices]"),
         ("lensdesign import", "--pixels INTEGER INTEGER Pixels of the sensor along x and y."),
         ("lensdesign ghost", "Wavelength in um; default: the design's first wavelength."),
     ],
@@ -201,3 +205,22 @@ def test_a_field_states_its_group_or_has_that_of_the_first_class_that_defines_it
     assert groups["engine"] == OptionGroup.ENGINE
     assert CalibrationSettings.model_fields["engine"].json_schema_extra is None
     assert ReconstructionSettings.option_group == OptionGroup.SOLVER
+
+
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [
+        ("wavesim choose", "choose-engine"),
+        ("wavesim compare", "compare-engines"),
+        ("wavesim resolve", "resolve-lines"),
+        ("wavesim oracle", "check-engine"),
+        ("tolerancing rare", "rare-failures"),
+        ("tolerancing indices", "variance"),
+    ],
+)
+def test_former_names_of_commands_work_and_are_not_listed(former: str, present: str, help_of: Any) -> None:
+    package, name = former.split()
+    assert help_of(former, "-h").replace(former, f"{package} {present}") == help_of(
+        f"{package} {present}", "-h"
+    )
+    assert name not in APPS[package].commands

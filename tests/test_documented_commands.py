@@ -26,8 +26,8 @@ from typer.main import get_command
 from wavesim.metrics import comparison
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")
-INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z]+ [^`]+)`")
+COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z-]+ .+")
+INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z-]+ [^`]+)`")
 NAMED = re.compile(r"# (\w+\.toml)\n")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
@@ -67,16 +67,16 @@ SHORTER = {
     # Its fine lines need samples and exposures that the twin has no room for.
     r" --(chart-at-mm|object-pitch-um) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
-    r"^wavesim compare \S+ (-o \S+).*": r"wavesim compare designs/small_twin.toml \1 --scale 1 "
-    "--patch-mm 0.004 --most-seconds 0.003 --radius-mm 0.02 --no-planes --no-maps",
+    r"^wavesim compare-engines \S+ (-o \S+).*": r"wavesim compare-engines designs/small_twin.toml \1 "
+    "--scale 1 --patch-mm 0.004 --most-seconds 0.003 --radius-mm 0.02 --no-planes --no-maps",
     # Hundreds of slices of the whole aperture (10 s): tens.
     r"slices(=| )(200|800)": r"slices\g<1>20",
     r"slices=(20|30)": "slices=5",
-    r"^(wavesim resolve designs/(?!paper).*--linewidths-um [\d.]+)\S+ --slices 30": r"\1 --slices 5",
+    r"^(wavesim resolve-lines designs/(?!paper).*--linewidths-um [\d.]+)\S+ --slices 30": r"\1 --slices 5",
     r"(?= -o resolved\.png)": " --linewidths-um 1.55 --field-mm 0",
     # wpm over the whole aperture (20 s): over a small one.
-    r"^wavesim resolve \S+ (.*--engine wpm)": r"wavesim resolve designs/small_twin.toml \1",
-    r"^(wavesim oracle .*--oracle stigmatic)": r"\1 --semi-diameter-mm 0.5",
+    r"^wavesim resolve-lines \S+ (.*--engine wpm)": r"wavesim resolve-lines designs/small_twin.toml \1",
+    r"^(wavesim check-engine .*--solution stigmatic)": r"\1 --semi-diameter-mm 0.5",
     # Studies of the designs (10 to 60 s): the fewest trials that can show a yield; copy_designs does more.
     r"^(tolerancing run designs/.*?)(?: --trials \d+)?$": r"\1 --workers 1 --trials 16",
     r"^(tolerancing run study.*)": r"\1 --workers 1",
@@ -94,8 +94,8 @@ SHORTER = {
     "--patch-mm 0.024",
     # It serves until it is stopped, and its own tests run it in a browser: what it takes, here.
     r"^lensdesign studio .*": "lensdesign studio --help",
-    r"^(tolerancing indices .*--base) 32": r"\1 16",
-    r"^(tolerancing rare .*--trials) 300": r"\1 50",
+    r"^(tolerancing variance .*--base) 32": r"\1 16",
+    r"^(tolerancing rare-failures .*--trials) 300": r"\1 50",
 }
 # Statuses beside 0 that are right: a constraint that is not met, which the pages say; frames that two
 # iterations do not explain; a yield that so few trials do not verify.

@@ -53,8 +53,9 @@ def test_every_command_is_on_its_page(site: Path, package: str) -> None:
     group = typer.main.get_command(importlib.import_module(f"{package}.cli.commands").app)
     for name, command in group.commands.items():  # type: ignore[attr-defined]
         assert f'id="{package}-{name}"' in page
-        for option in (text for parameter in command.params for text in parameter.opts if text[0] == "-"):
-            assert option in page, f"{package} {name} {option}"
+        for parameter in command.params:  # former names of options are not shown
+            for option in [text for text in parameter.opts if text.startswith("--")][:1]:
+                assert option in page, f"{package} {name} {option}"
 
 
 def test_nothing_is_loaded_from_other_hosts(site: Path) -> None:

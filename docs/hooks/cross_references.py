@@ -9,7 +9,7 @@ from typing import Any
 
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 DOTTED = re.compile(r"(?<![`\[])`((?:lensdesign|wavesim|tolerancing)\.\w[\w.]*)`(?!`)")
-COMMAND = re.compile(r"(?<![`\[])`(lensdesign|wavesim|tolerancing) ([a-z]+)\b([^`]*)`(?!`)")
+COMMAND = re.compile(r"(?<![`\[])`(lensdesign|wavesim|tolerancing) ([a-z-]+)\b([^`]*)`(?!`)")
 BARE = re.compile(r"(?<![`\[])`(\w+)`(?!`)")
 ROLE = re.compile(r":(?:class|func|meth|mod|attr|exc|data):<code>~?([\w.]+)(?:\(\))?</code>")
 # Pages on which a public name of a package, by itself, means just that.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lensdesign.cli import compare as cli_compare
 from lensdesign.cli import ghost as cli_ghost
 from lensdesign.cli import manufacture as cli_manufacture
 from lensdesign.cli import search as cli_search
@@ -40,6 +41,7 @@ app = make_app(
         },
         "Evaluate": {
             "check": "Check a lens against its sensor or a specification.",
+            "compare": "Compare designs side by side.",
             "draw": "Draw layout, spots, spread and a 3D view.",
             "view": "Show the lens in 3D.",
             "ghost": "Find where light reflected twice in the lens goes.",
@@ -132,6 +134,7 @@ def draw(
     _report_files(draw_all(lens, output, chosen, warn=lambda note: typer.echo(note, err=True)), as_json)
 
 
+app.command()(cli_compare.compare)
 app.command()(cli_search.optimize)
 app.command()(cli_search.explore)
 app.command()(cli_search.limits)
@@ -154,24 +157,41 @@ def scale(
         float, typer.Argument(metavar="FACTOR", help="Factor by which all lengths are multiplied.")
     ],
     output: Annotated[Path, output_option("Design file to write.", "TWIN")],
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="STUDY",
+            help="Tolerance study whose tolerances are scaled, too: TWIN_tolerances.toml is written.",
+            rich_help_panel=OptionGroup.TOLERANCES,
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write the same lens at another size.
 
     Numerical aperture, spread angle, glass and pixel pitch do not change. For a small twin, wave optics of
-    the whole field takes seconds.
+    the whole field takes seconds. Of the tolerances of a study, lengths scale and angles do not.
     """
     from lensdesign.files.design import load_design, save_design
     from lensdesign.lens.scaling import scaled
 
     if os.path.exists(output) and output.samefile(design):
         raise InputError(f"cannot write {output}: it is the design itself; give another file name")
-    twin = scaled(load_design(design), factor)
+    lens = load_design(design)
+    twin = scaled(lens, factor)
     twin = twin.replaced(title=f"{twin.title}, scaled by {factor:g}".lstrip(", "))
+    written: dict[str, str] = {}
+    if study is not None:
+        from lensdesign.optimization.as_built import as_built_by
+
+        built = as_built_by(str(study), lens)
+        written["study"] = str(built.write_scaled(factor, twin, output))
     save_design(twin, output)
     if as_json:
-        print_json({"design": str(output), "factor": factor, "title": twin.title})
+        print_json({"design": str(output), "factor": factor, "title": twin.title} | written)
     else:
+        for path in written.values():
+            typer.echo(f"wrote {path}")
         columns, rows = twin.sensor.pixels
         typer.echo(
             f"wrote {output}: field {twin.object.field_diameter_mm:g} mm, stop "

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Design
+from lensdesign.common.options import GRADES, Design
 from lensdesign.errors import InputError
 
 
@@ -26,7 +26,7 @@ def studio(
     tolerances: Annotated[
         str,
         typer.Option(
-            metavar="[commercial|precision|high_precision|iso10110]|STUDY",
+            metavar=f"{GRADES}|STUDY",
             help="Grade or study file with manufacturing tolerances.",
             rich_help_panel=OptionGroup.TOLERANCES,
         ),

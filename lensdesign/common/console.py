@@ -41,6 +41,11 @@ class _Group(TyperGroup):
     """Commands in titled groups, which exit after an interrupt with the status that shells expect."""
 
     contents: ClassVar[Contents] = {}
+    former_names: ClassVar[Mapping[str, str]] = {}
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command of a name, which may be a former one."""
+        return super().get_command(ctx, self.former_names.get(cmd_name, cmd_name))
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands, in the order of the groups."""
@@ -75,7 +80,7 @@ class _App(typer.Typer):
         return decorate
 
 
-def make_app(purpose: str, contents: Contents) -> typer.Typer:
+def make_app(purpose: str, contents: Contents, former_names: Mapping[str, str] | None = None) -> typer.Typer:
     """Return a Typer application with the common settings and options of all commands.
 
     Parameters
@@ -84,9 +89,11 @@ def make_app(purpose: str, contents: Contents) -> typer.Typer:
         What the commands are for, in one sentence.
     contents
         All commands in their groups, as the help lists them.
+    former_names
+        Former names of commands, which the help does not list, with the present ones.
     """
     app = _App(
-        cls=type("_ListedGroup", (_Group,), {"contents": contents}),
+        cls=type("_ListedGroup", (_Group,), {"contents": contents, "former_names": former_names or {}}),
         help=purpose,
         no_args_is_help=True,
         add_completion=False,

@@ -130,7 +130,11 @@ def help_record(param: Any, ctx: Any) -> Row:
         names = param.metavar
     elif param.metavar is None and not getattr(param, "is_flag", False):
         names = re.sub(r"(?<= )(<.*>(\.\.\.)?|[A-Z ]+)$", lambda found: _value(found[0]), names)
-    unit = UNITS.get(param.opts[0].rpartition("-")[2]) if param.opts else None
+    first, *former = [one for one in param.opts if one.startswith("--")] or [""]
+    if HELP_ALL not in param.opts:
+        for name in former:  # former names keep working, but the help does not show them
+            names = names.replace(f", {name}", "", 1)
+    unit = UNITS.get(first.rpartition("-")[2])
     if unit is None or f"in {unit}" in text:
         return names, text
     plain, bracket, notes = text.rpartition("  [")

@@ -11,6 +11,9 @@ from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.outputs import output_file, output_folder
 
 Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
+GRADES = "[commercial|precision|high_precision|moulded_glass|moulded_plastic|iso10110]"
+"""Grades of tolerances, as the help shows them."""
+
 Json = Annotated[
     bool,
     typer.Option("--json", help="Print one JSON object instead of text.", rich_help_panel=OptionGroup.OUTPUT),

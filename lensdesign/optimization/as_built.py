@@ -240,6 +240,9 @@ class AsBuilt(Protocol):
     def scaled(self, factor: float) -> AsBuilt:
         """Return the study with all tolerances multiplied."""
 
+    def write_scaled(self, factor: float, twin: Lens, design: Path) -> Path:
+        """Write the study of the scaled lens beside its design file, and return its path."""
+
     def priced(self, costs: Path | None, cost: float | None) -> AsBuilt:
         """Return the study with a table of costs; its tolerances are multiplied to reach a given cost."""
 
@@ -270,15 +273,39 @@ def read_as_built(tolerances: Tolerances) -> AsBuilt:
     return _read(study, changed, tolerances)
 
 
-@lru_cache(maxsize=4)
-def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances) -> AsBuilt:
+def as_built_by(name: str, lens: Lens) -> AsBuilt:
+    """Return the study of a grade for a lens, or that of a study file.
+
+    Parameters
+    ----------
+    name
+        A grade of tolerances, such as ``precision``, or the path of a tolerance study.
+    lens
+        The lens, to which a grade is applied.
+
+    Raises
+    ------
+    DesignError
+        If it is neither, or no package that reads studies is installed.
+    """
+    found: AsBuilt = _reader()(Path(name), lens)
+    return found
+
+
+def _reader() -> Any:
+    """Return the function that reads a study."""
     from importlib.metadata import entry_points
 
     group = "lensdesign.as_built"
     readers = tuple(entry_points(group=group, name="study"))
     if not readers:
         raise DesignError(f"tolerances: no package that reads a study is installed (entry point {group})")
-    found: AsBuilt = readers[0].load()(path)
+    return readers[0].load()
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances) -> AsBuilt:
+    found: AsBuilt = _reader()(path)
     costs = None if tolerances.costs is None else Path(tolerances.costs)
     return found.scaled(tolerances.factor).priced(costs, tolerances.cost)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -12,10 +11,9 @@ from lensdesign.lens.lens import Lens
 from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.perturbations.grades import GRADES, starting_study
 from tolerancing.prediction.study_prediction import StudyPrediction, predict_study
 from tolerancing.prediction.wavefront_prediction import drawn_batch
-from tolerancing.study.files import check_against, load_study, study_from_tables
+from tolerancing.study.files import check_against, study_by_name
 from tolerancing.study.study import Study
 
 
@@ -81,12 +79,7 @@ def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
     InputError
         If it is neither, or the lens lacks surfaces or elements that the study perturbs.
     """
-    if name in GRADES:
-        tables = tomllib.loads(starting_study(lens, "design.toml", name))
-        return ManufacturingQuality(name, study_from_tables(tables, name))
-    study = load_study(Path(name)).study
-    check_against(study, lens, name)
-    return ManufacturingQuality(Path(name).name, study)
+    return ManufacturingQuality(Path(name).name, study_by_name(name, lens))
 
 
 def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltPrediction:

@@ -29,6 +29,7 @@ GOALS = (
     "thinnest lens",
     "smallest aperture",
     "shortest track",
+    "longest working distance",
     "as-built rms",
     "yield",
 )

@@ -8,11 +8,11 @@ from typing import Any
 
 import panel as pn
 
+from lensdesign.analysis.comparison import compare_designs
 from lensdesign.errors import TransferLensError
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.compared import compared
 from studio.panes.common import bench_of, follow, message, message_pane, text
 
 
@@ -20,7 +20,7 @@ def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
     """Return the markup of a table of designs; differences are marked."""
     heads = "".join(f"<th>{text(name)}</th>" for name in names)
     rows = []
-    for line in compared(lenses):
+    for line in compare_designs(lenses):
         cells = "".join(
             f'<td class="{"miss-value" if met is False else ""}">{text(value)}</td>'
             for value, met in zip(line.values, line.met, strict=True)

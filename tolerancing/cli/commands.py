@@ -48,10 +48,11 @@ app = make_app(
             "cost": "Show the relative cost of each tolerance.",
         },
         "Statistics": {
-            "rare": "Estimate the yield of a lens that seldom fails.",
-            "indices": "Find how much of a merit's variance each error causes.",
+            "rare-failures": "Estimate the yield of a lens that seldom fails.",
+            "variance": "Find how much of a merit's variance each error causes.",
         },
     },
+    {"rare": "rare-failures", "indices": "variance"},
 )
 
 app.command()(cli_tolerances.start)
@@ -298,8 +299,8 @@ app.command()(cli_tolerances.sensitivity)
 app.command()(cli_tolerances.inverse)
 app.command()(cli_tolerances.budget)
 app.command()(cli_tolerances.cost)
-app.command()(cli_statistics.rare)
-app.command()(cli_statistics.indices)
+app.command("rare-failures")(cli_statistics.rare)
+app.command("variance")(cli_statistics.indices)
 
 
 def _print_trial(trial: SingleTrial) -> None:

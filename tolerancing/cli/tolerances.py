@@ -11,7 +11,7 @@ import typer
 
 from lensdesign.common.console import messages_only, print_json
 from lensdesign.common.option_groups import OptionGroup
-from lensdesign.common.options import Design, Json, output_option
+from lensdesign.common.options import GRADES, Design, Json, output_option
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
@@ -64,7 +64,7 @@ def start(
     grade: Annotated[
         str,
         typer.Option(
-            metavar="[commercial|precision|high_precision|iso10110]",
+            metavar=GRADES,
             help="Grade of the tolerances; iso10110: general tolerances.",
             rich_help_panel=OptionGroup.TOLERANCES,
         ),

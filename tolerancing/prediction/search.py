@@ -41,7 +41,8 @@ from tolerancing.prediction.wavefront_prediction import (
     wavefront_points,
 )
 from tolerancing.study.evaluate import compensated_points, prepare_merits
-from tolerancing.study.files import check_against, load_study
+from tolerancing.study.files import check_against, load_study, study_by_name
+from tolerancing.study.scaling import write_scaled_study
 from tolerancing.study.study import Study
 
 
@@ -71,6 +72,10 @@ class StudyAsBuilt:
     def yield_predictor(self) -> DrawingYieldPredictor:
         """Return an object that derives tolerances of drawings and predicts their yields by the study."""
         return DrawingYieldPredictor(self.study, self.source)
+
+    def write_scaled(self, factor: float, twin: Lens, design: Path) -> Path:
+        """Write the study of the scaled lens beside its design file, and return its path."""
+        return write_scaled_study(self.study, Path(self.source).parent, factor, twin, design)
 
     def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
         """Return the study with a table of costs and, if given, a cost to which tolerances are scaled."""
@@ -321,8 +326,10 @@ class StudyAsBuilt:
         return _multiplied(study, self.factor(bent(lens)))
 
 
-def read_study(path: Path) -> StudyAsBuilt:
-    """Read a study for a search."""
+def read_study(path: Path, lens: Lens | None = None) -> StudyAsBuilt:
+    """Read a study for a search; with a lens, the study or the grade of this name for that lens."""
+    if lens is not None:
+        return StudyAsBuilt(study_by_name(str(path), lens), lens, str(path))
     loaded = load_study(path)
     return StudyAsBuilt(loaded.study, loaded.lens, str(path))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -311,8 +312,8 @@ def start_study(
     path
         The study file to write; an existing file is replaced. It names the design relative to its folder.
     grade
-        ``commercial``, ``precision``, ``high_precision``, or ``iso10110`` for the general tolerances of
-        ISO 10110-11, which depend on the size of a part.
+        ``commercial``, ``precision``, ``high_precision``, ``moulded_glass``, ``moulded_plastic``, or
+        ``iso10110`` for the general tolerances of ISO 10110-11, which depend on the size of a part.
 
     Raises
     ------
@@ -334,6 +335,32 @@ def start_study(
     text = starting_study(load_design(design), name, grade)
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def study_by_name(name: str, lens: Lens) -> Study:
+    """Return the study of a grade for a lens, as :func:`start_study` writes it, or that of a study file.
+
+    Parameters
+    ----------
+    name
+        A grade, or the path of a study, whose own design is ignored.
+    lens
+        The lens.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or the lens lacks surfaces or elements that the study perturbs.
+    """
+    from tolerancing.perturbations.grades import GRADES, starting_study
+
+    if name in GRADES:
+        return study_from_tables(tomllib.loads(starting_study(lens, "design.toml", name)), name)
+    if not os.path.exists(name):
+        raise InputError(f"{name!r}: no grade of tolerances ({', '.join(GRADES)}), and no such study file")
+    study = load_study(name).study
+    check_against(study, lens, name)
+    return study
 
 
 def check_against(study: Study, lens: Lens, source: str) -> None:

@@ -1,6 +1,6 @@
 """Registry of the analytic cases: scenes with an object field whose exit field is known without an engine.
 
-The command `wavesim oracle` compares engines with them. To add a case, write a module and add a line to
+The command `wavesim check-engine` compares engines with them. To add a case, write a module and add a line to
 `ANALYTIC_CASES`.
 """
 

@@ -1,4 +1,4 @@
-"""The command `wavesim choose`: compare all engines on a scene, and name the one that is selected."""
+"""The command `wavesim choose-engine`: compare all engines on a scene, and name the one that is selected."""
 
 from __future__ import annotations
 

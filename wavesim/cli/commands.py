@@ -40,15 +40,25 @@ app = make_app(
         },
         "Predict and compare": {
             "pupil": "Predict the resolution with a lens that is displaced.",
-            "choose": "Choose the cheapest engine that is accurate enough.",
-            "compare": "Chart error against time of all engines.",
-            "resolve": "Test which lines each engine reconstructs.",
-            "oracle": "Compare an engine with an exact solution.",
+            "choose-engine": "Choose the cheapest engine that is accurate enough.",
+            "compare-engines": "Chart error against time of all engines.",
+            "resolve-lines": "Test which lines each engine reconstructs.",
+            "check-engine": "Compare an engine with an exact solution.",
         },
     },
+    {
+        "choose": "choose-engine",
+        "compare": "compare-engines",
+        "resolve": "resolve-lines",
+        "oracle": "check-engine",
+    },
 )
-for command in (oracle, resolve, choose, compare, plan, image, reconstruct, calibrate, view):
+for command in (plan, image, reconstruct, calibrate, view):
     app.command()(with_settings(command))
+app.command("choose-engine")(with_settings(choose))
+app.command("compare-engines")(with_settings(compare))
+app.command("resolve-lines")(with_settings(resolve))
+app.command("check-engine")(with_settings(oracle))
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""The command `wavesim compare`: error against cost of all engines, and where each fails."""
+"""The command `wavesim compare-engines`: error against cost of all engines, and where each fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `wavesim oracle`: compare an engine with an exact solution."""
+"""The command `wavesim check-engine`: compare an engine with an exact solution."""
 
 from __future__ import annotations
 
@@ -43,6 +43,8 @@ def oracle(
     oracle: Annotated[
         str,
         typer.Option(
+            "--solution",
+            "--oracle",
             metavar=f"[{'|'.join(ANALYTIC_CASES)}]",
             help="Exact solution.",
             rich_help_panel=OptionGroup.EVALUATION,

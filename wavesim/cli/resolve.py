@@ -1,4 +1,4 @@
-"""The command `wavesim resolve`."""
+"""The command `wavesim resolve-lines`."""
 
 from __future__ import annotations
 

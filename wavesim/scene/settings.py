@@ -402,7 +402,7 @@ class ImageSettings(
 
 
 class ChoiceSettings(PatchSettings, ObjectSettings):
-    """The object for whose light `wavesim choose` predicts the errors of the engines."""
+    """The object for whose light `wavesim choose-engine` predicts the errors of the engines."""
 
     patch_mm: float = Field(0.1, description="Side of the object patch.")
 

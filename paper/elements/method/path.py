@@ -46,7 +46,8 @@ def figure_11(work: Work) -> Made:
         "(`wavesim.fields.propagator`) if pitches differ."
     )
     command = (
-        "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"
+        "wavesim resolve-lines designs/paper_singlet.toml --engine slices --slices 200 "
+        "--compensation vertical"
     )
     return Made(numbers, (command, "python -m pytest tests/wavesim/engines/slices"), difference, (picture,))
 

@@ -126,7 +126,8 @@ def figure_4(work: Work) -> Made:
         "paper`) makes slices of the entrance surface even thicker."
     )
     command = (
-        "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"
+        "wavesim resolve-lines designs/paper_singlet.toml --engine slices --slices 200 "
+        "--compensation vertical"
     )
     return Made(numbers, (command,), difference, (picture,))
 

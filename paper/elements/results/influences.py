@@ -90,8 +90,8 @@ def figure_7a(work: Work) -> Made:
         "5d."
     )
     command = (
-        "wavesim resolve designs/paper_singlet.toml --engine slices --slices 30 --compensation vertical "
-        "--linewidths-um 0.775,1.55"
+        "wavesim resolve-lines designs/paper_singlet.toml --engine slices --slices 30 "
+        "--compensation vertical --linewidths-um 0.775,1.55"
     )
     return Made(tuple(numbers), (command, "python -m paper --only figure-7a"), difference, pictures)
 

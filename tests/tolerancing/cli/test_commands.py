@@ -75,17 +75,17 @@ def test_the_cheapest_budget_goes_to_the_drawing(command, write_study, ray_study
 
 def test_indices_and_their_chart(command, write_study, ray_study, tmp_path):
     study, chart = write_study(ray_study), tmp_path / "indices.svg"
-    ran = command("indices", study, "--base", "16", "-o", chart)
+    ran = command("variance", study, "--base", "16", "-o", chart)
     assert ran.returncode == 0, ran.stderr
     assert "products of perturbations" in ran.stdout
     assert "<svg" in chart.read_text()
-    found = json.loads(command("indices", study, "--base", "16", "--json").stdout)
+    found = json.loads(command("variance", study, "--base", "16", "--json").stdout)
     assert found["trials"] == 64
     (own,) = found["merits"].values()
     assert [row["total"] for row in own["indices"]] == sorted(
         (r["total"] for r in own["indices"]), reverse=True
     )
-    refused = command("indices", study, "-o", tmp_path / "indices.gif")
+    refused = command("variance", study, "-o", tmp_path / "indices.gif")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "suffix must be one of" in refused.stderr
 
@@ -93,13 +93,13 @@ def test_indices_and_their_chart(command, write_study, ray_study, tmp_path):
 def test_the_yield_of_a_lens_that_seldom_fails(command, write_study, ray_study, tmp_path):
     store = tmp_path / "a.db"
     assert command("run", write_study(ray_study), "--store", store, "--workers", "1").returncode == 0
-    ran = command("rare", store, "--trials", "60", "--json")
+    ran = command("rare-failures", store, "--trials", "60", "--json")
     assert ran.returncode == 0, ran.stderr
     found = json.loads(ran.stdout)
     assert 0.0 <= found["yield"]["low"] <= found["yield"]["share"] <= found["yield"]["high"] <= 1.0
     assert found["trials"] == 60
-    assert "plain trials" in command("rare", store, "--trials", "60").stdout
-    assert command("rare", store, "--trials", "7").returncode == 2
+    assert "plain trials" in command("rare-failures", store, "--trials", "60").stdout
+    assert command("rare-failures", store, "--trials", "7").returncode == 2
 
 
 def test_run_show_and_report(command, write_study, full_study, tmp_path):

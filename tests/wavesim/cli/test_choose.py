@@ -1,4 +1,4 @@
-"""The command `wavesim choose`."""
+"""The command `wavesim choose-engine`."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ WHERE = ("--patch-mm", "0.05", "--plane-distance-mm", "0.125", "--meridional")
 
 @pytest.fixture
 def choose(wavesim: Command) -> Command:
-    """The command `wavesim choose`."""
-    return partial(wavesim, "choose")
+    """The command `wavesim choose-engine`."""
+    return partial(wavesim, "choose-engine")
 
 
 @pytest.fixture

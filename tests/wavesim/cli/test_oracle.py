@@ -1,4 +1,4 @@
-"""The command `wavesim oracle`, end to end."""
+"""The command `wavesim check-engine`, end to end."""
 
 import json
 
@@ -11,7 +11,7 @@ from wavesim.scene.settings import SingleEngineDetails
 
 def test_json_holds_error_cost_and_settings(wavesim: Command) -> None:
     code, out, _ = wavesim(
-        "oracle", "--engine", "thin-lens", "--radius-mm", "0.05", "--pitch-um", "0.2", "--json"
+        "check-engine", "--engine", "thin-lens", "--radius-mm", "0.05", "--pitch-um", "0.2", "--json"
     )
     assert code == 0
     data = json.loads(out)
@@ -25,7 +25,7 @@ def test_json_holds_error_cost_and_settings(wavesim: Command) -> None:
 
 
 def test_table_for_people(wavesim: Command) -> None:
-    code, out, _ = wavesim("oracle", "--engine", "no-lens", "--oracle", "beam")
+    code, out, _ = wavesim("check-engine", "--engine", "no-lens", "--solution", "beam")
     assert code == 0
     for text in ("no-lens on the exact beam", "relative error", "measured", "predicted", "peak memory (MB)"):
         assert text in out
@@ -35,23 +35,26 @@ def test_table_for_people(wavesim: Command) -> None:
     ("arguments", "message"),
     [
         (("--engine", "wmp"), "engine = 'wmp': there is no such engine"),
-        (("--engine", "no-lens", "--oracle", "cube"), "oracle = 'cube': there is no such oracle"),
+        (("--engine", "no-lens", "--solution", "cube"), "oracle = 'cube': there is no such oracle"),
         (("--engine", "no-lens", "--slices", "3"), "engine no-lens: slices = 3: there is no such setting"),
         (("--engine", "no-lens", "--radius-mm", "nan"), "radius_mm = nan"),
         (
             ("--engine", "no-lens", "--radius-mm", "1e-3"),
             "radius_mm = 0.001: must be at least 15 wavelengths",
         ),
-        (("--engine", "no-lens", "--oracle", "plane", "--radius-mm", "1"), "there is no such argument"),
-        (("--engine", "no-lens", "--oracle", "plane", "--incidence-deg", "88"), "incidence_deg = 88"),
-        (("--engine", "no-lens", "--oracle", "stigmatic", "--semi-diameter-mm", "0"), "semi_diameter_mm = 0"),
+        (("--engine", "no-lens", "--solution", "plane", "--radius-mm", "1"), "there is no such argument"),
+        (("--engine", "no-lens", "--solution", "plane", "--incidence-deg", "88"), "incidence_deg = 88"),
+        (
+            ("--engine", "no-lens", "--solution", "stigmatic", "--semi-diameter-mm", "0"),
+            "semi_diameter_mm = 0",
+        ),
         (("--engine", "thin-lens", "--pitch-um", "-1"), "--pitch-um = -1: must be finite and greater than 0"),
     ],
 )
 def test_bad_input_is_one_message_and_status_two(
     wavesim: Command, arguments: tuple[str, ...], message: str
 ) -> None:
-    code, out, err = wavesim("oracle", *arguments)
+    code, out, err = wavesim("check-engine", *arguments)
     assert code == 2
     assert out == ""
     assert err.startswith("error: ")

@@ -186,7 +186,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     small = [("eikonal", "eikonal", {"error": error}) for error in (0.1, 0.01)]
     monkeypatch.setattr("wavesim.metrics.comparison.variants", lambda scene: small)
     options = ["--patch-mm", "0.01", "--radius-mm", "0.05", "--no-planes", "--no-maps", "--json"]
-    monkeypatch.setattr(sys, "argv", ["wavesim", "compare", str(design), "-o", str(out), *options])
+    monkeypatch.setattr(sys, "argv", ["wavesim", "compare-engines", str(design), "-o", str(out), *options])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         with pytest.raises(SystemExit) as stopped:
@@ -204,7 +204,7 @@ def test_command_refuses(
 ) -> None:
     design, out = tmp_path / "twin.toml", tmp_path / "out"
     save_design(TWIN, design)
-    monkeypatch.setattr(sys, "argv", ["wavesim", "compare", str(design), "-o", str(out), *options])
+    monkeypatch.setattr(sys, "argv", ["wavesim", "compare-engines", str(design), "-o", str(out), *options])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2

@@ -238,7 +238,7 @@ def twin_file(tmp_path: Path) -> Path:
 def test_command_prints_contrasts(twin_file: Path) -> None:
     options = ["--linewidths-um", "1.55,0.775", "--field-mm", "0,0.1", "--plane-distance-mm", "0.25"]
     engine = ["--engine", "slices", "--slices", "30", "--compensation", "oblique"]
-    result = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *engine, "--json"])
+    result = CliRunner().invoke(app, ["resolve-lines", str(twin_file), *options, *engine, "--json"])
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert np.shape(found["contrast"]) == (2, 2)
@@ -246,7 +246,7 @@ def test_command_prints_contrasts(twin_file: Path) -> None:
     assert found["linewidths_um"] == [1.55, 0.775]
     for key in ("refocus_um", "shift_um", "contrast_as_is", "exit_correlation"):
         assert np.all(np.isfinite(found[key]))
-    shown = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *engine])
+    shown = CliRunner().invoke(app, ["resolve-lines", str(twin_file), *options, *engine])
     limits = "contrast of 0.5 or more down to 0.775 um, contrast of 0.2 or more down to 0.775 um"
     assert f"field 0.1 mm: {limits}" in shown.stdout
     assert "-0.000" not in shown.stdout
@@ -256,7 +256,7 @@ def test_command_compares_engines_in_one_picture(twin_file: Path, tmp_path: Path
     picture = tmp_path / "resolved.png"
     options = ["--linewidths-um", "1.0,0.775", "--plane-distance-mm", "0.25", "-o", str(picture)]
     engines = ["--engine", "slices:slices=30,compensation=oblique,spacing=equal", "--engine", "eikonal"]
-    result = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *engines, "--json"])
+    result = CliRunner().invoke(app, ["resolve-lines", str(twin_file), *options, *engines, "--json"])
     assert result.exit_code == 0, result.output
     oblique, eikonal = json.loads(result.stdout)["engines"]
     assert oblique["settings"][0]["slices"] == 30
@@ -269,7 +269,7 @@ def test_command_compares_engines_in_one_picture(twin_file: Path, tmp_path: Path
 def test_spacing_is_an_option(twin_file: Path) -> None:
     options = ["--linewidths-um", "0.775", "--plane-distance-mm", "0.25", "--slices", "30", "--json"]
     spacing = ["--compensation", "oblique", "--spacing", "equal-phase"]
-    result = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *spacing])
+    result = CliRunner().invoke(app, ["resolve-lines", str(twin_file), *options, *spacing])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["settings"][0]["spacing"] == "equal-phase"
 
@@ -297,7 +297,7 @@ def test_command_refuses(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    arguments = ["wavesim", "resolve", str(twin_file), "--plane-distance-mm", "0.25", *options]
+    arguments = ["wavesim", "resolve-lines", str(twin_file), "--plane-distance-mm", "0.25", *options]
     monkeypatch.setattr(sys, "argv", arguments)
     with pytest.raises(SystemExit) as stopped:
         main()
