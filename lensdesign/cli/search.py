@@ -236,13 +236,18 @@ def limits(
             rich_help_panel=OptionGroup.OUTPUT,
         ),
     ] = None,
+    output: Annotated[
+        Path | None,
+        output_option("Folder for the design of the lens at each limit.", "DIR", is_folder=True),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find the largest field, aperture, pixel and tolerances for which a lens meets the specification.
 
-    Each quantity is enlarged alone while the others stay as specified. A limit is confirmed by independent
-    starts just above it, which is no proof. After an interrupt or a time limit, the limits found so far are
-    printed.
+    Each quantity is enlarged alone while the others stay as specified; the constraints that prevent more are
+    named. --output writes the lens with the largest field and those at the other limits. A limit is confirmed
+    by independent starts just above it, which is no proof. After an interrupt or a time limit, the limits
+    found so far are printed.
 
     Exit status: 0, 1 if the specification itself cannot be met or the time limit ended the search, 2 for bad
     input, 130 or 143 after an interrupt.
@@ -258,14 +263,31 @@ def limits(
             found = find_limits(asked, status.update, seed)
     except LimitsInterrupted as stop:
         found, interrupted = stop.limits, True
+    written = {} if output is None else _write_lenses(found, output)
     if as_json:
-        print_json({"limits": [one.as_dict() for one in found]})
+        print_json({"limits": [one.as_dict() | {"design": written.get(one.name)} for one in found]})
     else:
         _print_limits(found)
+        for path in written.values():
+            typer.echo(f"wrote {path}")
     if interrupted:
         raise KeyboardInterrupt(f"interrupted during limit {len(found)}; this last limit is not confirmed")
     met = all(one.reached is not None and one.reached >= one.asked and not one.cut for one in found)
     raise typer.Exit(0 if met else 1)
+
+
+def _write_lenses(found: Sequence[Limit], folder: Path) -> dict[str, str]:
+    """Write the lens at each limit to a folder, and return the files by the names of the limits."""
+    from lensdesign.files.design import save_design
+
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {}
+    for one in found:
+        if one.lens is not None:
+            path = folder / f"largest_{one.name.replace(' ', '_')}.toml"
+            save_design(one.lens, path)
+            files[one.name] = str(path)
+    return files
 
 
 def _print_limits(found: Sequence[Limit]) -> None:

@@ -405,6 +405,8 @@ def _goal(specification: Specification, goals: list[Operand]) -> tuple[float, st
         return math.degrees(math.asin(min(1.0, sine))), "deg"
     if goal == "smallest aperture":
         return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
+    if goal == "longest working distance":
+        return -largest * specification.object.working_distance_mm, "mm"
     return largest * specification.exit_vertex_z_mm, "mm"
 
 

@@ -2,12 +2,45 @@
 
 The grades ``commercial``, ``precision`` and ``high_precision`` follow the usual tolerance charts of
 manufacturers. The grade ``iso10110`` uses the general tolerances of ISO 10110-11 (1996 edition, table 1),
-which apply if a drawing gives none. Neither replaces the values of the manufacturer or the current standard.
+which apply if a drawing gives none. The grades ``moulded_glass`` and ``moulded_plastic`` are those of mass
+production; the tables below have the source of each value. No grade replaces the values of the manufacturer
+or the current standard.
+
+=====================  ===============  =================================================================
+value                  moulded_plastic  source
+=====================  ===============  =================================================================
+radius                 1 %              Apollo Optical Systems, Manufacturing Tolerances,
+                                        https://www.apollooptical.com/manufacturing-tolerances (injection
+                                        moulding, commercial): radius of curvature
+centre thickness       0.025 mm         same table: centre thickness
+irregularity           3 waves          same table: 6 fringes at 632.8 nm over 25 mm
+decenter of a surface  0.025 mm         same table: concentricity of both surfaces
+tilt of a surface      6 arc minutes    estimate: 0.025 mm over a part of 14 mm
+index, Abbe number     0.002, 1 %       estimates: density of the part and batch of the polymer
+=====================  ===============  =================================================================
+
+=====================  ===============  =================================================================
+value                  moulded_glass    source
+=====================  ===============  =================================================================
+radius                 0.5 %            estimate: half that of plastic, since glass shrinks less; no
+                                        published chart is known
+centre thickness       0.025 mm         estimate: as plastic, the play of the press is the same
+irregularity           1.5 waves        estimate: half that of plastic, for the same reason
+decenter of a surface  0.025 mm         estimate: as plastic, set by the same kind of mould
+tilt of a surface      3 arc minutes    estimate: half that of plastic
+index, Abbe number     0.001, 0.8 %     estimate: as commercial glass. Fast cooling changes the index
+                                        (Schaub, Schwertz and Symmons, Field Guide to Molded Optics,
+                                        SPIE 2016, "Index Tolerances"); the design must have the changed
+                                        index
+=====================  ===============  =================================================================
+
+The table of relative costs (`tolerancing/cost/relative.toml`) refers to the same values. Mounts of moulded
+parts have the values of ``commercial``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import tomli_w
@@ -62,6 +95,17 @@ class Grade:
 COMMERCIAL = Grade(0.2, 0.15, 1.0, 3.0 / 60.0, 0.05, 0.001, 0.8, 0.1, 0.2, 0.1, 0.5)
 PRECISION = Grade(0.1, 0.05, 0.25, 1.0 / 60.0, 0.02, 0.0005, 0.5, 0.05, 0.1, 0.05, 0.2)
 HIGH_PRECISION = Grade(0.025, 0.01, 0.1, 0.5 / 60.0, 0.005, 0.0002, 0.2, 0.01, 0.03, 0.02, 0.1)
+MOULDED_GLASS = replace(
+    COMMERCIAL,
+    radius_percent=0.5,
+    thickness_mm=0.025,
+    irregularity_pv_waves=1.5,
+    wedge_deg=0.05,
+    asphere_decenter_mm=0.025,
+)
+MOULDED_PLASTIC = replace(
+    MOULDED_GLASS, radius_percent=1.0, irregularity_pv_waves=3.0, wedge_deg=0.1, index=0.002, abbe_percent=1.0
+)
 
 
 FRINGE_UM = 0.5 * MERCURY_LINE_UM
@@ -71,6 +115,8 @@ GRADES: dict[str, Grade | None] = {
     "commercial": COMMERCIAL,
     "precision": PRECISION,
     "high_precision": HIGH_PRECISION,
+    "moulded_glass": MOULDED_GLASS,
+    "moulded_plastic": MOULDED_PLASTIC,
     "iso10110": None,
 }
 """Grades by name; None: the tolerances depend on the size of the part."""
@@ -121,10 +167,17 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
             "# Later editions differ; check against the edition that the drawing names. The standard has no",
             "# tolerances for glass, decenter of aspheres and mounts: these are of the commercial grade.",
         ]
+    elif grade == "moulded_plastic":
+        lines += [
+            "# Radii, thickness, irregularity and decenter: commercial injection moulding (Apollo Optical",
+            "# Systems, Manufacturing Tolerances). Tilts and index: estimates. Mounts: commercial grade.",
+        ]
+    elif grade == "moulded_glass":
+        lines += ["# Parts and glass: estimates for pressed glass. Mounts: of the commercial grade."]
     else:
         lines += ["# Parts, glass and mounts: values of manufacturers' tolerance charts for this grade."]
     # Samples across the pupil that resolve the wavefront errors of each grade.
-    pupil_samples = {"commercial": 256, "precision": 128, "high_precision": 128, "iso10110": 256}
+    samples = {"precision": 128, "high_precision": 128}.get(grade, 256)
     lines += [
         tomli_w.dumps({"title": title, "design": design_name}).rstrip("\n"),
         f"trials = {TRIALS}",
@@ -132,7 +185,7 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
         _commented("pivot_z_mm = 0.0", "the lens tilts about its front vertex"),
         "",
         "[sampling]",
-        _commented(f"pupil_samples = {pupil_samples[grade]}", "resolves the wavefront errors of this grade"),
+        _commented(f"pupil_samples = {samples}", "resolves the wavefront errors of this grade"),
     ]
     return "\n".join(lines) + "\n"
 

@@ -53,6 +53,11 @@ def goal_operands(specification: Specification, state: State) -> list[Operand]:
             for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
             for i in range(len(lens.surfaces))
         ]
+    if goal == "longest working distance":
+        reference = specification.object.working_distance_mm
+        by = np.array([float(v.kind == "working_distance") for v in state.variables])
+        distance = state.lens.object.working_distance_mm
+        return [Operand(goal, np.array([-distance / reference]), -by[None] / reference)]
     length, by = track(state) if goal == "shortest track" else lens_thickness(state)
     reference = lens.exit_vertex_z_mm
     return [Operand(goal, np.array([length / reference]), by[None] / reference)]

@@ -165,7 +165,8 @@ class Settings(FrozenModel):
     goal
         ``smallest spread`` (the largest ratio of spread to limit over the wavelengths, Eq. 2),
         ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
-        ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``as-built rms`` (the largest
+        ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``longest working distance``
+        (which must be a variable), ``as-built rms`` (the largest
         wavefront error of built lenses at the tolerances' object points), ``yield`` (the fraction of
         lenses that keep all limits of the study), or ``as-built reconstruction loss`` (the largest mean
         over built lenses of a merit `reconstruction_loss` of the study).
@@ -194,6 +195,7 @@ class Settings(FrozenModel):
         "thinnest lens",
         "smallest aperture",
         "shortest track",
+        "longest working distance",
         "as-built rms",
         "yield",
         "as-built reconstruction loss",

@@ -74,6 +74,13 @@ class Specification(Lens):
             raise ValueError(
                 "goals and constraints of lenses as built need their tolerances: [tolerances] study"
             )
+        distance = "longest working distance"
+        if self.optimize.goal == distance and all(
+            v.parameter != "working_distance_mm" for v in self.variables
+        ):
+            raise ValueError(
+                f"goal = {distance!r}: needs a [[variable]] with working_distance_mm, and bounds"
+            )
         seen = set()
         for v in self.variables:
             if v.surface is not None and v.surface > len(self.surfaces):

@@ -10,6 +10,9 @@ import pytest
 from places import DESIGNS
 from programs import Command
 
+from lensdesign import load_design
+from lensdesign.optimization.limits.search import Limit
+
 Searched = Callable[..., tuple[int, str]]
 
 SPEC = DESIGNS / "thinnest_singlet_spec.toml"
@@ -57,3 +60,26 @@ def test_bad_input_writes_nothing(tmp_path: Path, searched: Searched, changed: l
     assert code == 2
     assert said in errors
     assert not out.exists()
+
+
+def test_the_lens_at_each_limit_is_written(
+    tmp_path: Path, searched: Searched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lens = load_design(DESIGNS / "thinnest_singlet.toml")
+    found = (
+        Limit("field", "mm", 3.0, 3.1, True, 12, ("spread",), "", lens),
+        Limit("numerical aperture", "", 0.5, None, True, 12),
+    )
+    monkeypatch.setattr("lensdesign.optimization.limits.search.find_limits", lambda *_: found)
+    code, said = searched("limits", SPEC, "-o", tmp_path / "limits", "--json")
+    assert code == 1
+    first, second = json.loads(said)["limits"]
+    assert (first["binding"], second["design"]) == (["spread"], None)
+    assert load_design(first["design"]) == lens
+    assert sorted(path.name for path in (tmp_path / "limits").iterdir()) == [
+        "largest_field.toml",
+        "settings.toml",
+    ]
+    code, said = searched("limits", SPEC, "-o", tmp_path / "limits")
+    assert "spread" in said
+    assert f"wrote {first['design']}" in said.replace("\n", "")

@@ -166,6 +166,22 @@ def test_working_distance_may_vary_with_the_stop_following_it(thinnest, goal):
     assert check_design(lens).feasible
 
 
+def test_the_longest_working_distance_is_found(thinnest):
+    specification = changed(
+        thinnest,
+        optimize=Settings(
+            goal="longest working distance", start="plate", stop="numerical aperture", starts=2, agreeing=1
+        ),
+        variables=(*thinnest.variables, WIDE[-1]),
+    )
+    found = optimize(specification)
+    assert found.feasible, found.violations
+    assert (found.goal_unit, found.goal_value) == ("mm", found.lens.object.working_distance_mm)
+    assert found.goal_value > thinnest.object.working_distance_mm
+    with pytest.raises(ValueError, match=r"needs a .*working_distance_mm"):
+        changed(thinnest, optimize=Settings(goal="longest working distance"))
+
+
 def test_two_wavelengths_are_both_kept(thinnest):
     specification = changed(
         thinnest, wavelengths_um=(0.532, 0.62), optimize=Settings(goal="thinnest lens", start="plate")

@@ -12,6 +12,7 @@ from random_lenses import lenses
 from lensdesign import DesignError, InputError, Lens, load_design
 from lensdesign.analysis.exit_beam import largest_spread_angle
 from lensdesign.manufacture.drawing.tolerances import GENERAL
+from tolerancing.cost.table import load_costs
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.distributions import DISTRIBUTIONS
 from tolerancing.perturbations.grades import COMMENT_COLUMN, GRADES, starting_study
@@ -217,6 +218,23 @@ def test_comments_are_aligned_and_lines_short(grade):
     assert {line.index("#") for line in commented} == {COMMENT_COLUMN}
     assert max(len(line) for line in text.splitlines()) <= 110
     assert {t["distribution"] for t in tomllib.loads(text)["perturbation"]} <= set(DISTRIBUTIONS)
+
+
+@pytest.mark.parametrize("process", ["moulded_glass", "moulded_plastic"])
+def test_moulded_grades_are_the_references_of_costs(process):
+    costs = load_costs(None).processes[process].prices
+    grade = GRADES[process]
+    assert grade is not None
+    for quantity, value in {
+        "radius_percent": grade.radius_percent,
+        "thickness_mm": grade.thickness_mm,
+        "irregularity_pv_waves": grade.irregularity_pv_waves,
+        "tilt_deg": grade.wedge_deg,
+        "decenter_mm": grade.asphere_decenter_mm,
+        "index": grade.index,
+        "abbe_percent": grade.abbe_percent,
+    }.items():
+        assert costs[quantity].reference == value, quantity
 
 
 def test_an_unknown_grade_is_refused():
