@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from lensdesign.analysis.outline import thinnest_drawn_edge
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
 from lensdesign.analysis.space_bandwidth import Matching, match, smallest_exit_beam_diameter_mm
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_element
@@ -46,7 +46,7 @@ class _Traced:
         return capped_sine(self.spread.spread_deg) / capped_sine(self.matching.spread_limit_deg)
 
 
-def check_design(lens: Lens | str | os.PathLike[str], *, refined: bool = True) -> CheckReport:
+def check_design(lens: Lens | FilePath, *, refined: bool = True) -> CheckReport:
     """Check whether a lens transfers its object to its sensor, at all its wavelengths.
 
     The constraints are the space-bandwidth product of the sensor (Eq. 1 of the paper), the spread angle
@@ -85,8 +85,7 @@ def check_design(lens: Lens | str | os.PathLike[str], *, refined: bool = True) -
     >>> report.feasible, round(report.efl_mm, 2)
     (True, 18.67)
     """
-    if not isinstance(lens, Lens):
-        lens = load_design(lens)
+    lens = object_of(lens, Lens, load_design, "lens")
     traced = [_trace(lens, w, refined) for w in lens.wavelengths_um]
     rows = tuple(t.row for t in traced)
     worst = max(traced, key=lambda t: t.load)

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.frozen_model import FrozenModel, Positive, as_path
 from lensdesign.common.notebook import html_table
-from lensdesign.errors import InputError
+from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.section_picture import section_svg
@@ -295,15 +295,20 @@ class Lens(FrozenModel):
         Parameters
         ----------
         index
-            Index of the surface, from 0.
+            Index of the surface in `surfaces`, from 0; files and messages call it surface 1.
         **changes
             New values by the names of :class:`Surface`'s fields.
 
         Raises
         ------
         DesignError
-            If the result is not a valid lens.
+            If there is no such surface, or the result is not a valid lens.
         """
+        count = len(self.surfaces)
+        if not -count <= index < count:
+            raise DesignError(
+                f"index = {index!r}: must be from 0 to {count - 1}, for surface 1 to surface {count}"
+            )
         surface = self.surfaces[index].replaced(**changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return self.replaced(surfaces=surfaces)

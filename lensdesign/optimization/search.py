@@ -8,13 +8,18 @@ from dataclasses import dataclass, field, replace
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.deadlines import DeadlineExceeded, deadline, no_deadline, now
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.errors import DesignError
 from lensdesign.optimization.local_search import Budget, SearchResult, search_from, starts_of, stopped_at
 from lensdesign.optimization.nlopt_driver import FEASIBLE
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.result import INTERRUPT, GlassChoiceResult, OptimizationResult, result_of
 from lensdesign.optimization.specification.choices import bases_of
-from lensdesign.optimization.specification.specification import Specification, validate_possible
+from lensdesign.optimization.specification.specification import (
+    Specification,
+    load_specification,
+    validate_possible,
+)
 from lensdesign.optimization.specification.stop_rules import Ending
 
 Report = Callable[[str], None]
@@ -34,7 +39,9 @@ class SearchInterrupted(KeyboardInterrupt):
         self.result = result
 
 
-def optimize(specification: Specification, report: Report | None = None, seed: int = 0) -> OptimizationResult:
+def optimize(
+    specification: Specification | FilePath, report: Report | None = None, seed: int = 0
+) -> OptimizationResult:
     """Optimize a lens to a specification.
 
     Every start is a local search over a working set of rays. A dense check then adds its worst rays to the
@@ -49,7 +56,7 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     Parameters
     ----------
     specification
-        Start lens, variables, goal and constraints.
+        Start lens, variables, goal and constraints; or the path of a specification file.
     report
         Progress callback, called with a line of text at each improvement (default: none).
     seed
@@ -75,6 +82,7 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     >>> result.feasible, round(result.lens.surfaces[1].radius_mm, 1)
     (True, -11.9)
     """
+    specification = object_of(specification, Specification, load_specification, "specification")
     validate_possible(specification)
     settings = specification.optimize
     began, seconds = now(), math.inf if settings.max_seconds is None else settings.max_seconds

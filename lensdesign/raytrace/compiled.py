@@ -147,7 +147,10 @@ def compile_system(
     count = len(lens.surfaces)
     for i in changes:
         if not 0 <= i < count:
-            raise InputError(f"surface_perturbations: there is no surface {i}; allowed: 0 to {count - 1}")
+            raise InputError(
+                f"surface_perturbations: there is no surface {i}; allowed: 0 to {count - 1}, for "
+                f"surface 1 to surface {count}"
+            )
     trials = trial_count(pose, *changes.values())
     rotation, vertex = _frames(lens, pose, changes)
     semi = np.array([np.inf if s.semi_diameter_mm is None else s.semi_diameter_mm for s in lens.surfaces])

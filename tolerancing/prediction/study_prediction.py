@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.given import FilePath
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
@@ -25,6 +26,7 @@ from tolerancing.prediction.wavefront_prediction import (
     is_predicted_wavefront,
     predict,
 )
+from tolerancing.study.files import LoadedStudy, lens_and_study
 from tolerancing.study.study import Study
 
 
@@ -98,16 +100,20 @@ def is_predicted(merit: Merit) -> bool:
 
 
 def predict_study(
-    lens: Lens, study: Study, batch: PerturbationBatch | None = None, *, quick: bool = False
+    lens: Lens | FilePath,
+    study: Study | LoadedStudy | FilePath,
+    batch: PerturbationBatch | None = None,
+    *,
+    quick: bool = False,
 ) -> StudyPrediction:
     """Predict the yield of a study, jointly over all limits and limit by limit, without trials.
 
     Parameters
     ----------
     lens
-        The study's lens.
+        The study's lens, or the path of its design file.
     study
-        The study with perturbations and limits.
+        The study with perturbations and limits, or the path of its file.
     batch
         The drawn lenses, for callers that predict many lenses; default: 8192 Sobol draws of the study
         (:func:`tolerancing.prediction.wavefront_prediction.drawn_batch`).
@@ -121,6 +127,7 @@ def predict_study(
     DesignError
         If rays from a field point do not pass.
     """
+    lens, study = lens_and_study(lens, study)
     batch = drawn_batch(study) if batch is None else batch
     waves = None
     # Tolerances that are too large give numbers that are not finite, which raise an error below.

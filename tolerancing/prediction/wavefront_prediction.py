@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.given import FilePath
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
@@ -26,6 +27,7 @@ from tolerancing.prediction.compensation import Compensation, less_model
 from tolerancing.prediction.derivatives import FieldDifferentials, differentials
 from tolerancing.prediction.system import Changes, amounts_of
 from tolerancing.study.evaluate import compensated_points, sample_perturbations
+from tolerancing.study.files import LoadedStudy, lens_and_study
 from tolerancing.study.study import Study
 
 Place = tuple[tuple[float, float], float | None]
@@ -167,8 +169,8 @@ def _limit_waves(merit: PupilMerit) -> float:
 
 
 def predict(
-    lens: Lens,
-    study: Study,
+    lens: Lens | FilePath,
+    study: Study | LoadedStudy | FilePath,
     points: Sequence[WavefrontLimit] | None = None,
     amounts: Array | None = None,
     second: bool = True,
@@ -181,9 +183,9 @@ def predict(
     Parameters
     ----------
     lens
-        The study's lens.
+        The study's lens, or the path of its design file.
     study
-        The study with its perturbations.
+        The study with its perturbations, or the path of its file.
     points
         Object points with limits; default: those of the study's merits `rms_waves` and `strehl`.
     amounts : ndarray, shape (draws, d), optional
@@ -198,6 +200,7 @@ def predict(
     DesignError
         If rays from an object point do not pass.
     """
+    lens, study = lens_and_study(lens, study)
     judged = judged_points(study) if points is None else tuple(points)
     known = study_derivatives(lens, study, judged, second=second)
     if amounts is None:

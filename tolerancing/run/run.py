@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.errors import InputError
 from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.executors import Perform, RunError, cluster_workers, this_process
@@ -28,7 +29,7 @@ from tolerancing.run.tasks import (
 from tolerancing.store.creation import remove_empty_store
 from tolerancing.store.store import Store, create_store, open_store
 from tolerancing.study.evaluate import levels_and_nominal_scores
-from tolerancing.study.files import LoadedStudy
+from tolerancing.study.files import LoadedStudy, load_study
 from tolerancing.study.study import MOST_TRIALS
 
 __all__ = ["RunError", "RunOutcome", "run_study"]
@@ -89,7 +90,7 @@ class _ProgressReporter:
 
 
 def run_study(
-    loaded: LoadedStudy,
+    loaded: LoadedStudy | FilePath,
     store_path: str | os.PathLike[str],
     *,
     workers: int | None = None,
@@ -112,7 +113,7 @@ def run_study(
     Parameters
     ----------
     loaded
-        Study with its lens.
+        Study with its lens, or the path of a study file.
     store_path
         Path of the store. It is created if it does not exist, and continued if it holds the same study.
     workers
@@ -152,6 +153,7 @@ def run_study(
     (20, 48)
     """
     start = time.perf_counter()
+    loaded = object_of(loaded, LoadedStudy, load_study, "loaded")
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
     processes = 0 if cluster else _process_count(workers, planned)

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.errors import InputError
 from tolerancing.merits.base import Merit
 from tolerancing.statistics.response import Scorer
 from tolerancing.statistics.scorer import Progress, StudyScorer, scatter_of, validate_settings
 from tolerancing.statistics.sensitivities import checked_tolerance
 from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
-from tolerancing.study.files import LoadedStudy
+from tolerancing.study.files import LoadedStudy, load_study
 from tolerancing.study.study import Study
 
 _Excess = Callable[[NDArray[np.intp], Array], Array]
@@ -83,7 +84,7 @@ class StudyLimits:
 
 
 def inverse(
-    loaded: LoadedStudy,
+    loaded: LoadedStudy | FilePath,
     merit: str | None = None,
     *,
     change: float | None = None,
@@ -98,7 +99,7 @@ def inverse(
     Parameters
     ----------
     loaded
-        Study with its lens.
+        Study with its lens, or the path of a study file.
     merit
         Label of the merit, which may be a high-fidelity merit. Default: all merits that score every trial.
     change
@@ -125,6 +126,7 @@ def inverse(
     >>> round(found.limits["wavefront"][0].tightest, 4)  # decenter along x in mm
     0.0196
     """
+    loaded = object_of(loaded, LoadedStudy, load_study, "loaded")
     study = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
     validate_settings(study, "its largest deviation")
     high_fidelity = [m for m in study.high_fidelity_merits if m.label == merit]

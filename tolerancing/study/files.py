@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from lensdesign.common.atomic_files import atomic_path
 from lensdesign.common.frozen_model import FrozenModel
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, validate_inside
 from lensdesign.common.toml_files import joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError
@@ -335,6 +336,20 @@ def start_study(
     text = starting_study(load_design(design), name, grade)
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def lens_and_study(lens: Lens | FilePath, study: Study | LoadedStudy | FilePath) -> tuple[Lens, Study]:
+    """Return a lens and a study, each given as an object or as the path of its file.
+
+    Raises
+    ------
+    InputError
+        If one is neither, or a file cannot be read.
+    """
+    found = object_of(lens, Lens, load_design, "lens")
+    if isinstance(study, LoadedStudy):
+        return found, study.study
+    return found, object_of(study, Study, lambda path: load_study(path).study, "study")
 
 
 def study_by_name(name: str, lens: Lens) -> Study:

@@ -13,12 +13,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError, SamplingError, validate_whole_number
+from lensdesign.files.design import load_design
+from lensdesign.lens.lens import Lens
 from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
 from wavesim.fields.sampling_checks import SamplingWarning
 from wavesim.scene.engine import Engine, upper_bound
+from wavesim.scene.patches import patch_scene
 from wavesim.scene.scattered_light import Light
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import DEFAULT_ERROR
@@ -246,7 +250,7 @@ def affordable_engines(
 
 
 def choose(
-    scene: Scene,
+    scene: Scene | Lens | FilePath,
     error: float = DEFAULT_ERROR,
     memory_gb: float = 1e-9 * LARGEST_BYTES,
     seconds: float = LONGEST_SECONDS,
@@ -258,7 +262,8 @@ def choose(
     Parameters
     ----------
     scene
-        Lens, grids and wavelength.
+        Lens, grids and wavelength. For a lens, or the path of a design file, it is the scene of a patch of
+        0.1 mm on the axis, or of the whole field if that is smaller.
     error
         Allowed relative L2 error of the exit field; its square is the fraction of wrong energy.
     memory_gb
@@ -290,6 +295,9 @@ def choose(
     >>> choose(scene, error=0.1).chosen.engine
     'eikonal'
     """
+    if not isinstance(scene, Scene):
+        lens = object_of(scene, Lens, load_design, "scene")
+        scene = patch_scene(lens, min(0.1, lens.object.field_diameter_mm))
     return _chosen(scene, error, memory_gb, seconds, runs, light, None)
 
 

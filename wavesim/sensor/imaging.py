@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lensdesign.common.given import FilePath, object_of
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
+from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.engines.eikonal.on_cluster import tiles_in
@@ -117,7 +119,7 @@ class Imaged:
 
 
 def image(
-    lens: Lens,
+    lens: Lens | FilePath,
     object_: str | Field = "usaf",
     settings: ImageSettings | None = None,
     *,
@@ -132,7 +134,7 @@ def image(
     Parameters
     ----------
     lens
-        The nominal lens.
+        The nominal lens, or the path of its design file.
     object_
         Name of a built-in object ("usaf", "star", "phase", "tissue", "empty"), path of a picture, or the
         complex transmission of an object on a plane. The grid of a transmission is used as the patch.
@@ -176,6 +178,7 @@ def image(
     >>> bool(3000 < taken.frames[0].counts.max() < 4095)
     True
     """
+    lens = object_of(lens, Lens, load_design, "lens")
     settings = (settings or ImageSettings()).replaced(**changes)
     validate_lengths(lens, settings)
     recording = _recording(lens, settings, state)
