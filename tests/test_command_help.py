@@ -97,9 +97,12 @@ def test_the_short_help_has_few_options(command: str, help_of: Any) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("wavesim image", "output object patch-mm planes-mm illumination exposures noise engine error json"),
+        (
+            "wavesim image",
+            "output object patch-mm plane-distance-mm illumination exposures noise engine json",
+        ),
         ("wavesim reconstruct", "design output patch-mm kind iterations calibration calibrate truth engine"),
-        ("wavesim calibrate", "design output patch-mm parameters known empty priors engine json"),
+        ("wavesim calibrate", "design output patch-mm parameters truth empty priors engine json"),
     ],
 )
 def test_the_short_help_has_what_most_people_need(command: str, names: str, help_of: Any) -> None:

@@ -49,9 +49,9 @@ SHORTER = {
     # A scale of distances is sought by hundreds of iterations.
     r" --free-space --calibrate": " --free-space",
     r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
-    r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
+    r"^(wavesim calibrate .*)": r"\1 --iterations 1 --max-mountings 1",
     r"^(wavesim calibrate (?!.*--parameters).*)": r"\1 --parameters rigid",
-    r"^(wavesim plan .*)": r"\1 --most-planes 1 --exposures 1",
+    r"^(wavesim plan .*)": r"\1 --max-planes 1 --exposures 1",
     # Engines weighed for a small error take longer than those few iterations.
     r"^(wavesim (?:image|reconstruct|calibrate) (?!.*--(?:error|engine|free-space)).*)": r"\1 --error 0.3",
     # The whole field of the full-size lens (half an hour): of a tiny twin.
@@ -68,7 +68,7 @@ SHORTER = {
     r" --(chart-at-mm|object-pitch-um) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
     r"^wavesim compare-engines \S+ (-o \S+).*": r"wavesim compare-engines designs/small_twin.toml \1 "
-    "--scale 1 --patch-mm 0.004 --most-seconds 0.003 --radius-mm 0.02 --no-planes --no-maps",
+    "--scale 1 --patch-mm 0.004 --max-seconds 0.003 --radius-mm 0.02 --no-planes --no-maps",
     # Hundreds of slices of the whole aperture (10 s): tens.
     r"slices(=| )(200|800)": r"slices\g<1>20",
     r"slices=(20|30)": "slices=5",

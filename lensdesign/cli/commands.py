@@ -208,6 +208,8 @@ def glass(
     catalog: Annotated[
         list[Path],
         typer.Option(
+            "--glass-catalog",
+            "--catalog",
             help="Glass catalogue (AGF) that is searched first; may be repeated.",
             rich_help_panel=OptionGroup.INPUT,
         ),

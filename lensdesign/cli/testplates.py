@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.atomic_files import atomic_path
-from lensdesign.common.console import message_console, print_json
+from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup
 from lensdesign.common.options import Json, output_option
+from lensdesign.common.progress import progress_text
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def fit(
     if os.path.exists(output) and any(output.samefile(given) for given in (specification, plates)):
         raise InputError(f"cannot write {output}: it is an input of this command; give another file name")
     with atomic_path(output) as temporary:
-        with message_console().status("searching") as status:
+        with progress_text("searching") as status:
             found = fit_plates(asked, radii, report=status.update)
         temporary.write_text(design_text(found.lens, output.parent), encoding="utf-8")
     if as_json:

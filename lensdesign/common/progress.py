@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 
+LINE_INTERVAL_S = 10.0
+"""Time between two lines if standard error is not a terminal."""
+
+
 class ProgressLines:
     """Prints the current text every ten seconds, with the elapsed time.
 
@@ -42,8 +46,7 @@ class ProgressLines:
         self._thread.join(1.0)
 
     def _print(self) -> None:
-        # If standard error is not a terminal, there is a line every 10 seconds.
-        while not self._ended.wait(10.0):
+        while not self._ended.wait(LINE_INTERVAL_S):
             print(f"{now() - self._began:.0f} s: {visible(self._text)}", file=sys.stderr, flush=True)
 
 
@@ -65,17 +68,26 @@ class ProgressCount:
     def __init__(self, lines: ProgressLines | None, bar: Progress | None, what: str) -> None:
         self._lines, self._bar, self._began = lines, bar, now()
         self._first: int | None = None
+        self._done = 0
         self._task = None if bar is None else bar.add_task(what, total=None)
 
-    def update(self, done: int, total: int, what: str) -> None:
-        """Show the completed and the total number of steps, and the name of the next one."""
+    def advance(self, more: int, total: int | None, what: str) -> None:
+        """Show that some more steps are completed; the total number may be unknown."""
+        self.update(self._done + more, total, what)
+
+    def update(self, done: int, total: int | None, what: str) -> None:
+        """Show the completed and the total number of steps, if it is known, and the name of the next one."""
+        self._done = done
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, total=total, description=visible(what))
         if self._lines is not None:
             self._first = done if self._first is None else self._first
             made = done - self._first
-            left = f", about {(now() - self._began) / made * (total - done):.0f} s more" if made else ""
-            self._lines.update(f"{done} of {total}{left}; {what}")
+            left = ""
+            if made and total is not None:
+                left = f", about {(now() - self._began) / made * (total - done):.0f} s more"
+            count = f"{done}" if total is None else f"{done} of {total}"
+            self._lines.update(f"{count}{left}; {what}")
 
 
 @contextmanager

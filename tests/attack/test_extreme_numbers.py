@@ -127,7 +127,7 @@ def test_a_plane_has_no_sphere(tmp_path: Path, run: Run) -> None:
 EXTREMES = [
     "--exposures 1e-300",
     "--exposures 1,1e300",
-    "--full-well 1e-300",
+    "--full-well-electrons 1e-300",
     "--bits 1000000",
     "--bits 0",
     "--brightest-share 1e-300",
@@ -137,7 +137,7 @@ EXTREMES = [
     "--object-pitch-um 0.0001",
     "--wavelength-um 1e-300",
     "--pivot-z-mm 1e300",
-    "--read-noise 1e-300",
+    "--read-noise-electrons 1e-300",
     "--decenter-x-mm 1e300",
     "--shift-um 1e300,0",
 ]

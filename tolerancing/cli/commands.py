@@ -106,7 +106,7 @@ def run(
     # The summary needs it, too. Its import now overlaps with the start of the workers.
     import scipy.special  # noqa: F401
 
-    from lensdesign.common.console import progress_bar
+    from lensdesign.common.progress import progress_count
     from tolerancing.run.run import run_study
     from tolerancing.statistics.summary import summarize
     from tolerancing.store.store import open_store
@@ -114,8 +114,7 @@ def run(
 
     loaded = load_study(study)
     try:
-        with messages_only(), progress_bar() as bar:
-            task = bar.add_task("trials and steps", total=None)
+        with messages_only(), progress_count("trials and steps") as count:
             outcome = run_study(
                 loaded,
                 store,
@@ -123,7 +122,7 @@ def run(
                 trials=trials,
                 fresh=fresh,
                 cluster=cluster,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                progress=lambda done, total: count.update(done, total, "trials and steps"),
                 on_estimate=lambda expected: print(expected.sentence, file=sys.stderr),
             )
     except KeyboardInterrupt:

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from tolerancing.statistics.rare_failures import RareYield
 
 
+TRIALS = "trials of the lens"
+"""What the progress counts."""
+
+
 def rare(
     store: StorePath,
     trials: Annotated[
@@ -33,13 +37,12 @@ def rare(
     written to the store. Python code in the store is executed only with --trust, or if your own copy of the
     file lies beside the store.
     """
-    from lensdesign.common.console import progress_bar
+    from lensdesign.common.progress import progress_count
     from tolerancing.statistics.rare_failures import rare_yield
     from tolerancing.store.store import open_store
 
-    with open_store(store, trust=trust) as opened, messages_only(), progress_bar() as bar:
-        task = bar.add_task("trials of the lens", total=trials)
-        found = rare_yield(opened, trials, progress=lambda rows: bar.advance(task, rows))
+    with open_store(store, trust=trust) as opened, messages_only(), progress_count(TRIALS) as count:
+        found = rare_yield(opened, trials, progress=lambda rows: count.advance(rows, trials, TRIALS))
     if as_json:
         print_json({"store": str(store), **found.as_dict()})
     else:
@@ -63,7 +66,7 @@ def indices(
     The results are first-order and total Sobol indices with 95 % intervals. Where the two differ, products of
     perturbations matter, which the sensitivity to each perturbation alone does not show.
     """
-    from lensdesign.common.console import progress_bar
+    from lensdesign.common.progress import progress_count
     from tolerancing.report.figures.indices import indices_figure
     from tolerancing.report.figures.style import figure_format, write_figure
     from tolerancing.statistics.indices import most_trials, variance_indices
@@ -72,9 +75,9 @@ def indices(
     loaded = load_study(study)
     if output is not None:
         figure_format(output)
-    with messages_only(), progress_bar() as bar:
-        task = bar.add_task("trials of the lens", total=most_trials(loaded.study, base))
-        found = variance_indices(loaded, base, progress=lambda rows: bar.advance(task, rows))
+    total = most_trials(loaded.study, base)
+    with messages_only(), progress_count(TRIALS) as count:
+        found = variance_indices(loaded, base, progress=lambda rows: count.advance(rows, total, TRIALS))
         if output is not None:
             write_figure(indices_figure(found), output)
     if as_json:

@@ -130,13 +130,15 @@ def inverse(
     as_json: Json = False,
 ) -> None:
     """Find the largest deviation of each perturbation alone that keeps a merit's limit."""
-    from lensdesign.common.console import progress_bar
+    from lensdesign.common.progress import progress_count
     from tolerancing.statistics.limits import inverse
     from tolerancing.study.files import load_study
 
-    with messages_only(), progress_bar() as bar:
-        task = bar.add_task("lenses scored", total=None)
-        found = inverse(load_study(study), merit, change=change, progress=lambda n: bar.advance(task, n))
+    what = "lenses scored"
+    with messages_only(), progress_count(what) as count:
+        found = inverse(
+            load_study(study), merit, change=change, progress=lambda n: count.advance(n, None, what)
+        )
     if as_json:
         print_json({"study": str(study), "limits": found.as_dict()})
     else:
@@ -183,7 +185,7 @@ def budget(
 
     Exit status: 0 for success, 1 if yield and requirement do not agree in the end, 2 for invalid input.
     """
-    from lensdesign.common.console import progress_bar
+    from lensdesign.common.progress import progress_count
     from lensdesign.common.text import duration_text
     from tolerancing.budgets.study_budget import (
         BudgetInterrupted,
@@ -206,14 +208,13 @@ def budget(
             fixed = [line.perturbation for line in priced.lines if not line.quantity]
             base_cost = float(priced.elements)
         try:
-            with messages_only(), progress_bar() as bar:
-                task = bar.add_task("trials of the lens", total=None)
+            with messages_only(), progress_count("trials of the lens") as count:
 
                 def progress(completed: int, total: int) -> None:
                     if not completed:
                         expected = duration_text(most_seconds(opened, verify))
                         print(f"at most {total} trials of the lens, about {expected}", file=sys.stderr)
-                    bar.update(task, completed=completed, total=total)
+                    count.update(completed, total, "trials of the lens")
 
                 found = budget(
                     opened,

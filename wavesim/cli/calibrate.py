@@ -50,6 +50,8 @@ def calibrate(
     known: Annotated[
         Path | None,
         typer.Option(
+            "--truth",
+            "--known",
             help="True object, if it is known: a file (.npz), or its folder.",
             rich_help_panel=OptionGroup.INPUT,
         ),

@@ -74,7 +74,13 @@ def choose(
         float, typer.Option(help="Memory limit.", rich_help_panel=OptionGroup.OUTPUT)
     ] = 16.0,
     hours: Annotated[
-        float, typer.Option(help="Time limit of all runs together.", rich_help_panel=OptionGroup.OUTPUT)
+        float,
+        typer.Option(
+            "--max-hours",
+            "--hours",
+            help="Time limit of all runs together.",
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = 1.0,
     as_json: Json = False,
 ) -> None:

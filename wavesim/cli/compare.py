@@ -46,7 +46,12 @@ def compare(
     ] = 1.0,
     most_seconds: Annotated[
         float,
-        typer.Option(help="Skip runs that are predicted to take longer.", rich_help_panel=OptionGroup.OUTPUT),
+        typer.Option(
+            "--max-seconds",
+            "--most-seconds",
+            help="Skip runs that are predicted to take longer.",
+            rich_help_panel=OptionGroup.OUTPUT,
+        ),
     ] = 10.0,
     maps: Annotated[
         bool, typer.Option(help="Also draw failure maps.", rich_help_panel=OptionGroup.EVALUATION)

@@ -60,6 +60,10 @@ def with_settings(command: Command) -> Command:
         if inspect.isclass(one.annotation) and issubclass(one.annotation, FrozenModel)
     }
 
+    shown = {
+        field: _option(_names(model, field)[0]) for model in models.values() for field in model.model_fields
+    }
+
     def run(**values: Any) -> None:
         try:
             for name, model in models.items():
@@ -67,7 +71,7 @@ def with_settings(command: Command) -> Command:
                 values[name] = _settings(model, texts)
             command(**values)
         except SettingError as error:
-            raise InputError(error.naming(_option)) from None
+            raise InputError(error.naming(lambda name: shown.get(name, _option(name)))) from None
 
     parameters = []
     for name, parameter in own.items():
@@ -91,7 +95,7 @@ def _parameters(model: type[FrozenModel]) -> list[inspect.Parameter]:
     }
     made = []
     for name, field in model.model_fields.items():
-        flags = [] if bool in _kinds(field.annotation) else _flags(name, field)
+        flags = [] if bool in _kinds(field.annotation) else [_option(one) for one in _names(model, name)]
         kind = _typed(field)
         option = typer.Option(
             *flags,
@@ -129,11 +133,14 @@ def _metavar(field: FieldInfo) -> str | None:
     return "X,Y" if _is_list(pairs[0]) or get_args(pairs[0]) == (float, float) else "NUMBER,..."
 
 
-def _flags(name: str, field: FieldInfo) -> list[str]:
-    """Return the option of a field, and those of its former names."""
+def _names(model: type[FrozenModel], name: str) -> list[str]:
+    """Return the name of a field as an option, and its former names."""
+    field = model.model_fields[name]
+    if stated := _stated(model, name, "options"):
+        return list(stated)
     if isinstance(field.validation_alias, AliasChoices):
-        return [_option(str(choice)) for choice in field.validation_alias.choices]
-    return [_option(field.alias or name)]
+        return [str(choice) for choice in field.validation_alias.choices]
+    return [field.alias or name]
 
 
 def _typed(field: FieldInfo) -> Any:
@@ -174,7 +181,7 @@ def _settings(model: type[FrozenModel], texts: dict[str, Any]) -> FrozenModel:
     for name, text in texts.items():
         field = model.model_fields[name]
         if text is not None:
-            values[name] = _value(_kinds(field.annotation), text, _option(field.alias or name))
+            values[name] = _value(_kinds(field.annotation), text, _option(_names(model, name)[0]))
     try:
         return model(**values)
     except ValidationError as error:
@@ -201,7 +208,9 @@ def _fault(model: type[FrozenModel], texts: dict[str, Any], fault: Any) -> str:
     """Return the message about one invalid option."""
     refused = fault.get("ctx", {}).get("error")
     if isinstance(refused, SettingError):
-        return refused.naming(_option)
+        return refused.naming(
+            lambda one: _option(_names(model, one)[0] if one in model.model_fields else one)
+        )
     name = str(fault["loc"][0])
     field = model.model_fields[name]
     reason = fault["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
@@ -210,7 +219,7 @@ def _fault(model: type[FrozenModel], texts: dict[str, Any], fault: Any) -> str:
         reason = f"allowed: {', '.join(words)}"
     value = texts[name]
     shown = f"{value:g}" if isinstance(value, int | float) else repr(value)
-    return f"{_option(field.alias or name)} = {shown}: {reason}"
+    return f"{_option(_names(model, name)[0])} = {shown}: {reason}"
 
 
 def _option(name: str) -> str:

@@ -8,9 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from lensdesign.common.console import print_json, progress_bar
+from lensdesign.common.console import print_json
 from lensdesign.common.option_groups import OptionGroup, most_used
 from lensdesign.common.options import Design, Json, output_option
+from lensdesign.common.progress import progress_count
 from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
@@ -159,14 +160,13 @@ def _tests(
     from wavesim.metrics.resolving import resolve as resolving_test
 
     tests: list[list[Any]] = []
-    with progress_bar() as bar:
-        task = bar.add_task("", total=len(engines) * len(heights))
-        for name, settings in engines:
+    total = len(engines) * len(heights)
+    with progress_count("lines") as count:
+        for k, (name, settings) in enumerate(engines):
             tests.append([])
-            for height in heights:
-                bar.update(task, description=f"{name}, field {height:g} mm")
+            for j, height in enumerate(heights):
+                count.update(k * len(heights) + j, total, f"{name}, field {height:g} mm")
                 tests[-1].append(resolving_test(lens, widths, height, name, **common, **settings))
-                bar.advance(task)
     return tests
 
 

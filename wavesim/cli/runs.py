@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.console import print_whole, progress_bar
+from lensdesign.common.console import print_whole
+from lensdesign.common.progress import progress_count
 from lensdesign.common.text import finite_or_none, known_text
 
 if TYPE_CHECKING:
@@ -19,16 +20,9 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """Show a progress bar, and yield the callback that library functions call."""
-    with progress_bar() as bar:
-        tasks: list[Any] = []
-
-        def report(stage: str, completed: int, total: int) -> None:
-            if not tasks:
-                tasks.append(bar.add_task(stage, total=None))
-            bar.update(tasks[0], completed=completed, total=total or None, description=stage)
-
-        yield report
+    """Show the progress, and yield the callback that library functions call."""
+    with progress_count("starting") as count:
+        yield lambda stage, completed, total: count.update(completed, total or None, stage)
 
 
 def print_table(

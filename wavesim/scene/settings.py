@@ -127,7 +127,7 @@ Count = Annotated[int, AfterValidator(_finite_positive)]
 Points = Annotated[
     tuple[Pair, ...],
     Field(
-        description="usaf: centre x,y of an additional chart with fine groups; may be repeated.",
+        description="Centre x,y of an additional USAF chart with fine groups; may be repeated.",
         json_schema_extra={"group": OptionGroup.OBJECT},
     ),
 ]
@@ -175,17 +175,17 @@ class PatchSettings(Settings):
     )
     light_tilt_deg: Pair = Field(
         (0.0, 0.0),
-        description="tilted: angles x,y of the light.",
+        description="Angles x,y of tilted light.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     waist_mm: float | None = Field(
         None,
-        description="gaussian: radius of the waist.",
+        description="Radius of the waist of a Gaussian beam.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     light_pitch_um: float | None = Field(
         None,
-        description="FILE: sample pitch, if the file does not state it.",
+        description="Sample pitch of a measured field whose file does not state it.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
 
@@ -221,19 +221,25 @@ class EngineDetails(Settings):
 
     option_group: ClassVar[OptionGroup] = OptionGroup.ENGINE
 
-    tile_width_mm: Size | None = Field(None, description="eikonal: width of a tile of the object.")
+    tile_width_mm: Size | None = Field(None, description="Width of a tile of the object (eikonal engine).")
     hierarchical: bool | None = Field(
-        None, description="eikonal: whether tiles form a hierarchy; default: by their number."
+        None, description="Whether tiles form a hierarchy (eikonal engine); default: by their number."
     )
-    slices: Count | None = Field(None, description="slices: number of slices.")
+    slices: Count | None = Field(None, description="Number of slices (engine slices).")
     compensation: str | None = Field(
-        None, description="slices: vertical or oblique.", json_schema_extra={"metavar": "[vertical|oblique]"}
+        None,
+        description="Phase compensation (engine slices).",
+        json_schema_extra={"metavar": "[vertical|oblique]"},
     )
     interface: str | None = Field(
-        None, description="wpm: substep or staircase.", json_schema_extra={"metavar": "[substep|staircase]"}
+        None,
+        description="Treatment of surfaces within a step (engine wpm).",
+        json_schema_extra={"metavar": "[substep|staircase]"},
     )
-    step_um: Size | None = Field(None, description="wpm: step along z.")
-    pitch_um: Size | None = Field(None, description="slices, wpm, thin-lens: pitch of the working grid.")
+    step_um: Size | None = Field(None, description="Step along z (engine wpm).")
+    pitch_um: Size | None = Field(
+        None, description="Pitch of the working grid (engines slices, wpm, thin-lens)."
+    )
 
     def details(self) -> dict[str, Any]:
         """Return the settings that are given, by their names in the engines."""
@@ -251,7 +257,7 @@ class SingleEngineDetails(EngineDetails):
 
     spacing: str | None = Field(
         None,
-        description="slices: equal, paper or equal-phase.",
+        description="Positions of the slices (engine slices).",
         json_schema_extra={"metavar": "[equal|paper|equal-phase]"},
     )
 
@@ -290,7 +296,9 @@ class CameraSettings(Settings):
     model_config = ConfigDict(loc_by_alias=False)
 
     planes_mm: Numbers | None = Field(
-        None, description="Distances of the planes from the exit vertex; default: the design's."
+        None,
+        description="Distances of the planes from the exit vertex; default: the design's.",
+        json_schema_extra={"options": ["plane_distance_mm", "planes_mm"]},
     )
     pixels: Annotated[Pixels | None, BeforeValidator(_pixels)] = Field(
         None,
@@ -305,10 +313,20 @@ class CameraSettings(Settings):
         json_schema_extra={"group": OptionGroup.OUTPUT},
     )
     full_well_electrons: float = Field(
-        10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
+        10_000.0,
+        alias="full_well",
+        ge=1.0,
+        le=1e9,
+        description="Full well in electrons.",
+        json_schema_extra={"options": ["full_well_electrons", "full_well"]},
     )
     read_noise_electrons: float = Field(
-        2.0, alias="read_noise", ge=0.0, le=1e9, description="Read noise in electrons."
+        2.0,
+        alias="read_noise",
+        ge=0.0,
+        le=1e9,
+        description="Read noise in electrons.",
+        json_schema_extra={"options": ["read_noise_electrons", "read_noise"]},
     )
     bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
     peak_fill: float = Field(
@@ -359,7 +377,9 @@ class ObjectSettings(Settings):
         description="Wavelength; default: the design's first.",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
-    ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark background.")
+    ground: Literal["bright", "dark"] = Field(
+        "bright", description="Bright or dark background of a chart (usaf, star)."
+    )
     chart_at_mm: Points = ()
     ghost: float = Field(
         0.0,
@@ -369,10 +389,10 @@ class ObjectSettings(Settings):
         json_schema_extra={"group": OptionGroup.MOUNTED_LENS},
     )
     picture_pixel_um: Size | None = Field(
-        None, description="FILE: side of a pixel on the object; default: fitted to the field stop."
+        None, description="Side of a picture's pixel on the object; default: fitted to the field stop."
     )
     picture_width_mm: Size | None = Field(
-        None, description="FILE: width of the picture on the object; default: fitted to the field stop."
+        None, description="Width of a picture on the object; default: fitted to the field stop."
     )
 
 
@@ -525,7 +545,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         None, ge=1, description="Largest number of iterations; default: 80 for object, 500 for paper."
     )
     tv_weight: float | Literal["auto"] = Field(
-        "auto", description="object: weight of the total variation; auto: from the noise."
+        "auto", description="Weight of the total variation (method object); auto: from the noise."
     )
     start: str | None = Field(
         None,
@@ -545,18 +565,18 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     chart_at_mm: Points = ()
     hold_out_plane: int | None = Field(
         None,
-        description="object: index of a plane (from 1) that is not used, but predicted and compared.",
+        description="Number of a plane, from 1, that is only predicted and compared (method object).",
         json_schema_extra={"group": OptionGroup.EVALUATION},
     )
-    starts: int = Field(1, ge=1, description="object: number of starts, whose results are compared.")
+    starts: int = Field(1, ge=1, description="Number of starts, whose results are compared (method object).")
     source_deg: float | Literal["find"] = Field(
         0.0,
-        description="object: diameter of the light source (partial coherence), or find.",
+        description="Diameter of the light source (partial coherence), or find (method object).",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     bandwidth_nm: float | Literal["find"] = Field(
         0.0,
-        description="object: full width of the light's rectangular spectrum, or find.",
+        description="Full width of the light's rectangular spectrum, or find (method object).",
         json_schema_extra={"group": OptionGroup.ILLUMINATION},
     )
     region_mm: tuple[float, float, float, float] | None = Field(
@@ -638,10 +658,10 @@ class FreeSpaceSettings(Settings):
         json_schema_extra={"group": OptionGroup.SOLVER},
     )
     numerical_aperture: Size | None = Field(
-        None, description="free space: numerical aperture of the light; default: from the frames' spectra."
+        None, description="Numerical aperture of light in free space; default: from the frames' spectra."
     )
     predict_mm: Numbers | None = Field(
-        None, description="free space: distances of further planes whose amplitudes are predicted."
+        None, description="Distances of further planes in free space whose amplitudes are predicted."
     )
 
     @field_validator("numerical_aperture", "predict_mm")
@@ -675,9 +695,18 @@ class PlanSettings(Settings):
     planes_mm: Pair | None = Field(
         None,
         description="Distances of the nearest and farthest plane; default: the design's.",
-        json_schema_extra={"metavar": "NEAREST,FARTHEST"},
+        json_schema_extra={
+            "metavar": "NEAREST,FARTHEST",
+            "options": ["plane_distance_mm", "planes_mm"],
+        },
     )
-    most_planes: int = Field(4, ge=1, le=8, description="Largest number of planes, which are evenly spaced.")
+    most_planes: int = Field(
+        4,
+        ge=1,
+        le=8,
+        description="Largest number of planes, which are evenly spaced.",
+        json_schema_extra={"options": ["max_planes", "most_planes"]},
+    )
     exposures: Numbers = Field(
         (1.0, 30.0, 1000.0), description="Exposure bracket; it is compared with its shortest exposure alone."
     )
@@ -689,10 +718,20 @@ class PlanSettings(Settings):
         json_schema_extra={"group": OptionGroup.EVALUATION},
     )
     full_well_electrons: Size = Field(
-        10_000.0, alias="full_well", ge=1.0, le=1e9, description="Full well in electrons."
+        10_000.0,
+        alias="full_well",
+        ge=1.0,
+        le=1e9,
+        description="Full well in electrons.",
+        json_schema_extra={"options": ["full_well_electrons", "full_well"]},
     )
     read_noise_electrons: float = Field(
-        2.0, alias="read_noise", ge=0.0, le=1e9, description="Read noise in electrons."
+        2.0,
+        alias="read_noise",
+        ge=0.0,
+        le=1e9,
+        description="Read noise in electrons.",
+        json_schema_extra={"options": ["read_noise_electrons", "read_noise"]},
     )
     bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
     seed: int = Field(
@@ -716,7 +755,12 @@ class CalibrationSettings(FramedSettings):
 
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that meets the error limit.")
     iterations: int = Field(5, ge=1, description="Iterations of each reconstruction within the search.")
-    most_mountings: int = Field(80, ge=1, description="Largest number of benches that are tested.")
+    most_mountings: int = Field(
+        80,
+        ge=1,
+        description="Largest number of benches that are tested.",
+        json_schema_extra={"options": ["max_mountings", "most_mountings"]},
+    )
     parameters: str = Field(
         "all",
         description="Unknowns: all, light, lens, mounting, camera, rigid, or names separated by commas.",

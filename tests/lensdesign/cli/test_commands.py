@@ -434,7 +434,7 @@ def test_glass_refuses_what_is_none(command: Command) -> None:
     assert_refused(command("glass", "0.5"), "at least 1")
     assert_refused(command("glass", "nan"), "at least 1")
     assert_refused(command("glass", "N-BK7", "--wavelength-um", 9), "0.3 to 2.5 um")
-    assert_refused(command("glass", "N-BK7", "--catalog", "none.agf"), "none.agf")
+    assert_refused(command("glass", "N-BK7", "--glass-catalog", "none.agf"), "none.agf")
 
 
 @pytest.mark.parametrize("arguments", [["check"], ["nonsense"], ["check", "a", "--bad"], ["export", "a"]])
@@ -508,16 +508,17 @@ def test_scale_refuses(command: Command, paper_design: Path, tmp_path: Path) -> 
 
 def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
     doubled, contradicts = (GOLDEN / "imports" / name for name in ("doubled_glass.agf", "nd_contradicts.agf"))
-    code, out, err = command("glass", "B-TWO", "--catalog", doubled)
+    code, out, err = command("glass", "B-TWO", "--glass-catalog", doubled)
     assert code == 0
     assert "an Abbe number of 40, and its coefficients give 62.09" in err
     assert out.startswith("B-TWO (doubled_glass.agf)")
-    code, _, err = command("glass", "A-ONE", "--catalog", doubled)
+    code, _, err = command("glass", "A-ONE", "--glass-catalog", doubled)
     assert code == 0
     assert f"note: glass A-ONE is given twice with the same index ({doubled}, line 2 and line 8)" in err
-    assert json.loads(command("glass", "A-ONE", "--catalog", doubled, "--json")[1])["notes"]
+    assert json.loads(command("glass", "A-ONE", "--glass-catalog", doubled, "--json")[1])["notes"]
     assert_refused(
-        command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)"
+        command("glass", "LIQ", "--glass-catalog", contradicts),
+        "gives nd = 1.4991, and its coefficients (CD)",
     )
 
 

@@ -141,7 +141,7 @@ def test_an_interrupted_search_of_the_light_goes_on(
 
 def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_path: Path) -> None:
     (tmp_path / "calibration.json").write_text("kept")
-    quick = "--parameters", "light", "--most-mountings", 6
+    quick = "--parameters", "light", "--max-mountings", 6
     code, _, err = run("calibrate", "--empty", bench / "star", *quick, "-o", tmp_path)
     assert code == 2
     assert "--empty: " in err

@@ -39,7 +39,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
 ) -> None:
     sought = "--parameters", "decenter_x_mm,tilt_y_deg"
     code, out, err = wavesim(
-        "calibrate", *frames_and_design(data), *sought, "--known", data, "-o", tmp_path, "--json"
+        "calibrate", *frames_and_design(data), *sought, "--truth", data, "-o", tmp_path, "--json"
     )
     assert code == 0, err
     found = json.loads(out)
@@ -81,7 +81,7 @@ def test_an_interrupted_search_goes_on(
 ) -> None:
     """The second run begins after the steps that the first one has made, and comes to the same."""
     command = (*frames_and_design(data), "--parameters", "rigid", "--iterations", 3, "--scale", 1)
-    command = (*command, "--most-mountings", 4)  # later steps are saved like the first ones
+    command = (*command, "--max-mountings", 4)  # later steps are saved like the first ones
     whole, began = JointSearch.run, []
 
     def cut_off(search: JointSearch, state: SearchState) -> FitResult:
@@ -169,8 +169,8 @@ def test_both_in_one_run(
         (("--parameters", "decentre_x_mm"), "did you mean decenter_x_mm"),
         (("--parameters", ""), "--parameters = ''"),
         (("--kind", "phase"), "--kind = 'phase'"),
-        (("--most-mountings", 0), "most-mountings"),
-        (("--known", "nowhere.npz"), "nowhere.npz"),
+        (("--max-mountings", 0), "most-mountings"),
+        (("--truth", "nowhere.npz"), "nowhere.npz"),
         (("--patch-mm", 5), "patch_mm = 5"),
     ],
 )

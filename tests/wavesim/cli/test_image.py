@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_frames_and_words_for_people(
     counts = {}
     for name, options in {"a": ("--seed", 1), "b": ("--seed", 1), "c": ("--no-noise",)}.items():
         code, out, _ = wavesim(
-            "image", twin, *QUICK, "--planes-mm", "0.1", "--object", "star", "--ground", "dark",
+            "image", twin, *QUICK, "--plane-distance-mm", "0.1", "--object", "star", "--ground", "dark",
             *options, "-o", tmp_path / name,
         )  # fmt: skip
         assert code == 0
@@ -75,7 +75,7 @@ def test_results_are_replaced_and_what_else_is_there_stays(
 ) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "frame_1.tif").write_text("old")
-    code, _, _ = wavesim("image", twin, *QUICK, "--planes-mm", "0.1", "-o", tmp_path)
+    code, _, _ = wavesim("image", twin, *QUICK, "--plane-distance-mm", "0.1", "-o", tmp_path)
     assert code == 0
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert read_frame(tmp_path / "frame_1.tif").counts.max() > 1000
@@ -92,8 +92,8 @@ def test_results_are_replaced_and_what_else_is_there_stays(
         (("--ground", "grey"), "ground = 'grey'"),
         (("--illumination", "sun"), "illumination = 'sun'"),
         (("--waist-mm", 0.01), "--waist-mm: requires --illumination gaussian"),
-        (("--planes-mm", "0.1,0.1"), "--planes-mm = '0.1,0.1'"),
-        (("--planes-mm", "near"), "--planes-mm = 'near'"),
+        (("--plane-distance-mm", "0.1,0.1"), "--plane-distance-mm = '0.1,0.1'"),
+        (("--plane-distance-mm", "near"), "--plane-distance-mm = 'near'"),
         (("--stage-error-mm", "0,0,0"), "--stage-error-mm = '0,0,0': must be 1 or 2 numbers"),
         (("--pixels", 100), "reaches beyond the sensor's"),
         (("--pixels", 1000), "pixels = 1000: must be from 1 to"),
@@ -107,7 +107,7 @@ def test_results_are_replaced_and_what_else_is_there_stays(
         (("--chart-at-mm", "0,0"), "chart at 0, 0 mm: even group 9 alone"),
         (("--chart-at-mm", "0.024,0"), "reaches beyond the field stop of 0.05 mm"),
         (("--bits", 20), "bits = 20"),
-        (("--full-well", 0), "full-well = 0"),
+        (("--full-well-electrons", 0), "full-well-electrons = 0"),
         (("--seed", -1), "--seed = -1"),
         (("--engine", "eiconal"), "engine = 'eiconal': there is no such engine"),
         (("--engine", "eikonal", "--slices", 3), "engine eikonal: slices = 3"),
@@ -182,7 +182,16 @@ def test_a_state_from_a_file_records_what_its_options_record(
 
 
 def test_a_chart_stands_beside_the_middle_too(wavesim: Command, twin: Path, tmp_path: Path) -> None:
-    options = (*QUICK[2:], "--patch-mm", 0.09, "--planes-mm", 0.1, "--no-noise", "--chart-at-mm", "0.036,0")
+    options = (
+        *QUICK[2:],
+        "--patch-mm",
+        0.09,
+        "--plane-distance-mm",
+        0.1,
+        "--no-noise",
+        "--chart-at-mm",
+        "0.036,0",
+    )
     code, out, err = wavesim("image", twin, *options, "-o", tmp_path, "--json")
     assert (code, err) == (0, "")
     target = make_target(object_patch(load_design(twin), 0.09), "usaf", numerical_aperture=0.5)

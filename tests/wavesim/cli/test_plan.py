@@ -14,7 +14,7 @@ def test_a_table_a_chart_and_figures(wavesim: Command, tmp_path: Path) -> None:
     design, chart = tmp_path / "twin.toml", tmp_path / "plans.png"
     save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 64), design)
     usual = (design, "--patch-mm", 0.02, "--kind", "amplitude", "--exposures", 1)
-    code, out, err = wavesim("plan", *usual, "--most-planes", 2, "-o", chart)
+    code, out, err = wavesim("plan", *usual, "--max-planes", 2, "-o", chart)
     assert code == 0, err
     assert "amplitude object; simulated on the lens itself, patch 0.02 mm" in out
     assert "0.03125, 0.3438" in out
@@ -23,7 +23,7 @@ def test_a_table_a_chart_and_figures(wavesim: Command, tmp_path: Path) -> None:
     assert "few grains (dark grains on 3 %" in out
     assert "The prediction assumes:" in out
     assert "depending on the object" in out
-    code, out, err = wavesim("plan", *usual, "--most-planes", 1, "--correlation", 0.999999, "--json")
+    code, out, err = wavesim("plan", *usual, "--max-planes", 1, "--correlation", 0.999999, "--json")
     assert code == 0, err
     found = json.loads(out)
     (plan,) = found["plans"]
@@ -38,7 +38,7 @@ def test_a_table_a_chart_and_figures(wavesim: Command, tmp_path: Path) -> None:
 
 
 def test_refused(wavesim: Command) -> None:
-    usual = ("plan", "designs/paper_singlet.toml", "--planes-mm", "3,1")
+    usual = ("plan", "designs/paper_singlet.toml", "--plane-distance-mm", "3,1")
     code, out, err = wavesim(*usual)
     assert (code, out) == (2, "")
-    assert "--planes-mm = '3,1': must be two numbers, increasing" in err
+    assert "--plane-distance-mm = '3,1': must be two numbers, increasing" in err

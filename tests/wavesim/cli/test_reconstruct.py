@@ -229,7 +229,17 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     wavesim: Command, data: Path, tmp_path: Path
 ) -> None:
     chart = ("--patch-mm", 0.09, "--engine", "eikonal", "--error", 0.3, "--chart-at-mm", "0.036,0")
-    exposed = (*chart, "--exposures", "1,30", "--planes-mm", 0.0625, "--pixels", "all", "-o", tmp_path)
+    exposed = (
+        *chart,
+        "--exposures",
+        "1,30",
+        "--plane-distance-mm",
+        0.0625,
+        "--pixels",
+        "all",
+        "-o",
+        tmp_path,
+    )
     code, _, err = wavesim("image", data / "twin.toml", *exposed)
     assert code == 0, err
     merged, alone = tmp_path / "merged", tmp_path / "alone"

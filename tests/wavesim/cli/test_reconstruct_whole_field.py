@@ -76,29 +76,24 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
     assert "or refocus a part of the object alone (--region-mm)" in err
 
 
-class Bar:
-    """In place of a bar: what it would show."""
+class Count:
+    """In place of the progress: what it would show."""
 
     def __init__(self) -> None:
         self.shown: list[str] = []
 
-    def add_task(self, description: str, **_: object) -> int:
-        self.shown.append(description)
-        return 0
-
-    def update(self, _task: int, description: str | None = None, **_: object) -> None:
-        if description is not None:
-            self.shown.append(description)
+    def update(self, _done: int, _total: int | None, what: str) -> None:
+        self.shown.append(what)
 
 
 def test_progress_is_told_within_an_iteration(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bar, engines = Bar(), []
+    count, engines = Count(), []
 
     @contextmanager
-    def shown() -> Iterator[Bar]:
-        yield bar
+    def shown(_what: str) -> Iterator[Count]:
+        yield count
 
     make = problem.imaging_engine
 
@@ -106,14 +101,14 @@ def test_progress_is_told_within_an_iteration(
         engines.append(make(*arguments, **settings))
         return engines[-1]
 
-    monkeypatch.setattr(runs, "progress_bar", shown)
+    monkeypatch.setattr(runs, "progress_count", shown)
     monkeypatch.setattr(problem, "imaging_engine", kept)
     options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code in ENDED, err
     (engine,) = engines
-    count = len(engine.groups)
-    assert bar.shown[0] == "object: engine hierarchical"
-    assert f"object: engine hierarchical, super-tile {count} of {count}" in bar.shown
-    assert any(re.fullmatch(rf"object: misfit 0\.\d{{5}}, super-tile 1 of {count}", s) for s in bar.shown)
+    groups = len(engine.groups)
+    assert count.shown[0] == "object: engine hierarchical"
+    assert f"object: engine hierarchical, super-tile {groups} of {groups}" in count.shown
+    assert any(re.fullmatch(rf"object: misfit 0\.\d{{5}}, super-tile 1 of {groups}", s) for s in count.shown)
     assert engine.progress is None

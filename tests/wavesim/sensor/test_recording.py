@@ -41,7 +41,7 @@ TILES = (
     0.1,
     "--tile-width-mm",
     0.006,
-    "--planes-mm",
+    "--plane-distance-mm",
     0.0625,
 )
 

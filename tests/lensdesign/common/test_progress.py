@@ -1,0 +1,47 @@
+"""Progress without a terminal: lines on standard error."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from lensdesign.common import progress
+from lensdesign.common.progress import progress_count, progress_text
+
+
+def lines_of(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], show: object) -> list[str]:
+    """Return the lines that are printed until there are two."""
+    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.01)
+    printed = threading.Semaphore(0)
+    monkeypatch.setattr(progress, "visible", lambda text: printed.release() or text)
+    show(lambda: [printed.acquire(timeout=10.0) for _ in range(2)])  # type: ignore[operator]
+    return capsys.readouterr().err.splitlines()
+
+
+def test_counts_are_printed_with_and_without_a_total(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def show(wait: object) -> None:
+        with progress_count("trials") as count:
+            count.advance(3, 10, "trials")
+            count.advance(2, 10, "trials")
+            wait()  # type: ignore[operator]
+
+    assert "5 of 10" in lines_of(monkeypatch, capsys, show)[-1]
+
+    def without(wait: object) -> None:
+        with progress_count("lenses") as count:
+            count.advance(7, None, "lenses")
+            wait()  # type: ignore[operator]
+
+    assert lines_of(monkeypatch, capsys, without)[-1].endswith("s: 7; lenses")
+
+
+def test_texts_are_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def show(wait: object) -> None:
+        with progress_text("searching") as status:
+            status.update("start 2")
+            wait()  # type: ignore[operator]
+
+    assert lines_of(monkeypatch, capsys, show)[-1].endswith("s: start 2")
