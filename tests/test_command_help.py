@@ -189,7 +189,7 @@ def test_choices_are_shown(command: str, shown: str, help_of: Any) -> None:
         ("wavesim image", "--tilt-x-deg NUMBER Rotation of the lens about x. [deg; default: 0.0]"),
         ("wavesim resolve-lines", "[default: slices]"),
         ("lensdesign import", "--pixels INTEGER INTEGER Pixels of the sensor along x and y."),
-        ("lensdesign ghost", "Wavelength in um; default: the design's first wavelength."),
+        ("lensdesign ghost", "Wavelength in µm; default: the design's first wavelength."),
     ],
 )
 def test_units_and_defaults_are_shown(command: str, shown: str, help_of: Any) -> None:

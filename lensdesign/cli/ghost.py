@@ -27,7 +27,7 @@ def ghost(
     wavelength_um: Annotated[
         float | None,
         typer.Option(
-            help="Wavelength in um; default: the design's first wavelength.",
+            help="Wavelength in µm; default: the design's first wavelength.",
             rich_help_panel=OptionGroup.ILLUMINATION,
         ),
     ] = None,

@@ -58,7 +58,7 @@ def _print_report(report: MeshReport) -> None:
     typer.echo(f"{report.triangles} triangles, {closed}, {bodies} (design: {report.elements})")
     relative = report.volume_mm3 / report.exact_volume_mm3 - 1.0
     typer.echo(
-        f"volume {report.volume_mm3:.8g} mm^3; of the design {report.exact_volume_mm3:.8g} mm^3; "
+        f"volume {report.volume_mm3:.8g} mm³; of the design {report.exact_volume_mm3:.8g} mm³; "
         f"{relative:+.2g}"
     )
     for side in report.distances:

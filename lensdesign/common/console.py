@@ -255,7 +255,8 @@ def print_whole(*tables: Table, markup: bool = False) -> None:
     """Print rich tables on standard output, one below the other, without cutting any cell.
 
     In a pipe or a file, each table has its full width, so that each row is one line. In a terminal, or if
-    `COLUMNS` is set, words are wrapped to that width. A table whose numbers need more width exceeds it.
+    `COLUMNS` is set, words are wrapped to that width, and names only if they do not fit otherwise. A table
+    whose numbers need more width exceeds it.
 
     Parameters
     ----------
@@ -274,6 +275,12 @@ def print_whole(*tables: Table, markup: bool = False) -> None:
             column.overflow = "fold"
         options = console.options.update(max_width=100_000)  # no limit, to measure the full width
         whole = console.measure(table, options=options).maximum
+        # A name that continues on the next line cannot be copied, so it is whole if there is space for it.
+        names = [c for c in table.columns if not c.no_wrap and not any(" " in str(cell) for cell in c.cells)]
+        for column in names:
+            column.no_wrap = True
+            if _least_width(table, console, options, whole) > console.width:
+                column.no_wrap = False
         width = max(console.width, _least_width(table, console, options, whole) if has_width else whole)
         Console(**plain, width=width).print(table, crop=False)
 

@@ -22,7 +22,7 @@ ALWAYS_SHOWN = frozenset({HELP_ALL, "--settings"})
 
 UNITS = {
     "mm": "mm",
-    "um": "um",
+    "um": "µm",
     "nm": "nm",
     "deg": "deg",
     "gb": "GB",

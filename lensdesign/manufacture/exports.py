@@ -123,7 +123,7 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
     }
     sentence = (
         f"{mesh.triangles} triangles, within {mesh.chord_error_um:.3g} um of the true surface, "
-        f"volume {mesh.volume_mm3:.6g} mm^3 (exact {mesh.exact_volume_mm3:.6g} mm^3)"
+        f"volume {mesh.volume_mm3:.6g} mm³ (exact {mesh.exact_volume_mm3:.6g} mm³)"
     )
     return Exported(sentence, values, statements)
 
@@ -147,8 +147,8 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
     }
     sentence = (
         f"{found.solids} {'solid' if found.solids == 1 else 'solids'}, read back within "
-        f"{1e6 * found.largest_error_mm:.2g} nm of the true surface, volume {found.volume_mm3:.9g} mm^3 "
-        f"(exact {found.exact_volume_mm3:.9g} mm^3)"
+        f"{1e6 * found.largest_error_mm:.2g} nm of the true surface, volume {found.volume_mm3:.9g} mm³ "
+        f"(exact {found.exact_volume_mm3:.9g} mm³)"
     )
     return Exported(sentence, values, outline.statements)
 

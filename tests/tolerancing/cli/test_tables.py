@@ -36,3 +36,17 @@ def test_names_go_on_below_and_numbers_stay_whole(draw, columns, monkeypatch, ca
     firsts = "".join(line.strip("│ ").split("  ")[0].split(" │")[0].strip() for line in shown.splitlines())
     for name in NAMES:
         assert name in firsts
+
+
+def test_names_are_whole_where_there_is_space(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    name = "surface_1_irregularity_pv_waves"
+    print_table(
+        "title",
+        ["perturbation", "sentence"],
+        ["change"],
+        [(name, "words that are wrapped " * 4, "1.0")],
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert any(name in line for line in lines)
+    assert max(map(len, lines)) <= 80
