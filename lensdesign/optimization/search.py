@@ -25,6 +25,28 @@ from lensdesign.optimization.specification.stop_rules import Ending
 Report = Callable[[str], None]
 
 
+@dataclass(frozen=True)
+class Improvement:
+    """A better lens that a search has found.
+
+    Attributes
+    ----------
+    seconds
+        Time since the search began in s.
+    start
+        Index of the start, from 0, over all choices of glasses.
+    goal
+        Goal as a fraction of its reference, which is the same during the whole search; smaller is better.
+    feasible
+        Whether the lens meets every constraint on the rays of the search.
+    """
+
+    seconds: float
+    start: int
+    goal: float
+    feasible: bool
+
+
 class SearchInterrupted(KeyboardInterrupt):
     """An interrupt of an optimization that has a result.
 
@@ -40,7 +62,10 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 def optimize(
-    specification: Specification | FilePath, report: Report | None = None, seed: int = 0
+    specification: Specification | FilePath,
+    report: Report | None = None,
+    seed: int = 0,
+    on_improvement: Callable[[Improvement], None] | None = None,
 ) -> OptimizationResult:
     """Optimize a lens to a specification.
 
@@ -61,6 +86,8 @@ def optimize(
         Progress callback, called with a line of text at each improvement (default: none).
     seed
         Seed of the random starts and of the stochastic algorithms.
+    on_improvement
+        Called at each improvement, at most ten times a second (default: none).
 
     Returns
     -------
@@ -94,7 +121,9 @@ def optimize(
         for number, (glasses, base) in enumerate(bases):
             time = now()
             budget = Budget(settings.max_evaluations, time + (end - time) / (len(bases) - number))
-            progress = _Progress(specification, (number, len(bases)), glasses, began, budget, report)
+            progress = _Progress(
+                specification, (number, len(bases)), glasses, began, budget, report, on_improvement
+            )
             tried.append(_try(glasses, DesignProblem(specification, base), budget, seed, progress))
             if tried[-1].limit == INTERRUPT:
                 ending.interrupted = True
@@ -177,6 +206,7 @@ class _Progress:
     began: float
     budget: Budget
     report: Report | None
+    on_improvement: Callable[[Improvement], None] | None = None
     points: list[Array] = field(default_factory=list)
     evaluations: int = 0
     number: int = 0
@@ -197,9 +227,14 @@ class _Progress:
         """Report an improvement of the goal, at most ten times a second."""
         self.evaluations = max(self.evaluations, evaluations)
         time = now()
-        if self.report is None or time - self.last < 0.1:
+        if time - self.last < 0.1:
             return
         self.last = time
+        if self.on_improvement is not None:
+            start = self.choice[0] * self.specification.optimize.starts + self.number
+            self.on_improvement(Improvement(time - self.began, start, objective, violation <= FEASIBLE))
+        if self.report is None:
+            return
         kept = "feasible" if violation <= FEASIBLE else f"violation {violation:.2g}"
         self.report(
             f"{self.specification.optimize.goal}, {self.glasses}, {self._starts()}: {abs(objective):.6f} of "

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from lensdesign.analysis.check import check_design
@@ -27,6 +27,9 @@ from wavesim.runtime.threads import one_blas_thread
 
 Found = TypeVar("Found")
 
+RESULTS = ("layout", "check", "pupils", "built", "patch")
+"""Names of the results of an analysis."""
+
 
 @dataclass(frozen=True, eq=False)
 class LensAnalysis:
@@ -37,11 +40,14 @@ class LensAnalysis:
     lens
         The lens.
     settled
-        Whether results have the accuracy of the commands; while a value changes, they are coarser.
+        Whether all results have the accuracy of the commands; while a value changes, they are coarser.
     layout, check, pupils, built, patch
         Results of the stages; None (or empty) if they are not available.
-    refused
-        Reasons why results are not available, one sentence each.
+    reasons
+        Reasons why results of this lens are not available, by their names. A result with a reason belongs to
+        an earlier lens.
+    exact
+        Names of the results that have this accuracy.
     seconds
         Computing time of each stage in s.
     """
@@ -53,8 +59,39 @@ class LensAnalysis:
     pupils: tuple[PupilAnalysis, ...] = ()
     built: AsBuiltPrediction | None = None
     patch: PatchPicture | None = None
-    refused: tuple[str, ...] = ()
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    exact: frozenset[str] = frozenset()
     seconds: tuple[float, ...] = ()
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Reasons why results are not available, each once."""
+        return tuple(dict.fromkeys(self.reasons.values()))
+
+    def updated(self, stage: LensAnalysis, names: tuple[str, ...]) -> LensAnalysis:
+        """Return the analysis with the results of a stage.
+
+        A result that the stage has not got stays, with the reason of the stage.
+
+        Parameters
+        ----------
+        stage
+            Results of one stage.
+        names
+            Names of the results of this stage.
+        """
+        new = {name: getattr(stage, name) for name in names if name not in stage.reasons}
+        kept = {name: why for name, why in self.reasons.items() if name not in names}
+        exact = (self.exact - {*names}) | {*(names if stage.settled else ())}
+        return replace(
+            self,
+            lens=stage.lens,
+            settled=exact.issuperset(RESULTS),
+            exact=exact,
+            reasons=kept | dict(stage.reasons),
+            seconds=stage.seconds,
+            **new,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +106,8 @@ class AnalysisRequest:
         Its deviations from the design.
     quality
         Tolerances of the prediction; None: no prediction.
+    no_quality
+        Reason why the chosen tolerances cannot be used; empty if they can, or if none are chosen.
     patch_fraction
         Field height of the patch, as a fraction of the half field.
     """
@@ -77,20 +116,21 @@ class AnalysisRequest:
     what_if: WhatIf
     quality: ManufacturingQuality | None
     patch_fraction: float
+    no_quality: str = ""
 
 
 def rays_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     """Compute layout and check."""
     started, lens = time.perf_counter(), request.lens
-    refused: list[str] = []
-    layout = _tried(lambda: layout_of(lens), refused)
-    check = _tried(lambda: check_design(lens, refined=settled), refused)
+    reasons: dict[str, str] = {}
+    layout = _tried("layout", lambda: layout_of(lens), reasons)
+    check = _tried("check", lambda: check_design(lens, refined=settled), reasons)
     return LensAnalysis(
         lens,
         settled,
         layout=layout,
         check=check,
-        refused=tuple(refused),
+        reasons=reasons,
         seconds=(time.perf_counter() - started,),
     )
 
@@ -98,18 +138,22 @@ def rays_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
 def waves_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     """Compute pupils at three object points, and the prediction as built."""
     started, lens, quality = time.perf_counter(), request.lens, request.quality
-    refused: list[str] = []
+    reasons: dict[str, str] = {"built": request.no_quality} if request.no_quality else {}
     samples = SAMPLES if settled else COARSE
     with one_blas_thread():
         what_if, heights = request.what_if.of(lens), field_heights_mm(lens)
-        pupils = _tried(lambda: analyse_pupils(lens, what_if, heights, samples), refused)
-        as_built = None if quality is None else _tried(lambda: built(lens, quality, settled=settled), refused)
+        pupils = _tried("pupils", lambda: analyse_pupils(lens, what_if, heights, samples), reasons)
+        as_built = (
+            None
+            if quality is None
+            else _tried("built", lambda: built(lens, quality, settled=settled), reasons)
+        )
     return LensAnalysis(
         lens,
         settled,
         pupils=pupils or (),
         built=as_built,
-        refused=tuple(refused),
+        reasons=reasons,
         seconds=(time.perf_counter() - started,),
     )
 
@@ -117,19 +161,23 @@ def waves_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
 def patch_of(request: AnalysisRequest, *, settled: bool) -> LensAnalysis:
     """Compute the patch."""
     started, lens = time.perf_counter(), request.lens
-    refused: list[str] = []
+    reasons: dict[str, str] = {}
     height, samples = request.patch_fraction * lens.half_field_mm, None if settled else COARSE_PATCH
     with one_blas_thread():
-        patch = _tried(lambda: patch_picture(lens, request.what_if.of(lens), height, samples), refused)
-    return LensAnalysis(
-        lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - started,)
-    )
+        patch = _tried(
+            "patch", lambda: patch_picture(lens, request.what_if.of(lens), height, samples), reasons
+        )
+    return LensAnalysis(lens, settled, patch=patch, reasons=reasons, seconds=(time.perf_counter() - started,))
 
 
-def _tried(compute: Callable[[], Found], refused: list[str]) -> Found | None:
-    """Return a result; if it fails, return None and add the reason to `refused`."""
+STAGES = ((rays_of, ("layout", "check")), (waves_of, ("pupils", "built")), (patch_of, ("patch",)))
+"""Stages of an analysis, and the names of their results."""
+
+
+def _tried(name: str, compute: Callable[[], Found], reasons: dict[str, str]) -> Found | None:
+    """Return a result; if it fails, return None and add the reason."""
     try:
         return compute()
     except TransferLensError as error:
-        refused.append(str(error))
+        reasons[name] = str(error)
         return None

@@ -7,9 +7,11 @@ the accuracy of the commands.
 
 from __future__ import annotations
 
+import sys
 import threading
+import traceback
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,11 @@ from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.paths import FIELD_FRACTIONS
-from studio.model.analysis import AnalysisRequest, LensAnalysis, patch_of, rays_of, waves_of
+from studio.model.analysis import RESULTS, STAGES, AnalysisRequest, LensAnalysis
 from studio.model.built import ManufacturingQuality, manufacturing_quality
 from studio.model.document import Autosave, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
+from studio.model.session import Session
 from studio.model.values import parsed, path_of_key
 from studio.model.whatif import WhatIf
 
@@ -67,11 +70,13 @@ class Workbench:
         if autosave is not None:
             self.editing = autosave.restored(self.document, self.editing)
         self.what_if = WhatIf()
+        self.session = Session.of_lens(self.lens)
+        self.opened_designs = 0
         self.grade = grade
         self.patch_fraction = FIELD_FRACTIONS[1]
         self.analysis = LensAnalysis(self.lens)
         self.refused: dict[str, str] = {}
-        self._quality: tuple[str, tuple[Any, ...], ManufacturingQuality | None] | None = None
+        self._quality: tuple[str, tuple[Any, ...], ManufacturingQuality | None, str] | None = None
         self._listeners: list[Listener] = []
         self._condition = threading.Condition()
         self._requested = 0
@@ -137,6 +142,28 @@ class Workbench:
         self._keep()
         self.notify()
 
+    def open(self, path: Path) -> None:
+        """Open another design in place of this one. Unsaved edits of this one stay in the store.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or does not describe a lens.
+        """
+        document, editing = opened(path)
+        self._keep()
+        if self.autosave is not None:
+            self.autosave = Autosave(path, self.autosave.folder)
+        self.session.close()
+        self.document, self.editing, self.refused = document, editing, {}
+        self.opened = self.saved = editing.now.tables
+        if self.autosave is not None:
+            self.editing = self.autosave.restored(document, editing)
+        self.what_if, self.session = WhatIf(), Session.of_lens(self.lens)
+        self.analysis = LensAnalysis(self.lens)
+        self.opened_designs += 1
+        self.request_update()
+
     def set_what_if(self, what_if: WhatIf) -> None:
         """Set the deviations of the lens from its design."""
         self.what_if = what_if
@@ -179,16 +206,17 @@ class Workbench:
         self.notify()
 
     def close(self) -> None:
-        """Stop the computing thread."""
+        """Stop the computing thread and all jobs."""
+        self.session.close()
         with self._condition:
             self._ended = True
             self._condition.notify_all()
 
     def settle(self) -> LensAnalysis:
         """Analyse the present state with full accuracy in this thread."""
-        request = AnalysisRequest(self.lens, self.what_if, self._quality_for(self.lens), self.patch_fraction)
-        for stage in (rays_of, waves_of, patch_of):
-            self._publish(stage(request, settled=True))
+        request = self._with_quality(AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction))
+        for stage, names in STAGES:
+            self._publish(stage(request, settled=True), names)
         return self.analysis
 
     def _work(self) -> None:
@@ -203,19 +231,27 @@ class Workbench:
                     continue
                 done = self._requested
             try:
-                request = AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction)
                 self._keep()
-                self._publish(rays_of(request, settled=False))
-                request = replace(request, quality=self._quality_for(request.lens))
-                for stage in (waves_of, patch_of):
-                    self._publish(stage(request, settled=False))
-                if self._is_idle(done):
-                    for stage in (rays_of, waves_of, patch_of):
-                        self._publish(stage(request, settled=True))
-                        if self._requested != done:
-                            break
-            except TransferLensError as error:
-                self._publish(LensAnalysis(self.lens, refused=(str(error),)))
+                self._analyse(done)
+            except Exception as error:
+                # Without this, the page would go on to show the figures of an earlier lens.
+                traceback.print_exc(file=sys.stderr)
+                why = f"the analysis failed: {type(error).__name__}: {error}"
+                self._publish(LensAnalysis(self.lens, reasons=dict.fromkeys(RESULTS, why)), RESULTS)
+
+    def _analyse(self, number: int) -> None:
+        """Analyse the state of a request; if no other follows, with full accuracy at the end."""
+        (rays, ray_names), *others = STAGES
+        request = AnalysisRequest(self.lens, self.what_if, None, self.patch_fraction)
+        self._publish(rays(request, settled=False), ray_names)
+        request = self._with_quality(request)
+        for stage, names in others:
+            self._publish(stage(request, settled=False), names)
+        if self._is_idle(number):
+            for stage, names in STAGES:
+                self._publish(stage(request, settled=True), names)
+                if self._requested != number:
+                    return
 
     def _is_idle(self, done: int) -> bool:
         with self._condition:
@@ -224,26 +260,22 @@ class Workbench:
             self._condition.wait_for(lambda: self._ended or self._requested != done, settle_seconds)
             return not self._ended and self._requested == done
 
-    def _quality_for(self, lens: Lens) -> ManufacturingQuality | None:
-        """Return the tolerances of the grade; they change only with surfaces, materials and field."""
+    def _with_quality(self, request: AnalysisRequest) -> AnalysisRequest:
+        """Return a request with the tolerances, which change only with surfaces, materials and field."""
+        lens = request.lens
         built_of = (len(lens.surfaces), lens.half_field_mm, tuple(s.material for s in lens.surfaces))
         if self._quality is None or self._quality[:2] != (self.grade, built_of):
+            quality, why = None, ""
             try:
                 quality = manufacturing_quality(self.grade, lens) if self.grade else None
             except TransferLensError as error:
-                quality = None
-                self.refused = {"grade": str(error)}
-            self._quality = (self.grade, built_of, quality)
-        return self._quality[2]
+                why = str(error)
+            self._quality = (self.grade, built_of, quality, why)
+        return replace(request, quality=self._quality[2], no_quality=self._quality[3])
 
-    def _publish(self, result: LensAnalysis) -> None:
+    def _publish(self, result: LensAnalysis, names: tuple[str, ...]) -> None:
         """Update the analysis with the results of a stage."""
-        new = {
-            f.name: value
-            for f in fields(result)
-            if (value := getattr(result, f.name)) not in (None, ()) or f.name == "refused"
-        }
-        self.analysis = replace(self.analysis, **new)
+        self.analysis = self.analysis.updated(result, names)
         self.notify()
 
     def _keep(self) -> None:

@@ -96,6 +96,12 @@ def _same(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
+def cache_folder() -> Path:
+    """Return the private folder of the workbench in the user's cache folder; it need not exist."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "transferlens" / "studio"
+
+
 class Autosave:
     """Store of unsaved edits, and of the server's address, in a private folder of the user.
 
@@ -108,8 +114,7 @@ class Autosave:
     """
 
     def __init__(self, path: Path, folder: Path | None = None) -> None:
-        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        self.folder = Path(home) / "transferlens" / "studio" if folder is None else folder
+        self.folder = cache_folder() if folder is None else folder
         name = hashlib.sha256(os.path.realpath(path).encode()).hexdigest()[:24]
         self.file = self.folder / f"{name}.json"
         self._turn = threading.Lock()

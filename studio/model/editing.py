@@ -187,3 +187,38 @@ def with_stop(tables: Tables, index: int) -> Tables:
             surface["stop"] = True
             surface.setdefault("semi_diameter_mm", (sizes or [None])[0])
     return changed
+
+
+def with_shape(tables: Tables, index: int, shape: str) -> Tables:
+    """Return tables with another shape of a surface, which keeps radius and conic.
+
+    Parameters
+    ----------
+    tables
+        Tables of a design.
+    index
+        Index of the surface, from 0.
+    shape
+        Name in :data:`lensdesign.lens.shapes.registry.SHAPES`.
+    """
+    changed = deepcopy(tables)
+    surface = changed["surface"][index]
+    for key in ("shape", "asphere", "radius_x_mm", "conic_x"):
+        surface.pop(key, None)
+    if shape == "even asphere":
+        surface["asphere"] = [0.0]
+    elif shape != "conic":
+        surface["shape"] = shape
+        for key in ("radius", "conic"):
+            unit = "_mm" if key == "radius" else ""
+            if f"{key}{unit}" in surface:
+                surface[f"{key}_x{unit}"] = surface[f"{key}{unit}"]
+    return changed
+
+
+def with_term(tables: Tables, index: int) -> Tables:
+    """Return tables with a further aspheric term of 0 on a surface (index from 0)."""
+    changed = deepcopy(tables)
+    surface = changed["surface"][index]
+    surface["asphere"] = [*surface.get("asphere", []), 0.0]
+    return changed

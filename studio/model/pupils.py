@@ -14,7 +14,7 @@ from studio.model.whatif import WhatIf
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast
 from wavesim.pupil.patch_reconstructor import PatchReconstructor
-from wavesim.pupil.pupil import refocus, rms_waves, strehl
+from wavesim.pupil.pupil import ReconstructionPupil, mtf, psf, refocus, rms_waves, strehl
 
 SAMPLES, COARSE = 128, 48
 """Samples across the pupil, as in `wavesim pupil`, and while a value changes."""
@@ -39,6 +39,13 @@ class PupilAnalysis:
         Line widths in um, and the smaller of the contrasts of lines along both axes.
     waves : ndarray, shape (samples, samples)
         Path difference in waves; NaN outside the pupil.
+    psf_half_um
+        Half the side of the point spread's window in um.
+    psf_decades : ndarray
+        Decimal logarithm of the point spread, relative to the peak of a perfect pupil; row: y, column: x.
+    frequencies_lp_per_mm, mtf, perfect_mtf : ndarray
+        Spatial frequencies in the object plane, the smaller modulation along both axes, and that of a pupil
+        without aberrations.
     """
 
     field_mm: float
@@ -49,6 +56,11 @@ class PupilAnalysis:
     widths_um: tuple[float, ...]
     contrast: tuple[float, ...]
     waves: Array
+    psf_half_um: float
+    psf_decades: Array
+    frequencies_lp_per_mm: Array
+    mtf: Array
+    perfect_mtf: Array
 
 
 def analyse_pupils(
@@ -75,6 +87,10 @@ def analyse_pupils(
             for width in widths
         )
         waves = np.where(inside, pupil.waves_on_grid, np.nan)
+        half_um, decades = _point_spread(pupil, samples)
+        cut_off = 2e3 * pupil.grid.half_width / pupil.wavelength_um
+        frequencies = np.linspace(0.0, cut_off, 49)
+        perfect = ReconstructionPupil(pupil.grid, np.zeros_like(pupil.opd_mm), pupil.valid)
         found.append(
             PupilAnalysis(
                 height,
@@ -85,9 +101,26 @@ def analyse_pupils(
                 widths,
                 contrast,
                 waves,
+                half_um,
+                decades,
+                frequencies,
+                np.minimum(mtf(pupil, frequencies, "x"), mtf(pupil, frequencies, "y")),
+                np.minimum(mtf(perfect, frequencies, "x"), mtf(perfect, frequencies, "y")),
             )
         )
     return tuple(found)
+
+
+PSF_DECADES = 4.0
+"""Range of the point spread that is shown, in decades."""
+
+
+def _point_spread(pupil: ReconstructionPupil, samples: int) -> tuple[float, Array]:
+    """Return half the side of the window, which holds four Airy disks, and the point spread in decades."""
+    airy_diameter_um = 1.22 * pupil.wavelength_um / pupil.grid.half_width
+    half_um = min(2.0 * airy_diameter_um, 0.5 * pupil.grid.window_um)
+    _, intensity = psf(pupil, half_um, points=97 if samples == SAMPLES else 49)
+    return half_um, np.log10(np.maximum(intensity, 10.0**-PSF_DECADES))
 
 
 @lru_cache(maxsize=8)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,10 @@ CONSTRAINTS = (
     ("max_semi_diameter_mm", "semi-diameter, at most", "mm"),
     ("min_yield", "yield, at least", ""),
 )
-"""Key, label and unit of constraints; for the first two, ``sensor`` means the limit of the sensor."""
+"""Key, label and unit of constraints; for those of `SENSOR_LIMITS`, ``sensor`` means the sensor's limit."""
+
+SENSOR_LIMITS = ("max_spread_deg", "max_footprint_radius_mm")
+"""Constraints that may be given by the sensor."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,52 @@ class Search:
         Values by the keys of `CONSTRAINTS` (default: defaults of a specification).
     starts
         Largest number of starts (default: 6).
+    ranges
+        Bounds of variables by name, in place of those of :func:`variables_of`: one number for a radius (the
+        smallest), two for others.
     """
 
     variables: tuple[str, ...]
     goal: str = "smallest spread"
     constraints: dict[str, float | str] = field(default_factory=dict)
     starts: int = 6
+    ranges: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of_texts(
+        cls,
+        variables: tuple[str, ...],
+        goal: str,
+        limits: Mapping[str, str],
+        ranges: Mapping[str, tuple[float, ...]],
+    ) -> Search:
+        """Return the search with constraints given as texts; an empty text means no limit.
+
+        Raises
+        ------
+        InputError
+            If there is no variable, or a limit is neither a number nor an allowed word.
+        """
+        if not variables:
+            raise InputError("no variable is selected: tick at least one")
+        constraints: dict[str, float | str] = {}
+        for key, label, unit in CONSTRAINTS:
+            given = limits.get(key, "").strip()
+            if key in SENSOR_LIMITS and given in ("", "none", "sensor"):
+                constraints[key] = given or "none"
+            elif given:
+                try:
+                    constraints[key] = float(given)
+                except ValueError:
+                    allowed = "a number, sensor, or empty" if key in SENSOR_LIMITS else "a number, or empty"
+                    name = f"{label} ({unit})" if unit else label
+                    raise InputError(f"{name}: {given!r}: must be {allowed}") from None
+        return cls(variables, goal, constraints, ranges=dict(ranges))
+
+    @property
+    def needs_tolerances(self) -> bool:
+        """True if the goal or a constraint is of lenses as built."""
+        return self.goal in AS_BUILT_GOALS or "min_yield" in self.constraints
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +157,20 @@ def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
     return found
 
 
+def range_of(variable: Mapping[str, Any]) -> tuple[float, ...]:
+    """Return the bounds of a variable: the smallest radius, or the smallest and the largest value."""
+    radius_mm = variable.get("smallest_radius_mm")
+    return tuple(variable["bounds"]) if radius_mm is None else (radius_mm,)
+
+
+def with_range(variable: Mapping[str, Any], bounds: tuple[float, ...] | None) -> dict[str, Any]:
+    """Return a variable with other bounds; None keeps its own."""
+    if bounds is None:
+        return dict(variable)
+    is_radius = "smallest_radius_mm" in variable
+    return {**variable, **({"smallest_radius_mm": bounds[0]} if is_radius else {"bounds": list(bounds)})}
+
+
 def specification_text(lens: Lens, search: Search, folder: Path, study: str | None) -> str:
     """Return the text of a specification file in a folder.
 
@@ -132,11 +189,13 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
             "stop": "numerical aperture",
         },
         "constraints": dict(search.constraints),
-        "variable": [known[name] for name in search.variables if name in known],
+        "variable": [
+            with_range(known[name], search.ranges.get(name)) for name in search.variables if name in known
+        ],
     }
     if study is not None:
         tables["tolerances"] = {"study": study}
-    elif search.goal in AS_BUILT_GOALS or "min_yield" in search.constraints:
+    elif search.needs_tolerances:
         raise InputError(f"goal {search.goal!r}: choose tolerances first")
     # Tolerances of a figure refer to a clear aperture. Otherwise the footprint of rays may change freely.
     start = lens if study is not None else _without_sizes(lens)
@@ -148,6 +207,14 @@ def run_search(
 ) -> SearchSummary:
     """Run a search in the calling process.
 
+    Parameters
+    ----------
+    lens, search, quality
+        The start, the settings, and the tolerances of goals as built.
+    report
+        Called with a JSON object for each line of progress (``{"text": ...}``) and for each improvement
+        (``{"seconds": ..., "start": ..., "goal": ..., "feasible": ...}``).
+
     Raises
     ------
     InputError
@@ -156,7 +223,11 @@ def run_search(
     from lensdesign.optimization.search import optimize
 
     with _specification_of(lens, search, quality) as specification:
-        result = optimize(specification, report)
+        result = optimize(
+            specification,
+            lambda line: report(json.dumps({"text": line})),
+            on_improvement=lambda found: report(json.dumps(asdict(found))),
+        )
     unit = f" {result.goal_unit}" if result.goal_unit else ""
     summary = (
         f"{result.goal} {result.goal_value:.6g}{unit}; {result.evaluations} evaluations in "

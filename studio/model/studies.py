@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.files.design import save_design
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import SurfacePerturbation
 from studio.model.built import ManufacturingQuality
 from studio.model.whatif import WhatIf
+from tolerancing.statistics.summary import Summary
+from tolerancing.statistics.yields import Yield, yield_of
 from tolerancing.study.files import load_study, save_study
 from tolerancing.study.results import TrialResults
+from wavesim.scene.system_state import SystemState
 
 
 def write_study(lens: Lens, quality: ManufacturingQuality, trials: int, folder: Path) -> Path:
@@ -46,26 +53,69 @@ def run_trials(
     return trials
 
 
-def trials_so_far(folder: Path) -> TrialResults | None:
-    """Return the trials in the store of a folder; None if there is no store yet."""
+@dataclass(frozen=True, eq=False)
+class StudyProgress:
+    """Trials of a study that has run so far.
+
+    Attributes
+    ----------
+    summary
+        Yields and statistics, as `tolerancing show` prints them.
+    trials
+        The trials.
+    counts
+        Numbers of first trials for which `yields` are given.
+    yields
+        Yield of the first trials with its confidence interval.
+    """
+
+    summary: Summary
+    trials: TrialResults
+    counts: tuple[int, ...]
+    yields: tuple[Yield, ...]
+
+
+def study_progress(folder: Path) -> StudyProgress | None:
+    """Return the trials in the store of a folder; None if there are none yet."""
+    from tolerancing.perturbations.draws import replicates
+    from tolerancing.statistics.summary import summary_of
     from tolerancing.store.store import open_store
 
     try:
         with open_store(folder / "study.db") as store:
-            return store.trials()
+            record, study, nominal, found = store.record(), store.study, store.nominal(), store.trials()
     except InputError:
         return None
+    if not len(found):
+        return None
+    passed, numbers = np.asarray(found.passed, bool), np.asarray(found.trials)
+    # Enough points for a curve, however many trials there are.
+    points = 60
+    counts = np.unique(np.linspace(min(10, len(found)), len(found), points).astype(int))
+    yields = [yield_of(passed[:n], replicates(study.draws, numbers[:n].tolist())) for n in counts]
+    return StudyProgress(
+        summary_of(record, study, nominal, found, 0),
+        found,
+        tuple(counts.tolist()),
+        tuple(one for one in yields if one is not None),
+    )
 
 
 def trial_what_if(folder: Path, number: int) -> WhatIf:
-    """Return the deviations of one trial's lens, without irregularities, for which there are no sliders."""
+    """Return the deviations of one trial's lens. Irregularities have no slider, but act as well."""
     from tolerancing.study.evaluate import sample_perturbations
 
-    study = load_study(folder / "study.toml").study
-    batch = sample_perturbations(study, [number])
+    loaded = load_study(folder / "study.toml")
+    batch = sample_perturbations(loaded.study, [number])
     values: dict[str, float] = {}
     for parameter, value in zip(batch.parameters, batch.values[0].tolist(), strict=True):
         if not parameter.is_irregularity:
             key = f"{parameter.target}.{parameter.parameter}"
             values[key] = values.get(key, 0.0) + value
-    return WhatIf(values)
+    state = batch.states(loaded.lens, loaded.lens.wavelengths_um[0])[0]
+    figures = {
+        index: SurfacePerturbation(figure=own.figure)
+        for index, own in state.surface_perturbations.items()
+        if own.figure is not None
+    }
+    return WhatIf(values, SystemState(surface_perturbations=figures), f"irregularities of trial {number}")

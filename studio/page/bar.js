@@ -22,11 +22,15 @@ export function render({ model, el }) {
   const ask = (action) => () => model.send_msg({ action });
   const undo = button("↶ Undo", "Undo (Ctrl+Z)", ask("undo"));
   const redo = button("↷ Redo", "Redo (Ctrl+Shift+Z)", ask("redo"));
+  const picker = filePicker(model, root);
+  button("Open…", "Open another design", () => picker.open(
+    { mode: "open", title: "Open a design", start: model.file, suffixes: [".toml"] },
+    (file) => model.send_msg({ action: "open", file })));
   const name = make("input", "name");
   name.ariaLabel = "File to save to";
   name.spellcheck = false;
   const save = button("Save", "Save (Ctrl+S)", () => model.send_msg({ action: "save", file: name.value }));
-  const sun = button("◐", "Dark or light", () => dress(page.dataset.theme === "dark" ? "light" : "dark"));
+  button("◐", "Dark or light", () => dress(page.dataset.theme === "dark" ? "light" : "dark"));
   const page = document.documentElement;
   const dress = (theme) => {
     page.dataset.theme = theme;
@@ -44,6 +48,8 @@ export function render({ model, el }) {
     message.textContent = model.message;
     message.classList.toggle("bad", model.is_bad);
   };
+  const first_design = model.opened;
+  model.on("opened", () => { if (model.opened !== first_design) location.reload(); });
   for (const key of ["title", "file", "is_saved", "can_undo", "can_redo", "undo", "message", "is_bad"])
     model.on(key, update);
 

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import panel as pn
 import param
+from bokeh.io import curdoc
 
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 from studio import panes
 from studio.model.bench import Workbench
-from studio.panes.common import ScriptPart, follow, text
+from studio.model.files import remember
+from studio.panes.common import follow, text
+from studio.panes.files import PICKER_SCRIPT, PICKER_STYLE, PickerPart
 from studio.panes.rays import field_heights
+from studio.panes.tabs import Tabs
 from studio.panes.themes import FIELDS, apply_theme
 
 HERE = Path(__file__).parent
+DESIGNS = "designs"
+"""Name of the list of recent design files."""
+
 PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
 
 
-class Bar(ScriptPart):
+class Bar(PickerPart):
     """The top bar."""
 
     title = param.String(default="", doc="Title of the design.")
@@ -33,15 +39,20 @@ class Bar(ScriptPart):
     message = param.String(default="", doc="Result of the last action.")
     is_bad = param.Boolean(default=False, doc="Whether the last action failed.")
 
-    _esm = HERE / "bar.js"
-    _stylesheets = [HERE / "bar.css"]  # noqa: RUF012 - as Panel has it
+    opened = param.Integer(default=0, doc="Number of the opened design; a page of another one is reloaded.")
+
+    _esm = PICKER_SCRIPT + (HERE / "bar.js").read_text(encoding="utf-8")
+    _stylesheets = [(HERE / "bar.css").read_text(encoding="utf-8"), PICKER_STYLE]  # noqa: RUF012 - as Panel has it
 
 
 def page(bench: Workbench) -> pn.Template:
     """Return the whole page for one tab of a browser."""
+    # A session that begins with a connection instead of a page would load style sheets from another server.
+    curdoc().template_variables.setdefault("dist_url", "static/extensions/panel/")
     template, main = pn.Template((HERE / "page.html").read_text(encoding="utf-8")), _main(bench)
     template.add_variable("page_css", (HERE / "page.css").read_text(encoding="utf-8"))
     template.add_panel("bar", _bar(bench, main))
+    template.add_panel("deviations", panes.deviations(bench))
     template.add_panel("side", _side(bench))
     template.add_panel("main", main)
     template.add_panel("summary", _summary(bench))
@@ -61,15 +72,19 @@ def _bar(bench: Workbench, main: pn.Column) -> Bar:
             bench.undo()
         elif action == "redo":
             bench.redo()
-        elif action == "save":
+        elif action in ("save", "open"):
+            path = Path(str(message.get("file") or bench.document.path)).expanduser()
             try:
-                path = Path(str(message.get("file") or bench.document.path))
-                bench.save(None if path == bench.document.path else path)
-                bar.message = f"saved {bench.document.path}"
+                if action == "open":
+                    bench.open(path)
+                else:
+                    bench.save(None if path == bench.document.path else path)
+                    bar.message = f"saved {bench.document.path}"
+                remember(DESIGNS, bench.document.path)
             except TransferLensError as error:
                 bar.param.update(message=str(error), is_bad=True)
 
-    bar = Bar(received, sizing_mode="stretch_width")
+    bar = Bar(DESIGNS, received, sizing_mode="stretch_width")
 
     def update() -> None:
         editing = bench.editing
@@ -80,30 +95,29 @@ def _bar(bench: Workbench, main: pn.Column) -> Bar:
             can_undo=bool(editing.undo_steps),
             can_redo=bool(editing.redo_steps),
             undo=visible(editing.now.description),
+            opened=bench.opened_designs,
         )
 
     follow(bench, bar, update)
     return bar
 
 
-def _side(bench: Workbench) -> pn.Tabs:
-    return _tabs(("Lens", panes.surfaces(bench)), ("What if", panes.what_if(bench)))
+def _side(bench: Workbench) -> Tabs:
+    return Tabs("Values", ("Lens", panes.surfaces(bench)), ("What if", panes.what_if(bench)))
 
 
 def _summary(bench: Workbench) -> pn.Column:
     return _styled(pn.Column(panes.findings(bench), _head("As built"), panes.as_built(bench)))
 
 
-def _tabs(*tabs: tuple[str, Any]) -> pn.Tabs:
-    return pn.Tabs(*tabs, sizing_mode="stretch_width", margin=0, dynamic=True, stylesheets=[PARTS])
-
-
 def _main(bench: Workbench) -> pn.Column:
     return _styled(
         pn.Column(
             _card(_legend(bench), panes.layout(bench)),
-            _tabs(
+            Tabs(
+                "Tasks",
                 ("Live", _live(bench)),
+                ("Surfaces", _card(panes.surface_table(bench))),
                 ("Optimize", _card(panes.optimize(bench))),
                 ("Explore", _card(panes.explore(bench))),
                 ("Tolerances", _card(panes.tolerances(bench))),
@@ -117,21 +131,31 @@ def _main(bench: Workbench) -> pn.Column:
 
 def _live(bench: Workbench) -> pn.Column:
     planes = min(2, len(bench.lens.sensor.plane_distances_mm))
-    row = partial(pn.Row, sizing_mode="stretch_width", margin=0, styles={"gap": "1px"})
+
+    def row(*cards: pn.Column) -> pn.Row:
+        return pn.Row(*cards, sizing_mode="stretch_width", margin=0, styles={"gap": "1px"})
+
     return pn.Column(
         row(
             _card(_head("Spread", "against field, and the sensor's limit"), panes.spread(bench)),
             *(
-                _card(_head(f"Footprint H{k + 1}", "spots on the sensor"), panes.footprint(bench, k))
+                _card(_head(f"Spots on H{k + 1}", "and the footprint"), panes.footprint(bench, k))
                 for k in range(planes)
             ),
         ),
+        row(*(_card(_head("Wavefront", f"field {k + 1}"), panes.wavefront(bench, k)) for k in range(3))),
+        row(*(_card(_head("PSF", f"field {k + 1}"), panes.point_spread(bench, k)) for k in range(3))),
         row(
-            *(_card(_head("Wavefront" if k == 0 else "&nbsp;"), panes.wavefront(bench, k)) for k in range(3)),
+            _card(_head("MTF", "dashed: without aberrations"), panes.modulation(bench)),
+            _card(_head("Contrast", "of lines"), panes.contrast(bench)),
         ),
-        row(
-            _card(_head("Contrast", "of lines, as it is"), panes.contrast(bench)),
-            _card(_head("Patch", "of a chart, reconstructed"), panes.patch(bench)),
+        row(_card(_head("Patch", "of a chart, reconstructed"), panes.patch(bench))),
+        _card(
+            pn.pane.HTML(
+                '<div class="text-block hint">Draw a box in a chart to enlarge it; a double click shows '
+                "everything. Values appear under the pointer.</div>",
+                margin=0,
+            )
         ),
         sizing_mode="stretch_width",
         styles={"gap": "1px"},

@@ -17,8 +17,11 @@ from studio.model.document import Autosave
 
 ADDRESS = "127.0.0.1"
 
-CHECK_MILLISECONDS, LIFETIME_MILLISECONDS = 2_000, 5_000
-"""Interval at which sessions without a page are sought, and the age at which they end."""
+CHECK_MILLISECONDS, LIFETIME_MILLISECONDS = 2_000, 60_000
+"""Interval at which sessions without a page are sought, and the age at which they end.
+
+A busy machine may need many seconds from the page to its first connection.
+"""
 
 
 def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool = True) -> None:

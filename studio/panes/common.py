@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -136,6 +136,46 @@ def text(value: object) -> str:
     return escape(visible(str(value)))
 
 
+class Guarded(pn.Column):
+    """Contents of a pane, which are greyed under the reason if they do not belong to the present lens.
+
+    Parameters
+    ----------
+    bench
+        Workbench of the pane.
+    contents
+        What the pane shows.
+    names
+        Names of the results that it shows, see :data:`studio.model.analysis.RESULTS`.
+    """
+
+    def __init__(self, bench: Workbench, contents: Any, *names: str) -> None:
+        self.note = pn.pane.HTML("", visible=False, margin=0, sizing_mode="stretch_width", styles=_OVER)
+        self.contents = pn.Column(contents, sizing_mode="stretch_width", margin=0)
+        self.names = names
+        super().__init__(
+            self.note, self.contents, sizing_mode="stretch_width", margin=0, styles={"position": "relative"}
+        )
+        self.reason = ""
+        follow(bench, self, lambda: self.show(bench.analysis.reasons))
+
+    def show(self, reasons: Mapping[str, str]) -> None:
+        """Grey the contents if there is a reason for one of their results."""
+        reason = next((reasons[name] for name in self.names if name in reasons), "")
+        if reason == self.reason:
+            return
+        self.reason = reason
+        self.note.param.update(
+            object=f'<div class="stale" role="status"><b>Not of this lens</b> {text(reason)}</div>',
+            visible=bool(reason),
+        )
+        self.contents.styles = _GREY if reason else {}
+
+
+_OVER = {"position": "absolute", "z-index": "3", "inset": "0 0 auto"}
+_GREY = {"opacity": "0.3", "filter": "grayscale(1)"}
+
+
 def message_pane() -> pn.pane.HTML:
     """Return an empty pane for messages."""
     return pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
@@ -147,6 +187,28 @@ def message(markup: str, is_bad: bool = False) -> str:
     return f'<div class="text-block"><p{kind}>{markup}</p></div>'
 
 
+def bind(bench: Workbench, widget: Any, read: Callable[[], Any], write: Callable[[Any], None]) -> None:
+    """Keep the value of a widget equal to a setting of the workbench, on all pages."""
+
+    def on_value(event: Any) -> None:
+        if event.new != read():
+            write(event.new)
+            bench.notify()
+
+    def update() -> None:
+        if widget.value != (value := read()):
+            widget.value = value
+
+    widget.param.watch(on_value, "value")
+    follow(bench, widget, update)
+
+
+def explanation(title: str, *sentences: str) -> str:
+    """Return the markup that a tab without results shows: what it is for, and an example."""
+    body = "".join(f"<p>{text(sentence)}</p>" for sentence in sentences)
+    return f'<div class="text-block empty"><h3>{text(title)}</h3>{body}</div>'
+
+
 class JobPane:
     """Buttons that start and stop a job of a pane, and a message about it.
 
@@ -154,27 +216,45 @@ class JobPane:
     ----------
     bench
         Workbench of the pane.
+    job
+        Function that returns the last job of the workbench; None before the first.
     run, cancel
         Labels of the buttons.
     """
 
-    def __init__(self, bench: Workbench, run: str, cancel: str = "Stop") -> None:
+    def __init__(
+        self, bench: Workbench, job: Callable[[], Job | None], run: str, cancel: str = "Stop"
+    ) -> None:
         self.bench = bench
-        self.job: Job | None = None
+        self._job = job
         self.run = pn.widgets.Button(name=run, button_type="primary", align="end")
         self.cancel = pn.widgets.Button(name=cancel, disabled=True, align="end")
         self.message = message_pane()
-        self.cancel.on_click(lambda _: self.job and self.job.cancel())
+        self.cancel.on_click(self._cancel)
+
+    @property
+    def job(self) -> Job | None:
+        """Last job."""
+        return self._job()
 
     @property
     def is_running(self) -> bool:
         """True while the job runs."""
         return self.job is not None and self.job.state == "running"
 
+    def _cancel(self, _: object) -> None:
+        if self.job is not None:
+            self.job.cancel()
+
     def enable_buttons(self) -> None:
         """Enable the button that is of use now."""
         if self.run.disabled is not self.is_running:
             self.run.disabled, self.cancel.disabled = self.is_running, not self.is_running
+
+    def show_message(self, markup: str) -> None:
+        """Replace the message, unless it is shown already."""
+        if self.message.object != markup:
+            self.message.object = markup
 
     def show_error(self, error: Exception) -> None:
         """Show why a job cannot start."""

@@ -13,7 +13,9 @@ from lensdesign.errors import TransferLensError
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.panes.common import bench_of, follow, message, message_pane, text
+from studio.model.files import remember
+from studio.panes.common import bench_of, explanation, follow, message, message_pane, text
+from studio.panes.files import FileChoice
 
 
 def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
@@ -35,8 +37,14 @@ def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
 def compare(lens: Workbench | Lens) -> pn.Column:
     """Return a pane that compares values and properties of the lens with those of other designs."""
     bench = bench_of(lens)
-    others: dict[str, Lens] = {}
-    name = pn.widgets.TextInput(name="design file to compare", placeholder="designs/feasible_singlet.toml")
+    others = bench.session.compared
+    name = FileChoice(
+        "designs",
+        label="design file to compare",
+        placeholder="designs/feasible_singlet.toml",
+        suffixes=[".toml"],
+        sizing_mode="stretch_width",
+    )
     add = pn.widgets.Button(name="Add", align="end")
     clear = pn.widgets.Button(name="Clear", align="end")
     note = message_pane()
@@ -50,24 +58,34 @@ def compare(lens: Workbench | Lens) -> pn.Column:
         if not bench.analysis.settled or state == last_state[0]:
             return
         last_state[0] = state
-        table.object = comparison(["this lens", *others], [bench.analysis.lens, *others.values()])
+        explained = "" if others else _EMPTY
+        table.object = explained + comparison(["this lens", *others], [bench.analysis.lens, *others.values()])
 
     def add_design(_: object) -> None:
         note.object = ""
-        path = Path(name.value.strip())
+        path = Path(name.value.strip()).expanduser()
         try:
             if len(others) + 1 >= 3:  # at most three designs are compared
                 others.pop(next(iter(others)))
             others[path.name] = load_design(path)
+            remember("designs", path)
         except TransferLensError as error:
             note.object = message(text(error), is_bad=True)
-        update()
+        bench.notify()
 
     def clear_designs(_: object) -> None:
         others.clear()
-        update()
+        bench.notify()
 
     add.on_click(add_design)
     clear.on_click(clear_designs)
     follow(bench, pane, update)
     return pane
+
+
+_EMPTY = explanation(
+    "Compare this lens with others",
+    "Add one or two design files. The table then has a column for each of them, and marks the values "
+    "that differ and the constraints that are not met.",
+    "Example: add the file as it was opened, and edit the lens here: the marked rows are the changes.",
+)

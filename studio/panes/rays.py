@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,12 +11,23 @@ from lensdesign.analysis.report import CheckReport
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.model.picture import Layout, field_heights_mm
-from studio.panes.common import bench_of, follow_result
-from studio.panes.themes import COLORS, FIELDS, Theme, ThemedChart, chart, framed
+from studio.model.picture import Layout, field_heights_mm, layout_of
+from studio.panes.common import Guarded, bench_of, follow_result
+from studio.panes.themes import (
+    COLORS,
+    FIELDS,
+    Theme,
+    ThemedChart,
+    chart,
+    framed,
+    hover,
+    set_range,
+    show,
+    stepped,
+)
 
 
-def layout(lens: Workbench | Lens) -> ThemedChart:
+def layout(lens: Workbench | Lens) -> Guarded:
     """Return the layout of the lens to scale, with rays of three fields."""
     from bokeh.models import ColumnDataSource
 
@@ -27,10 +37,12 @@ def layout(lens: Workbench | Lens) -> ThemedChart:
     names = ("glass", "rays", "surfaces", "planes", "labels")
     sources = {name: ColumnDataSource({"xs": [], "ys": []}) for name in names}
     sources["rays"].data = {"xs": [], "ys": [], "color": []}
+    sources["surfaces"].data = {"xs": [], "ys": [], "name": []}
     sources["labels"].data = {"x": [], "y": [], "text": []}
     glass = plot.patches("xs", "ys", source=sources["glass"], line_color=None, fill_alpha=0.75)
     plot.multi_line("xs", "ys", source=sources["rays"], line_color="color", line_width=0.8, line_alpha=0.85)
     outline = plot.multi_line("xs", "ys", source=sources["surfaces"], line_width=1.4)
+    hover(plot, [outline], ("", "@name"), line_policy="interp")
     planes = plot.multi_line("xs", "ys", source=sources["planes"], line_width=2)
     labels = plot.text(
         "x",
@@ -62,10 +74,10 @@ def layout(lens: Workbench | Lens) -> ThemedChart:
 
     pane = ThemedChart(plot, dress)
     follow_result(bench, pane, lambda: bench.analysis.layout, draw)
-    return pane
+    return Guarded(bench, pane, "layout")
 
 
-def spread(lens: Workbench | Lens) -> ThemedChart:
+def spread(lens: Workbench | Lens) -> Guarded:
     """Return a chart of the largest angle behind the lens against field height, with the sensor's limit."""
     from bokeh.models import ColumnDataSource, Range1d, Span
 
@@ -76,6 +88,7 @@ def spread(lens: Workbench | Lens) -> ThemedChart:
     source = ColumnDataSource({"x": [], "y": []})
     line = plot.line("x", "y", source=source, line_width=2)
     dots = plot.scatter("x", "y", source=source, size=4)
+    hover(plot, [dots], ("field height", "@x{0.000} mm"), ("spread", "@y{0.0000} deg"))
     limit = Span(dimension="width", line_dash="dashed", line_width=1.2)
     plot.add_layout(limit)
     colors: dict[str, str] = {}
@@ -95,16 +108,16 @@ def spread(lens: Workbench | Lens) -> ThemedChart:
     def draw(report: CheckReport) -> None:
         source.data = {"x": list(report.spread_heights_mm), "y": list(report.spread_per_field_deg)}
         limit.location = report.spread_limit_deg
-        _widen(plot.y_range, 0.0, 1.15 * max(report.spread_limit_deg, report.max_spread_deg))
-        _widen(plot.x_range, 0.0, 1.02 * report.spread_heights_mm[-1])
+        set_range(plot.y_range, 0.0, stepped(1.15 * max(report.spread_limit_deg, report.max_spread_deg)))
+        set_range(plot.x_range, 0.0, stepped(1.02 * report.spread_heights_mm[-1]))
         paint()
 
     pane = ThemedChart(plot, dress)
     follow_result(bench, pane, lambda: bench.analysis.check, draw)
-    return pane
+    return Guarded(bench, pane, "check")
 
 
-def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
+def footprint(lens: Workbench | Lens, plane: int = 0) -> Guarded:
     """Return a chart of the spots of three fields in one sensor plane, and the footprint of all light."""
     from bokeh.models import ColumnDataSource
 
@@ -112,8 +125,9 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
     plot = chart(height=190, x="x (mm)", y="y (mm)", match_aspect=True)
     box = framed(plot)
     spots, sensor, reach = (ColumnDataSource({"x": [], "y": []}) for _ in range(3))
-    spots.data = {"x": [], "y": [], "color": []}
-    plot.scatter("x", "y", source=spots, size=2, color="color", line_color=None, alpha=0.9)
+    spots.data = {"x": [], "y": [], "color": [], "field": []}
+    dots = plot.scatter("x", "y", source=spots, size=2, color="color", line_color=None, alpha=0.9)
+    hover(plot, [dots], ("field", "@field"), ("x, y", "@x{0.000}, @y{0.000} mm"), point_policy="follow_mouse")
     frame = plot.line("x", "y", source=sensor, line_width=1.4)
     circle = plot.line("x", "y", source=reach, line_width=1.2, line_dash="dashed")
     theme: Theme = "light"
@@ -138,6 +152,7 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
             "x": xy[:, 0],
             "y": xy[:, 1],
             "color": np.repeat(FIELDS[theme], [len(p) for p in points]).tolist(),
+            "field": np.repeat(field_heights(bench.analysis.lens), [len(p) for p in points]).tolist(),
         }
         half_x, half_y = (0.5 * side for side in bench.analysis.lens.sensor.size_mm)
         sensor.data = {
@@ -150,7 +165,7 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
         margin_factor = 1.06
         largest = margin_factor * max(half_y, radius)
         wide = margin_factor * max(half_x, radius)
-        _show(box, (-wide, wide), (-largest, largest))
+        show(box, (-wide, wide), (-largest, largest))
         name = f"footprint radius at {report.plane_distances_mm[plane]:g} mm"
         met = all(c.met for c in report.constraints if c.name == name)
         frame.glyph.line_color = COLORS[theme]["ink"]
@@ -158,7 +173,7 @@ def footprint(lens: Workbench | Lens, plane: int = 0) -> ThemedChart:
 
     pane = ThemedChart(plot, dress)
     follow_result(bench, pane, result, draw)
-    return pane
+    return Guarded(bench, pane, "check", "layout")
 
 
 def _colors(count: int, theme: Theme) -> list[str]:
@@ -168,7 +183,9 @@ def _colors(count: int, theme: Theme) -> list[str]:
 def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> None:
     lines = [ray for field in found.rays for ray in field]
     sources["glass"].data = _corners(found.glass)
-    sources["surfaces"].data = _corners(found.surfaces)
+    sources["surfaces"].data = _corners(found.surfaces) | {
+        "name": [f"surface {k + 1}" for k in range(len(found.surfaces))]
+    }
     sources["rays"].data = _corners(lines) | {"color": _colors(len(lines), theme)}
     half = 0.5 * lens.sensor.size_mm[1]
     positions = [(lens.object_z_mm, lens.half_field_mm), *((z, half) for z in lens.sensor_z_mm)]
@@ -188,29 +205,41 @@ def _corners(lines: Sequence[Array]) -> dict[str, list[Any]]:
 def _frame(box: Any, found: Layout, lens: Lens) -> None:
     """Show the whole lens; the range changes in steps, so that it is steady while a slider moves."""
     high = max(0.5 * lens.sensor.size_mm[1], *(float(np.abs(s[:, 1]).max()) for s in found.surfaces))
-    high = _stepped(1.22 * high)
+    high = stepped(1.22 * high)
     left, right = lens.object_z_mm, lens.sensor_z_mm[-1]
-    margin = 0.04 * _stepped(right - left)
-    _show(box, (left - margin, right + margin), (-high, high))
-
-
-def _show(box: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Set the visible range of a chart, unless it is set already."""
-    new = {"x": list(x), "y": list(y)}
-    if dict(box.data) != new:
-        box.data = new
-
-
-def _widen(span: Any, start: float, end: float) -> None:
-    """Set a range whose end increases in steps."""
-    span.update(start=start, end=_stepped(end))
-
-
-def _stepped(value: float) -> float:
-    """Return the next of values that are 3 % apart."""
-    return 1.03 ** math.ceil(math.log(max(value, 1e-12)) / math.log(1.03))
+    margin = 0.04 * stepped(right - left)
+    show(box, (left - margin, right + margin), (-high, high))
 
 
 def field_heights(lens: Lens) -> list[str]:
     """Return the field heights of the pictures as texts."""
     return [f"{height:.3g} mm" for height in field_heights_mm(lens)]
+
+
+def layouts_over_each_other(height: int = 210) -> tuple[ThemedChart, Any]:
+    """Return a chart of two lenses, and the function that draws them: a start, and a lens found from it."""
+    from bokeh.models import ColumnDataSource
+
+    plot = chart(height=height, x="z (mm)", y="y (mm)", match_aspect=True)
+    box = framed(plot)
+    start, found, rays = (ColumnDataSource({"xs": [], "ys": []}) for _ in range(3))
+    glass = plot.patches("xs", "ys", source=found, line_color=None, fill_alpha=0.6, legend_label="found")
+    light = plot.multi_line("xs", "ys", source=rays, line_width=0.8, line_alpha=0.7)
+    dashed = plot.multi_line(
+        "xs", "ys", source=start, line_width=1.4, line_dash="dashed", legend_label="start"
+    )
+    plot.xgrid.visible = plot.ygrid.visible = False
+
+    def dress(colors: dict[str, str], _: Theme) -> None:
+        glass.glyph.fill_color = colors["glass"]
+        light.glyph.line_color = colors["accent"]
+        dashed.glyph.line_color = colors["ink"]
+
+    def draw(lenses: tuple[Lens, Lens]) -> None:
+        before, after = (layout_of(lens) for lens in lenses)
+        start.data = _corners([np.concatenate([outline, outline[:1]]) for outline in before.glass])
+        found.data = _corners(after.glass)
+        rays.data = _corners([ray for field in after.rays for ray in field])
+        _frame(box, after, lenses[1])
+
+    return ThemedChart(plot, dress, margin=(5, 10)), draw

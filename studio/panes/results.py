@@ -10,33 +10,43 @@ import panel as pn
 
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
+from studio.model.files import remember
 from studio.model.jobs import Job
 from studio.model.results import FolderContents, read_folder
-from studio.panes.common import bench_of, follow, message, message_pane, text
+from studio.panes.common import bench_of, explanation, follow, message, message_pane, text
+from studio.panes.files import FileChoice
 
 
 def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
     """Return a pane that opens a folder of frames, a reconstruction or a calibration."""
     bench = bench_of(lens)
-    jobs: list[Job] = []
-    name = pn.widgets.TextInput(name="folder that wavesim wrote", placeholder="object", width=420)
+    session = bench.session
+    name = FileChoice(
+        "folders", label="folder that wavesim wrote", placeholder="object", mode="folder", width=480
+    )
     show = pn.widgets.Button(name="Open", button_type="primary", align="end")
     note = message_pane()
-    form = pn.Row(name, show, margin=(6, 6, 0, 6))
+    form = pn.FlexBox(name, show, margin=(6, 6, 0, 6))
     pane = pn.Column(form, note, sizing_mode="stretch_width", margin=0)
-    last_state: list[object] = [None]
+    last_state: list[object] = [""]
 
     def start(_: object) -> None:
-        if jobs and jobs[-1].state == "running":
-            jobs[-1].cancel()
-        jobs.append(Job(read_folder, (Path(name.value.strip()),), bench.notify))
-        update()
+        if session.opened_folder is not None:
+            session.opened_folder.cancel()
+        path = Path(name.value.strip()).expanduser()
+        remember("folders", path)
+        session.opened_folder = Job(read_folder, (path,), bench.notify)
+        bench.notify()
 
     def update() -> None:
-        if not jobs or (state := (jobs[-1], jobs[-1].state, jobs[-1].progress)) == last_state[0]:
+        job = session.opened_folder
+        state = None if job is None else (job, job.state, job.progress)
+        if state == last_state[0]:
             return
-        last_state[0], job = state, jobs[-1]
-        if job.state == "done":
+        last_state[0] = state
+        if job is None:
+            note.object = _EMPTY
+        elif job.state == "done":
             note.object = _markup(job.result)
         else:
             failed = job.state == "failed"
@@ -45,6 +55,16 @@ def result_folder_pane(lens: Workbench | Lens) -> pn.Column:
     show.on_click(start)
     follow(bench, pane, update)
     return pane
+
+
+_EMPTY = explanation(
+    "Look at frames and reconstructions",
+    "Open a folder that wavesim image, reconstruct or calibrate wrote. It shows the verdict, a picture "
+    "to zoom, the residuals, and the calibrated deviations.",
+    "Example: wavesim image designs/paper_singlet.toml -o frames, then wavesim reconstruct "
+    "designs/paper_singlet.toml frames/frame_1.tif frames/frame_2.tif -o object, and open the folder "
+    "object.",
+)
 
 
 def _markup(contents: FolderContents) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import panel as pn
 
@@ -9,21 +12,22 @@ from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.common.text import quantity_text
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
-from studio.panes.common import bench_of, follow, message_pane, text
+from studio.model.files import remember
+from studio.panes.common import Guarded, bench_of, follow, message_pane, text
+from studio.panes.files import FileChoice
 from tolerancing.perturbations.grades import GRADES
 from tolerancing.prediction.wavefront_prediction import WavefrontPrediction
 
 
-def findings(lens: Workbench | Lens) -> pn.pane.HTML:
+def findings(lens: Workbench | Lens) -> Guarded:
     """Return a pane with the constraints, their present values, and a sentence for each violation."""
     bench = bench_of(lens)
     pane = message_pane()
 
     def update() -> None:
         report = bench.analysis.check
-        refused = "".join(f'<p class="miss">{text(one)}</p>' for one in bench.analysis.refused)
         if report is None:
-            pane.object = f'<div class="text-block">{refused}</div>'
+            pane.object = ""
             return
         rows = "".join(_constraint(c) for c in report.constraints)
         misses = "".join(f'<p class="miss">{text(one)}</p>' for one in report.violations)
@@ -32,14 +36,20 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
             if report.feasible
             else f'<p class="verdict bad">{len(report.violations)} not met</p>'
         )
-        state = "settled" if bench.analysis.settled and bench.analysis.lens is bench.lens else "moving"
+        is_new = "check" not in bench.analysis.reasons and bench.analysis.lens is bench.lens
+        is_exact = "check" in bench.analysis.exact
+        state = "settled" if is_exact and is_new else "moving" if is_new else "stale"
         pane.object = (
             f'<div class="text-block" data-state="{state}">{verdict}{rows}'
-            f'{misses}{refused}<table class="facts">{_facts(report, bench.analysis.lens)}</table></div>'
+            f'{misses}<table class="facts">{_facts(report, bench.analysis.lens)}</table></div>'
         )
 
     follow(bench, pane, update)
-    return pane
+    return Guarded(bench, pane, "check")
+
+
+STUDIES = "studies"
+"""Name of the list of recent study files."""
 
 
 def as_built(lens: Workbench | Lens) -> pn.Column:
@@ -51,14 +61,36 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
     chosen = pn.widgets.Select(
         name="tolerances", options=names, value=bench.grade, sizing_mode="stretch_width"
     )
-    chosen.param.watch(lambda event: bench.set_grade(event.new), "value")
+
+    def choose_grade(event: Any) -> None:
+        if event.new != bench.grade:
+            bench.set_grade(event.new)
+
+    chosen.param.watch(choose_grade, "value")
+
+    def choose_study(_: str, path: Path) -> None:
+        remember(STUDIES, path)
+        bench.set_grade(str(path))
+
+    study = FileChoice(
+        STUDIES,
+        choose_study,
+        (("study", "Study file…", "open", "Use the tolerances of a study file (TOML)"),),
+        suffixes=[".toml"],
+        margin=(0, 10),
+    )
     shown = message_pane()
-    pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(chosen, study, Guarded(bench, shown, "built"), sizing_mode="stretch_width", margin=0)
 
     def update() -> None:
-        found, why = bench.analysis.built, bench.refused.get("grade", "")
-        if why or found is None:
-            shown.object = f'<div class="text-block"><p class="miss">{text(why)}</p></div>'
+        if chosen.value != bench.grade:
+            known = chosen.options
+            if bench.grade not in known.values():
+                chosen.options = known | {Path(bench.grade).name: bench.grade}
+            chosen.value = bench.grade
+        found = bench.analysis.built
+        if found is None:
+            shown.object = ""
             return
         predicted, waves = found.prediction, found.prediction.wavefronts
         limits = "".join(
@@ -78,11 +110,13 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         )
         cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
         others = ", ".join(predicted.not_predicted)
-        note = f"<p>not predicted, scored by trials only: {text(others)}</p>" if others else ""
+        note = f"<p>not in this yield, scored by trials only: {text(others)}</p>" if others else ""
+        if "built" in bench.analysis.exact and not predicted.is_trustworthy:
+            note += '<p class="miss">too large tolerances for a prediction: run a study under Tolerances</p>'
         shown.object = (
             f'<div class="text-block"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
-            f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits{cost}</p>"
-            f"<table class='facts'><tr><th>limit</th><th>good</th></tr>{limits}</table>"
+            f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits at once{cost}</p>"
+            f"<table class='facts'><tr><th>each limit alone</th><th>good</th></tr>{limits}</table>"
             f"{note}<table class='facts'><tr><th>field</th><th>rms</th></tr>{points}</table>"
             f'<table class="bars">{bars}</table></div>'
         )

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import panel as pn
 import param
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
+from studio.model.files import remember
 from studio.model.values import Value, glasses_like, parsed, values_of
-from studio.model.whatif import DeviationRange, WhatIf, deviations_of
-from studio.panes.common import HERE, ScriptPart, bench_of, follow
+from studio.model.whatif import DeviationRange, WhatIf, deviations_of, read_what_if
+from studio.panes.common import HERE, ScriptPart, bench_of, follow, message, message_pane, text
+from studio.panes.files import FileChoice
 
 
 class ValueTable(ScriptPart):
@@ -30,13 +34,13 @@ def surfaces(lens: Workbench | Lens) -> ValueTable:
     """Return the editable table of surfaces, object, sensor and wavelengths."""
     bench = bench_of(lens)
 
-    def on_message(message: dict[str, Any]) -> None:
-        if "search" in message:
-            pane.glasses = glasses_like(str(message["search"]), bench.lens)
-        elif "action" in message:
-            _change_surfaces(bench, str(message["action"]), str(message["group"]))
+    def on_message(sent: dict[str, Any]) -> None:
+        if "search" in sent:
+            pane.glasses = glasses_like(str(sent["search"]), bench.lens)
+        elif "action" in sent:
+            change_surfaces(bench, str(sent["action"]), str(sent["group"]))
         else:
-            bench.edit(*(str(message[k]) for k in ("key", "kind", "text", "gesture")))
+            bench.edit(*(str(sent[k]) for k in ("key", "kind", "text", "gesture")))
 
     pane = ValueTable(on_message, sizing_mode="stretch_width", margin=0)
 
@@ -55,17 +59,29 @@ def surfaces(lens: Workbench | Lens) -> ValueTable:
     return pane
 
 
-def what_if(lens: Workbench | Lens) -> ValueTable:
-    """Return sliders for deviations: decenter and tilt of the lens or an element, temperature, radii."""
+def what_if(lens: Workbench | Lens) -> pn.Column:
+    """Return sliders for deviations (decenter, tilt, temperature, radii), which can be saved and loaded."""
     bench = bench_of(lens)
+    note = message_pane()
+    files = FileChoice(
+        STATES,
+        lambda action, path: note.param.update(object=_transferred(bench, action, path)),
+        (
+            ("load", "Load…", "open", "Load the deviations of a mounted lens (JSON)"),
+            ("save", "Save…", "save", "Save the deviations for wavesim image --state (JSON)"),
+        ),
+        suffixes=[".json"],
+        suggestion=str(bench.document.path.with_name(f"{bench.document.path.stem}_state.json")),
+        margin=(8, 12, 4, 12),
+    )
 
-    def on_message(message: dict[str, Any]) -> None:
-        if message.get("action") == "reset":
+    def on_message(sent: dict[str, Any]) -> None:
+        if sent.get("action") == "reset":
             bench.set_what_if(WhatIf())
-        elif "key" in message:
-            key = str(message["key"])
+        elif "key" in sent:
+            key = str(sent["key"])
             try:
-                value = parsed("number", str(message["text"])) or 0.0
+                value = parsed("number", str(sent["text"])) or 0.0
                 changed = bench.what_if.with_value(key, value)
                 changed.state(bench.lens)
             except InputError as error:
@@ -105,7 +121,29 @@ def what_if(lens: Workbench | Lens) -> ValueTable:
             pane.rows = rows
 
     follow(bench, pane, update)
-    return pane
+    return pn.Column(files, note, pane, sizing_mode="stretch_width", margin=0)
+
+
+STATES = "states"
+"""Name of the list of recent files with deviations."""
+
+
+def _transferred(bench: Workbench, action: str, path: Path) -> str:
+    """Load or save the deviations, and return the markup of a message."""
+    path = path.expanduser()
+    try:
+        if action == "load":
+            bench.set_what_if(read_what_if(path, bench.lens))
+            done = f"loaded {path}"
+        elif path.exists():
+            raise InputError(f"{path}: exists already; give another name")
+        else:
+            bench.what_if.write(bench.lens, path)
+            done = f"saved {path}; use it with wavesim image --state"
+    except TransferLensError as error:
+        return message(text(error), is_bad=True)
+    remember(STATES, path)
+    return message(text(done))
 
 
 def _group_of(deviation: DeviationRange) -> str:
@@ -114,25 +152,32 @@ def _group_of(deviation: DeviationRange) -> str:
     return deviation.target
 
 
-def _change_surfaces(bench: Workbench, action: str, group: str) -> None:
+def change_surfaces(bench: Workbench, action: str, group: str) -> None:
+    """Apply an action of :func:`surface_actions` to a group such as "surface 1"."""
     index = int(group.rpartition(" ")[2]) - 1
     change = {"add": with_surface_after, "remove": without_surface, "stop": with_stop}[action]
     first = f"surface.{index}.radius_mm"
     bench.change(f"{action} {group}", lambda tables: change(tables, index), first)
 
 
+def surface_actions(lens: Lens, index: int) -> list[list[str]]:
+    """Return action, label and hint of the buttons of a surface (index from 0)."""
+    name = f"surface {index + 1}"
+    actions = [] if index == lens.stop_index else [["stop", "stop", f"Make {name} the stop"]]
+    actions.append(["add", "+", f"Add a surface behind {name}"])
+    if len(lens.surfaces) > 1:
+        actions.append(["remove", "−", f"Remove {name}"])
+    return actions
+
+
 def _row(lens: Lens, value: Value) -> dict[str, Any]:
-    note, actions = "", []
+    note, actions = "", list[list[str]]()
     if value.group.startswith("surface "):
         index = int(value.group.split()[1]) - 1
         shape = lens.surfaces[index].shape_class.NAME
         note = "stop" if index == lens.stop_index else ""
         note = " · ".join(part for part in (note, "" if shape == "conic" else shape) if part)
-        if index != lens.stop_index:
-            actions.append(["stop", "stop", f"Make {value.group} the stop"])
-        actions.append(["add", "+", f"Add a surface behind {value.group}"])
-        if len(lens.surfaces) > 1:
-            actions.append(["remove", "−", f"Remove {value.group}"])
+        actions = surface_actions(lens, index)
     return {
         "key": value.key,
         "group": value.group,

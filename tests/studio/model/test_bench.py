@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from places import DESIGNS
 
-from lensdesign import check_design, load_design
+from lensdesign import InputError, check_design, load_design
 from studio.model.bench import Workbench
 from studio.model.document import Autosave
 from studio.model.whatif import WhatIf
@@ -92,3 +92,53 @@ def test_what_if_is_of_the_lens(bench: Workbench) -> None:
     assert set(bench.what_if.of(bench.lens).values) == {"lens.tilt_x_deg"}
     wait(lambda: bool(bench.analysis.pupils))
     assert threading.active_count() < 20
+
+
+def test_results_of_an_earlier_lens_have_a_reason(bench: Workbench) -> None:
+    good = bench.settle()
+    assert good.settled
+    assert good.reasons == {}
+    bench.edit("surface.1.semi_diameter_mm", "number", "0.04")
+    bad = bench.settle()
+    assert bad.check is good.check
+    assert set(bad.reasons) == {"check", "pupils", "patch"}
+    assert all("ray" in why for why in bad.refused)
+    bench.undo()
+    assert bench.settle().reasons == {}
+
+
+def test_a_grade_that_cannot_be_used_has_a_reason_that_stays(bench: Workbench) -> None:
+    bench.grade = "none.toml"
+    assert "none.toml" in bench.settle().reasons["built"]
+    bench.edit(RADIUS, "number", "-12.1")
+    assert "none.toml" in bench.settle().reasons["built"]
+    bench.grade = ""
+    assert bench.settle().reasons == {}
+
+
+def test_an_unexpected_error_is_a_reason_for_every_result(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("broken")
+
+    monkeypatch.setattr("studio.model.analysis.layout_of", broken)
+    bench.request_update()
+    wait(lambda: len(bench.analysis.reasons) == 5)
+    assert "ZeroDivisionError: broken" in bench.analysis.refused[0]
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_another_design_is_opened_and_edits_of_the_first_stay(bench: Workbench, tmp_path: Path) -> None:
+    first = bench.document.path
+    bench.edit(RADIUS, "number", "-12.2")
+    other = Path(shutil.copy(DESIGNS / "moulded_pair.toml", tmp_path / "other.toml"))
+    bench.open(other)
+    assert bench.lens == load_design(other)
+    assert bench.is_saved
+    assert not bench.editing.undo_steps
+    bench.open(first)
+    assert bench.lens.surfaces[1].radius_mm == -12.2
+    with pytest.raises(InputError, match="none"):
+        bench.open(tmp_path / "none.toml")
+    assert bench.document.path == first

@@ -12,6 +12,7 @@ from places import DESIGNS
 from lensdesign import InputError, Lens, load_specification, optimize
 from studio.model.built import manufacturing_quality
 from studio.model.searches import Search, run_exploration, run_search, specification_text, variables_of
+from studio.model.session import Session
 
 VARIED = ("surface 1 radius_mm", "surface 2 radius_mm", "surface 2 conic")
 
@@ -24,7 +25,9 @@ def test_a_search_finds_what_the_command_finds(paper_lens: Lens) -> None:
     own = optimize(load_specification(DESIGNS / "feasible_singlet_spec.toml"))
     radius = tomllib.loads(found.text)["surface"][1]["radius_mm"]
     assert radius == pytest.approx(own.lens.surfaces[1].radius_mm, rel=1e-4)
-    assert lines
+    improvements = [json.loads(line) for line in lines if "goal" in line and "seconds" in line]
+    assert [one["seconds"] for one in improvements] == sorted(one["seconds"] for one in improvements)
+    assert any(one["feasible"] for one in improvements)
 
 
 def test_what_cannot_be_asked_is_refused(paper_lens: Lens, tmp_path: Path) -> None:
@@ -65,3 +68,25 @@ def test_lenses_of_a_front_arrive_one_by_one(paper_lens: Lens) -> None:
         one = json.loads(line)
         assert set(one["values"]) == {"semi_diameter_mm", "spread_deg"}
         assert len(tomllib.loads(one["text"])["surface"]) == 2
+
+
+def test_ranges_and_limits_of_the_page_are_those_of_the_specification(
+    paper_lens: Lens, tmp_path: Path
+) -> None:
+    session = Session.of_lens(paper_lens)
+    assert session.varied == VARIED
+    session.varied = (*VARIED, "surface 1 thickness_mm", "surface 9 radius_mm")
+    session.ranges = {"surface 1 thickness_mm": (9.0, 11.0), "surface 1 radius_mm": (20.0,)}
+    session.limits |= {"max_track_mm": "46", "max_footprint_radius_mm": ""}
+    asked = session.requested_search(paper_lens)
+    (tmp_path / "asked.toml").write_text(specification_text(paper_lens, asked, tmp_path, None))
+    found = load_specification(tmp_path / "asked.toml")
+    by_name = {one.name: one for one in found.variables}
+    assert by_name["surface 1 thickness_mm"].bounds == (9.0, 11.0)
+    assert by_name["surface 1 radius_mm"].smallest_radius_mm == 20.0
+    assert found.constraints.max_track_mm == 46.0
+    assert found.constraints.max_footprint_radius_mm == "none"
+    assert found.constraints.max_spread_deg == "sensor"
+    session.limits["max_track_mm"] = "long"
+    with pytest.raises(InputError, match="track, at most"):
+        session.requested_search(paper_lens)
